@@ -1,0 +1,5 @@
+"""Sets of shapes with splits, pairs and ground truth."""
+
+from homolog.datasets.folder import Pair, ShapeFolder, Split
+
+__all__ = ["Pair", "ShapeFolder", "Split"]

@@ -1,0 +1,142 @@
+"""A folder of shapes with ground truth: ``off/NAME.off``, ``corres/NAME.vts``, and optional lists of pairs and splits."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Int
+
+from homolog.errors import DataError, bad_choice
+from homolog.shapes import Shape, read_shape
+
+Split = Literal["train", "test", "all"]
+Pair = tuple[str, str]
+
+# Without a list of its own, a set keeps its last shapes in name order for testing, as FAUST_r and SCAPE_r do.
+_TEST_SHAPES = 20
+
+
+@dataclass(frozen=True)
+class ShapeFolder:
+    """Shapes in correspondence on disk.
+
+    Line i of every ``corres/NAME.vts`` holds the 1-based index of the vertex of NAME nearest to the i-th common point.
+    Splits are ``train.txt`` and ``test.txt``, a name a line; without them the last 20 shapes in name order are the test
+    set, or all of them where ``pairs.txt`` lists the pairs. ``pairs.txt`` holds ``source,target`` a line.
+
+    Args:
+        root: the folder.
+        names: of all its shapes, in order.
+    """
+
+    root: Path
+    names: tuple[str, ...]
+
+    @classmethod
+    def open(cls, root: str | Path) -> ShapeFolder:
+        """Look into a folder.
+
+        Raises:
+            DataError: if it has no shapes or no ground truth.
+        """
+        root = Path(root).expanduser()
+        names = tuple(sorted(path.stem for path in (root / "off").glob("*.off")))
+        if not names:
+            raise DataError(f"{root}: no shapes; put them at {root / 'off'}/NAME.off")
+        missing = [name for name in names if not (root / "corres" / f"{name}.vts").is_file()]
+        if missing:
+            raise DataError(
+                f"{root}: {len(missing)} of {len(names)} shapes have no ground truth; "
+                f"put the first one's at {root / 'corres' / missing[0]}.vts"
+            )
+        return cls(root, names)
+
+    def shape(self, name: str) -> Shape:
+        """Read one shape."""
+        return read_shape(self.root / "off" / f"{name}.off")
+
+    def common_points(self, name: str) -> Int[np.ndarray, " p"]:
+        """0-based vertex index of each common point.
+
+        Raises:
+            DataError: if the file does not hold positive whole numbers, one a line.
+        """
+        path = self.root / "corres" / f"{name}.vts"
+        try:
+            indices = np.loadtxt(path, dtype=np.int64, ndmin=1)
+        except (OSError, ValueError, OverflowError) as error:
+            raise DataError(f"{path} must hold a vertex number a line ({error})") from None
+        if indices.ndim != 1 or indices.size == 0 or indices.min() < 1:
+            raise DataError(f"{path} must hold a vertex number a line, counted from 1")
+        return indices - 1
+
+    def split(self, split: Split) -> tuple[str, ...]:
+        """The names of the shapes in a split.
+
+        Raises:
+            ArgumentError: if ``split`` is not one.
+            DataError: if the split has no shapes, or lists one that is not there.
+        """
+        if split not in get_args(Split):
+            raise bad_choice("split", split, get_args(Split))
+        if split == "all":
+            return self.names
+        listed = self.root / f"{split}.txt"
+        if listed.is_file():
+            names = tuple(listed.read_text(encoding="utf-8").split())
+            return self._known(names, listed)
+        names = self._split_by_order(split)
+        if not names:
+            raise DataError(f"{self.root}: no shapes in split {split!r}; list them in {listed}, or use --split all")
+        return names
+
+    def pairs(self, split: Split, *, listed: str | Path | None = None) -> tuple[Pair, ...]:
+        """Source and target of each pair to match: as listed in a file, or every two shapes of the split, in order.
+
+        Args:
+            split: where the shapes come from; only pairs with both shapes in it are kept from ``pairs.txt``.
+            listed: a file of ``source,target`` lines to use instead, whatever the split.
+        """
+        if listed is not None:
+            return self._read_pairs(Path(listed).expanduser())
+        names = self.split(split)
+        own = self.root / "pairs.txt"
+        if not own.is_file():
+            return tuple(itertools.product(names, repeat=2))
+        pairs = tuple(pair for pair in self._read_pairs(own) if set(pair) <= set(names))
+        if not pairs:
+            raise DataError(f"{own} lists no pair with both shapes in split {split!r}; use --split all or --pairs FILE")
+        return pairs
+
+    def _split_by_order(self, split: Split) -> tuple[str, ...]:
+        if (self.root / "pairs.txt").is_file():
+            return self.names if split == "test" else ()
+        return self.names[-_TEST_SHAPES:] if split == "test" else self.names[:-_TEST_SHAPES]
+
+    def _read_pairs(self, path: Path) -> tuple[Pair, ...]:
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError):
+            raise DataError(f"{path}: there is no such list of pairs; it must hold SOURCE,TARGET a line") from None
+        pairs = []
+        for number, line in enumerate(lines, 1):
+            words = tuple(word.strip() for word in line.split(","))
+            if words == ("",):
+                continue
+            if len(words) != 2:
+                raise DataError(f"{path}, line {number}: {line.strip()[:60]!r} must be SOURCE,TARGET")
+            pairs.append((words[0], words[1]))
+        if not pairs:
+            raise DataError(f"{path} lists no pairs; it must hold SOURCE,TARGET a line")
+        self._known(tuple(itertools.chain.from_iterable(pairs)), path)
+        return tuple(pairs)
+
+    def _known(self, names: tuple[str, ...], listed: Path) -> tuple[str, ...]:
+        unknown = sorted(set(names) - set(self.names))
+        if unknown:
+            raise DataError(f"{listed} names {unknown[0]!r}, but {self.root / 'off'} has no {unknown[0]}.off")
+        return names

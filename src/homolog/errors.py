@@ -1,0 +1,56 @@
+"""The errors a user can cause, each one line that says what is wrong and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+from typing import Any
+
+
+class HomologError(Exception):
+    """A mistake in what was given to Homolog, not in Homolog itself.
+
+    The message is one line: the file or argument, what was found, what is allowed, what to do. The command line
+    prints it without a traceback and exits with code 2.
+    """
+
+
+class ArgumentError(HomologError, ValueError):
+    """An argument or option has a value that is not allowed."""
+
+
+class ShapeError(HomologError, ValueError):
+    """A shape, or the file it comes from, cannot be used."""
+
+
+class WeightsError(HomologError, ValueError):
+    """A weight file cannot be read or does not fit the network."""
+
+
+class DataError(HomologError, ValueError):
+    """A folder of shapes, a list of pairs or a ground-truth file is not as it should be."""
+
+
+class MissingExtraError(HomologError, ImportError):
+    """An optional package is needed; the message names the extra that brings it."""
+
+    def __init__(self, need: str, package: str, extra: str) -> None:
+        super().__init__(
+            f"{need} needs the package {package}, which is not installed; run: pip install 'homolog[{extra}]'"
+        )
+
+
+def bad_choice(name: str, found: str, allowed: Sequence[str], hint: str = "") -> ArgumentError:
+    """Build the error for a word that is not among those allowed, naming the nearest one.
+
+    ``name`` is the argument as the caller wrote it, ``found`` its value, ``hint`` what else to do.
+    """
+    near = get_close_matches(found, allowed, n=1)
+    guess = f"; did you mean {near[0]!r}?" if near else ""
+    tail = f"; {hint}" if hint else ""
+    return ArgumentError(f"{name} is {found!r}, but must be one of {', '.join(allowed)}{guess}{tail}")
+
+
+def bad_value(name: str, found: Any, allowed: str) -> ArgumentError:
+    """Build the error for a value outside its range: ``name`` is ``found``, but must be ``allowed``."""
+    return ArgumentError(f"{name} is {found!r}, but must be {allowed}")

@@ -1,0 +1,15 @@
+"""How good maps are: metrics and the field's protocol."""
+
+from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
+from homolog.evaluation.protocol import Evaluation, Modalities, Protocol, evaluate
+
+__all__ = [
+    "PCK_THRESHOLD",
+    "Evaluation",
+    "Modalities",
+    "Protocol",
+    "area_under_pck",
+    "evaluate",
+    "least_confident_share",
+    "pck_curve",
+]

@@ -1,0 +1,239 @@
+"""The field's protocol: geodesic error of the map that gives each target point its source point."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from homolog.datasets import Pair, ShapeFolder, Split
+from homolog.errors import ArgumentError, DataError, bad_choice, bad_value
+from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
+from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
+from homolog.matching import Matcher, Prepared
+from homolog.shapes import Shape, add_noise
+
+Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
+
+# Told how many steps are done of how many, and what is being done.
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """What to evaluate.
+
+    Args:
+        modality: of source and target.
+        split: which shapes.
+        pairs_file: a list of pairs to use instead of the split's.
+        noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
+            on source and target.
+        seed: of the noise.
+    """
+
+    modality: Modalities = "mesh"
+    split: Split = "test"
+    pairs_file: str | None = None
+    noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.modality not in get_args(Modalities):
+            raise bad_choice("modality", self.modality, get_args(Modalities))
+        if not (np.isfinite(self.noise) and self.noise >= 0):
+            raise bad_value("noise", self.noise, "a number of at least 0, in units of sqrt(area)")
+        if self.noise and self.modality == "mesh":
+            raise ArgumentError("noise is for clouds, but modality is 'mesh'; use 'cloud', or leave noise at 0")
+
+    def is_cloud(self, role: Literal["source", "target"]) -> bool:
+        """Whether the shapes in this role lose their faces."""
+        source, _, target = self.modality.partition("-to-")
+        return (source if role == "source" else target or source) == "cloud"
+
+
+@dataclass(frozen=True, eq=False)
+class PairErrors:
+    """Errors of one pair: per common point the geodesic error (p,) in units of sqrt(area), and the confidence there."""
+
+    pair: Pair
+    errors: Float[np.ndarray, " p"]
+    confidences: Float[np.ndarray, " p"]
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The errors of all pairs, and where the time went."""
+
+    pairs: tuple[PairErrors, ...]
+    route: str
+    unmatched_points: int
+    seconds: dict[str, float]
+
+    @property
+    def errors(self) -> Float[np.ndarray, " p"]:
+        """Errors of all points of all pairs together."""
+        return np.concatenate([pair.errors for pair in self.pairs])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Figures for JSON; errors are multiplied by 100, as tables in the field show them."""
+        errors = self.errors
+        confidences = np.concatenate([pair.confidences for pair in self.pairs])
+        thresholds, shares = pck_curve(errors)
+        return {
+            "mean_geodesic_error": 100 * float(errors.mean()),
+            "median_geodesic_error": 100 * float(np.median(errors)),
+            "pck_auc": area_under_pck(errors),
+            "pck_threshold": PCK_THRESHOLD,
+            "pck": {"thresholds": thresholds.tolist(), "shares": shares.tolist()},
+            "least_confident_fifth_error_share": least_confident_share(errors, confidences),
+            "route": self.route,
+            "unmatched_points": self.unmatched_points,
+            "pairs": [
+                {
+                    "source": pair.pair[0],
+                    "target": pair.pair[1],
+                    "points": len(pair.errors),
+                    "mean_geodesic_error": 100 * float(pair.errors.mean()) if len(pair.errors) else None,
+                }
+                for pair in self.pairs
+            ],
+            "seconds": self.seconds,
+        }
+
+
+def evaluate(
+    matcher: Matcher, folder: ShapeFolder, protocol: Protocol, *, progress: Progress | None = None
+) -> Evaluation:
+    """Match every pair of a folder and measure the maps against its ground truth.
+
+    Each shape's operators and features are computed once. Shapes are scaled to unit area as meshes before any noise is
+    added and any face dropped, as the published protocol has it.
+
+    Raises:
+        DataError: if the ground truth does not fit the shapes.
+    """
+    pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
+    run = _Run(matcher, folder, protocol, pairs, progress or (lambda done, total, what: None))
+    return run.evaluation()
+
+
+@dataclass(frozen=True, eq=False)
+class _Queries:
+    """Distances to measure on one source shape: from each true point to where the map puts it."""
+
+    pair: Pair
+    truth: Int[np.ndarray, " p"]
+    mapped: Int[np.ndarray, " p"]
+    confidences: Float[np.ndarray, " p"]
+
+
+class _Run:
+    def __init__(
+        self, matcher: Matcher, folder: ShapeFolder, protocol: Protocol, pairs: tuple[Pair, ...], progress: Progress
+    ) -> None:
+        self.matcher, self.folder, self.protocol, self.pairs, self.progress = matcher, folder, protocol, pairs, progress
+        names = dict.fromkeys(name for pair in pairs for name in pair)
+        self.shapes = {name: folder.shape(name) for name in names}
+        self.truth = {name: self._common_points(name) for name in names}
+        roles = dict.fromkeys((self._variant(name, role), name, role) for s, t in pairs for name, role in _roles(s, t))
+        self.to_prepare = {variant: (name, role) for variant, name, role in roles}
+        self.total = len(self.to_prepare) + len(pairs)
+        self.done = 0
+
+    def evaluation(self) -> Evaluation:
+        began = time.perf_counter()
+        prepared = {variant: self._prepare(*key) for variant, key in self.to_prepare.items()}
+        matched = time.perf_counter()
+        queries = [self._match(pair, prepared) for pair in self.pairs]
+        measured = time.perf_counter()
+        errors = self._errors(queries)
+        seconds = {
+            "prepare": matched - began,
+            "match": measured - matched,
+            "measure": time.perf_counter() - measured,
+            "total": time.perf_counter() - began,
+        }
+        first = prepared[self._variant(self.pairs[0][0], "source")], prepared[self._variant(self.pairs[0][1], "target")]
+        route = self.matcher.route(first[0].modality, first[1].modality)
+        unmatched = sum(len(query.mapped) - len(pair.errors) for query, pair in zip(queries, errors, strict=True))
+        return Evaluation(tuple(errors), route, unmatched, seconds)
+
+    def _common_points(self, name: str) -> Int[np.ndarray, " p"]:
+        points = self.folder.common_points(name)
+        if points.max() >= self.shapes[name].n_points:
+            raise DataError(
+                f"{self.folder.root / 'corres' / name}.vts names vertex {points.max() + 1}, "
+                f"but the shape has {self.shapes[name].n_points}"
+            )
+        return points
+
+    def _variant(self, name: str, role: Literal["source", "target"]) -> tuple[str, str, bool]:
+        """What tells preparations apart: noise makes source and target of one name two different clouds."""
+        cloud = self.protocol.is_cloud(role)
+        return name, role if cloud and self.protocol.noise else "", cloud
+
+    def _prepare(self, name: str, role: Literal["source", "target"]) -> Prepared:
+        self._tick(name)
+        shape = self.shapes[name]
+        unit = Shape(unit_frame(shape).inside(shape.points), shape.faces, name=shape.name)
+        if self.protocol.is_cloud(role):
+            seed = zlib.crc32(f"{self.protocol.seed} {name} {role}".encode())
+            unit = add_noise(unit, self.protocol.noise, seed=seed)
+        return self.matcher.prepare(unit, as_cloud=self.protocol.is_cloud(role), length=1.0)
+
+    def _match(self, pair: Pair, prepared: dict[tuple[str, str, bool], Prepared]) -> _Queries:
+        source, target = pair
+        self._tick(f"{source} - {target}")
+        if len(self.truth[source]) != len(self.truth[target]):
+            raise DataError(
+                f"{source} has {len(self.truth[source])} common points and {target} {len(self.truth[target])}; "
+                "every .vts file of a set must have the same number of lines"
+            )
+        found = self.matcher.match_prepared(
+            prepared[self._variant(source, "source")], prepared[self._variant(target, "target")]
+        )
+        at = self.truth[target]
+        return _Queries(pair, self.truth[source], found.target_to_source[at], found.target_confidence[at])
+
+    def _errors(self, queries: list[_Queries]) -> list[PairErrors]:
+        """Geodesic errors, each source shape's distances searched for all its pairs at once."""
+        by_source: dict[str, list[int]] = defaultdict(list)
+        for number, query in enumerate(queries):
+            by_source[query.pair[0]].append(number)
+        errors: dict[int, PairErrors] = {}
+        for source, numbers in by_source.items():
+            truth = np.concatenate([queries[number].truth for number in numbers])
+            mapped = np.concatenate([queries[number].mapped for number in numbers])
+            distances = self._distances(self.shapes[source], truth, np.where(mapped < 0, truth, mapped))
+            cuts = np.cumsum([len(queries[number].truth) for number in numbers])[:-1]
+            for number, part in zip(numbers, np.split(distances, cuts), strict=True):
+                kept = queries[number].mapped >= 0
+                errors[number] = PairErrors(queries[number].pair, part[kept], queries[number].confidences[kept])
+        return [errors[number] for number in range(len(queries))]
+
+    @staticmethod
+    def _distances(shape: Shape, starts: Int[np.ndarray, " q"], ends: Int[np.ndarray, " q"]) -> Float[np.ndarray, " q"]:
+        if shape.faces is None:
+            raise DataError(f"{shape.name} has no faces, but geodesic errors are measured along a surface")
+        unit = np.sqrt(surface_area(shape))
+        graph = edge_graph(shape.points / unit, shape.faces)
+        distances = pair_distances(graph, starts, ends)
+        # Between separate pieces there is no way along the surface: the straight one is the least it can be.
+        apart = np.isinf(distances)
+        distances[apart] = np.linalg.norm(shape.points[starts[apart]] - shape.points[ends[apart]], axis=1) / unit
+        return distances
+
+    def _tick(self, what: str) -> None:
+        self.progress(self.done, self.total, what)
+        self.done += 1
+
+
+def _roles(source: str, target: str) -> tuple[tuple[str, Literal["source"]], tuple[str, Literal["target"]]]:
+    return (source, "source"), (target, "target")

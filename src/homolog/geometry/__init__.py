@@ -1,0 +1,27 @@
+"""Laplacian, gradient, spectrum, geodesics, and Operators: all of a shape's operators, computed once, cached."""
+
+from homolog.geometry.cache import OperatorCache, cache_folder
+from homolog.geometry.geodesics import edge_graph, pair_distances
+from homolog.geometry.laplacian import LaplacianKind, cloud_laplacian, mesh_laplacian
+from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
+from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
+from homolog.geometry.spectrum import Spectrum, lowest_eigenpairs
+
+__all__ = [
+    "Frame",
+    "LaplacianKind",
+    "OperatorCache",
+    "OperatorSettings",
+    "Operators",
+    "Spectrum",
+    "cache_folder",
+    "cloud_area",
+    "cloud_laplacian",
+    "compute_operators",
+    "edge_graph",
+    "lowest_eigenpairs",
+    "mesh_laplacian",
+    "pair_distances",
+    "surface_area",
+    "unit_frame",
+]

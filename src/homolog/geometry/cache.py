@@ -1,0 +1,180 @@
+"""Operators kept on disk, found again by content."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import platformdirs
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from homolog.errors import ArgumentError
+from homolog.files import atomic_path
+from homolog.geometry.operators import Operators, OperatorSettings, compressed_rows, compute_operators
+from homolog.shapes import Shape
+
+_log = logging.getLogger(__name__)
+
+# Part of every key: raise it when the same shape and settings come to give other operators.
+_VERSION = 1
+_SUFFIX = ".safetensors"
+_DENSE = ("points", "mass", "eigenvalues", "eigenvectors", "centre")
+_GIBIBYTE = 2**30
+
+EigenvectorPrecision = Literal["float32", "float16"]
+
+
+def cache_folder() -> Path:
+    """Where operators are kept: the environment variable ``HOMOLOG_CACHE``, or the platform's cache folder."""
+    chosen = os.environ.get("HOMOLOG_CACHE")
+    return Path(chosen).expanduser() if chosen else Path(platformdirs.user_cache_dir("homolog"))
+
+
+@dataclass(frozen=True)
+class OperatorCache:
+    """A folder of operators, safe to share between processes.
+
+    An entry's name is the hash of the shape's points and faces and of the settings. Entries are safetensors files,
+    which cannot run code; they are written whole or not at all, and carry a checksum: a damaged one is computed anew.
+    When the folder outgrows its bound, the entries not used for longest go.
+
+    Args:
+        folder: where to keep entries; made on first use. Default: see ``cache_folder``.
+        max_bytes: bound on the folder's size.
+        eigenvectors: ``"float16"`` halves the size of an entry at a relative error of 5e-4 in the eigenvectors.
+    """
+
+    folder: Path
+    max_bytes: int = 10 * _GIBIBYTE
+    eigenvectors: EigenvectorPrecision = "float32"
+
+    @classmethod
+    def default(cls) -> OperatorCache:
+        """The cache in the default folder; ``HOMOLOG_CACHE_GB`` changes its bound of 10 GB."""
+        given = os.environ.get("HOMOLOG_CACHE_GB", "10")
+        try:
+            gigabytes = float(given)
+        except ValueError:
+            raise ArgumentError(f"HOMOLOG_CACHE_GB is {given!r}, but must be a number of gigabytes") from None
+        return cls(cache_folder(), max_bytes=int(gigabytes * _GIBIBYTE))
+
+    def operators(
+        self, shape: Shape, *, settings: OperatorSettings | None = None, length: float | None = None
+    ) -> Operators:
+        """The operators of a clean shape, from the cache if they are there; see ``compute_operators``."""
+        settings = settings or OperatorSettings()
+        path = self.folder / (self._key(shape, settings, length) + _SUFFIX)
+        cached = _read(path)
+        if cached is not None:
+            return cached
+        operators = compute_operators(shape, settings=settings, length=length)
+        self._keep(path, operators)
+        return operators
+
+    def size(self) -> tuple[int, int]:
+        """Number of entries and their bytes."""
+        sizes = [size for _, size, _ in self._entries()]
+        return len(sizes), sum(sizes)
+
+    def _key(self, shape: Shape, settings: OperatorSettings, length: float | None) -> str:
+        described = {"version": _VERSION, "length": length, "precision": self.eigenvectors, **asdict(settings)}
+        digest = hashlib.sha256(json.dumps(described, sort_keys=True).encode())
+        digest.update(shape.points.tobytes())
+        digest.update(b"cloud" if shape.faces is None else shape.faces.tobytes())
+        return digest.hexdigest()[:40]
+
+    def _keep(self, path: Path, operators: Operators) -> None:
+        tensors = _tensors(operators)
+        if self.eigenvectors == "float16":
+            tensors["eigenvectors"] = tensors["eigenvectors"].half()
+        notes = {"checksum": _checksum(tensors), "length": operators.length.hex(), "method": operators.method}
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with atomic_path(path) as temporary:
+                save_file(tensors, temporary, metadata=notes)
+        except (OSError, ArgumentError, SafetensorError) as error:
+            # A full or read-only disk costs time on the next call, no more.
+            _log.warning("operators are not cached: %s", error)
+        self._make_room()
+
+    def _make_room(self) -> None:
+        entries = sorted(self._entries())
+        excess = sum(size for _, size, _ in entries) - self.max_bytes
+        for _, size, path in entries:
+            if excess <= 0:
+                return
+            with suppress(OSError):
+                path.unlink()
+            excess -= size
+
+    def _entries(self) -> Iterator[tuple[float, int, Path]]:
+        """Time of last use, bytes and path of each entry; another process may remove some meanwhile."""
+        for path in self.folder.glob("*" + _SUFFIX) if self.folder.is_dir() else ():
+            with suppress(OSError):
+                status = path.stat()
+                yield status.st_mtime, status.st_size, path
+
+
+def _read(path: Path) -> Operators | None:
+    try:
+        with safe_open(path, framework="pt") as entry:
+            notes = entry.metadata() or {}
+            tensors = {name: entry.get_tensor(name) for name in entry.keys()}  # noqa: SIM118
+        if notes.get("checksum") != _checksum(tensors):
+            raise ValueError("its checksum does not match")
+        operators = _operators(tensors, length=float.fromhex(notes["length"]), method=notes["method"])
+    except FileNotFoundError:
+        return None
+    except (OSError, SafetensorError, ValueError, KeyError, RuntimeError) as error:
+        _log.warning("the cached operators %s are damaged (%s) and are computed anew", path, error)
+        return None
+    with suppress(OSError):
+        os.utime(path)  # marks the entry as used
+    return operators
+
+
+def _tensors(operators: Operators) -> dict[str, Tensor]:
+    tensors = {name: getattr(operators, name).cpu().contiguous() for name in _DENSE}
+    for name, matrix in (("laplacian", operators.laplacian), ("gradient", operators.gradient_x)):
+        tensors[f"{name}.rows"] = matrix.crow_indices()
+        tensors[f"{name}.columns"] = matrix.col_indices()
+    for name in ("laplacian", "gradient_x", "gradient_y"):
+        tensors[f"{name}.values"] = getattr(operators, name).values()
+    return tensors
+
+
+def _operators(tensors: dict[str, Tensor], *, length: float, method: str) -> Operators:
+    def matrix(pattern: str, values: str) -> Tensor:
+        return compressed_rows(tensors[f"{pattern}.rows"], tensors[f"{pattern}.columns"], tensors[f"{values}.values"])
+
+    dense = {name: tensors[name] for name in _DENSE}
+    dense["eigenvectors"] = dense["eigenvectors"].float()
+    return Operators(
+        **dense,
+        laplacian=matrix("laplacian", "laplacian"),
+        gradient_x=matrix("gradient", "gradient_x"),
+        gradient_y=matrix("gradient", "gradient_y"),
+        length=length,
+        method=method,
+    )
+
+
+def _checksum(tensors: dict[str, Tensor]) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for name in sorted(tensors):
+        array: np.ndarray = tensors[name].numpy()
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+

@@ -1,0 +1,91 @@
+"""Laplacian and lumped mass of meshes and point clouds.
+
+Sign and scale: L is positive semidefinite and integrated (weak), so that L phi = lambda M phi with the mass M.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+import robust_laplacian
+import scipy.sparse as sparse
+from jaxtyping import Float, Int
+
+from homolog.errors import ShapeError, bad_choice
+
+LaplacianKind = Literal["robust", "cotangent"]
+
+# Neighbours per point of the point-cloud Laplacian and gradient.
+CLOUD_NEIGHBOURS = 30
+
+# A point's mass is at least this share of the mean mass: a point between slivers would otherwise have none.
+_SMALLEST_MASS = 1e-6
+
+
+def mesh_laplacian(
+    points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], *, kind: LaplacianKind = "robust"
+) -> tuple[sparse.csr_matrix, Float[np.ndarray, " n"]]:
+    """Laplacian (n, n) and lumped mass (n,) of a triangle mesh.
+
+    ``"robust"`` is the intrinsic Delaunay Laplacian on the tufted cover (Sharp and Crane, "A Laplacian for nonmanifold
+    triangle meshes", SGP 2020): never negative weights, any connectivity. ``"cotangent"`` is the classical one
+    (Pinkall and Polthier 1993), for comparison.
+
+    Raises:
+        ArgumentError: if ``kind`` is neither.
+        ShapeError: if the triangles are too degenerate for a Laplacian.
+    """
+    if kind == "robust":
+        laplacian, mass = robust_laplacian.mesh_laplacian(np.ascontiguousarray(points), np.ascontiguousarray(faces))
+        return _checked(laplacian, mass.diagonal())
+    if kind == "cotangent":
+        return _checked(*_cotangent_laplacian(points, faces))
+    raise bad_choice("laplacian", kind, get_args(LaplacianKind))
+
+
+def cloud_laplacian(
+    points: Float[np.ndarray, "n 3"], *, n_neighbours: int = CLOUD_NEIGHBOURS
+) -> tuple[sparse.csr_matrix, Float[np.ndarray, " n"]]:
+    """Laplacian (n, n) and lumped mass (n,) of a point cloud, from local triangulations (Sharp and Crane 2020).
+
+    The mass sums to the area of those triangulations, which noise inflates: see ``cloud_area`` for a scale.
+
+    Raises:
+        ShapeError: if the points are too degenerate for a Laplacian.
+    """
+    n_neighbours = min(n_neighbours, len(points) - 1)
+    laplacian, mass = robust_laplacian.point_cloud_laplacian(np.ascontiguousarray(points), n_neighbors=n_neighbours)
+    return _checked(laplacian, mass.diagonal())
+
+
+def _cotangent_laplacian(
+    points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> tuple[sparse.csr_matrix, Float[np.ndarray, " n"]]:
+    n = len(points)
+    corners = points[faces]
+    doubled_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    doubled_area = np.maximum(doubled_area, np.finfo(float).tiny)
+    weights = sparse.csr_matrix((n, n))
+    for corner in range(3):
+        a, b = (corner + 1) % 3, (corner + 2) % 3
+        towards_a, towards_b = corners[:, a] - corners[:, corner], corners[:, b] - corners[:, corner]
+        half_cotangent = 0.5 * np.einsum("ij,ij->i", towards_a, towards_b) / doubled_area
+        weights += sparse.csr_matrix((half_cotangent, (faces[:, a], faces[:, b])), shape=(n, n))
+    weights = weights + weights.T
+    laplacian = sparse.diags(np.asarray(weights.sum(axis=1)).ravel()) - weights
+    mass = np.bincount(faces.ravel(), np.repeat(doubled_area / 6, 3), minlength=n)
+    return laplacian.tocsr(), mass
+
+
+def _checked(
+    laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"]
+) -> tuple[sparse.csr_matrix, Float[np.ndarray, " n"]]:
+    laplacian = sparse.csr_matrix(laplacian)
+    if not (np.isfinite(laplacian.data).all() and np.isfinite(mass).all() and mass.sum() > 0):
+        raise ShapeError(
+            "the Laplacian is not finite: the faces or the spacing of the points are too degenerate; "
+            "remesh the shape, or leave the faces out"
+        )
+    laplacian = (laplacian + laplacian.T) / 2
+    return laplacian.tocsr(), np.maximum(mass, _SMALLEST_MASS * mass.mean())

@@ -1,0 +1,172 @@
+"""All that the network and the maps need of one shape, computed once."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import scipy.sparse as sparse
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
+from homolog.geometry.scale import Frame, unit_frame
+from homolog.geometry.spectrum import lowest_eigenpairs
+from homolog.geometry.tangent import (
+    cloud_normals,
+    gradient_matrices,
+    mesh_edges,
+    mesh_normals,
+    nearest_neighbours,
+    tangent_frames,
+)
+from homolog.shapes import Shape
+
+# A sparse matrix of shape (n, n) in torch's compressed-row layout.
+SparseMatrix = Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Operators:
+    """The discrete operators of one shape, in inner units (centred, unit area), as float32 tensors.
+
+    Args:
+        points: centred and scaled positions (n, 3), the network's input.
+        mass: lumped mass (n,).
+        eigenvalues: the k lowest (k,), of L phi = lambda M phi.
+        eigenvectors: (n, k), with Phi^T M Phi = I.
+        laplacian: positive semidefinite L (n, n), sparse.
+        gradient_x: first component of the gradient in each point's tangent frame (n, n), sparse.
+        gradient_y: second component, of the same sparsity.
+        centre: the origin of the inner coordinates in the file's (3,), float64.
+        length: one inner unit in the file's units.
+        method: how the eigenpairs were found.
+    """
+
+    points: Float[Tensor, "n 3"]
+    mass: Float[Tensor, " n"]
+    eigenvalues: Float[Tensor, " k"]
+    eigenvectors: Float[Tensor, "n k"]
+    laplacian: SparseMatrix
+    gradient_x: SparseMatrix
+    gradient_y: SparseMatrix
+    centre: Float[Tensor, " 3"]
+    length: float
+    method: str
+
+    @property
+    def n_points(self) -> int:
+        """Number of points n."""
+        return len(self.mass)
+
+    @property
+    def n_eigenpairs(self) -> int:
+        """Number of eigenpairs k."""
+        return len(self.eigenvalues)
+
+    def to(self, device: torch.device | str) -> Operators:
+        """The same operators on another device."""
+        moved = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Operators(**{k: v.to(device) if isinstance(v, Tensor) else v for k, v in moved.items()})
+
+    def truncated(self, n_eigenpairs: int) -> Operators:
+        """The same operators with only the lowest eigenpairs."""
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues[:n_eigenpairs],
+            eigenvectors=self.eigenvectors[:, :n_eigenpairs].contiguous(),
+        )
+
+    def coefficients(self, functions: Float[Tensor, "n c"]) -> Float[Tensor, "k c"]:
+        """Spectral coefficients Phi^T M f of functions on the shape."""
+        return self.eigenvectors.T @ (self.mass[:, None] * functions)
+
+
+@dataclass(frozen=True)
+class OperatorSettings:
+    """What operators to compute.
+
+    Args:
+        n_eigenpairs: how many eigenpairs; fewer where the shape has fewer points.
+        laplacian: ``"robust"`` or ``"cotangent"`` for meshes; clouds have but one.
+        n_neighbours: neighbours per point of a cloud's Laplacian and gradient.
+    """
+
+    n_eigenpairs: int = 128
+    laplacian: LaplacianKind = "robust"
+    n_neighbours: int = CLOUD_NEIGHBOURS
+
+
+def compute_operators(
+    shape: Shape, *, settings: OperatorSettings | None = None, length: float | None = None
+) -> Operators:
+    """Compute the operators of a clean shape (see ``homolog.repair``).
+
+    Args:
+        shape: a mesh or a point cloud without invalid, duplicate or unreferenced points.
+        settings: what to compute.
+        length: the file length of one inner unit; by default sqrt(surface area). A partial shape takes that of its
+            complete partner.
+
+    Raises:
+        ShapeError: if the shape is too degenerate for operators.
+    """
+    settings = settings or OperatorSettings()
+    frame = unit_frame(shape, length=length)
+    points = frame.inside(shape.points)
+    if shape.faces is None:
+        laplacian, mass = cloud_laplacian(points, n_neighbours=settings.n_neighbours)
+        gradient = _cloud_gradient(points, settings.n_neighbours)
+    else:
+        laplacian, mass = mesh_laplacian(points, shape.faces, kind=settings.laplacian)
+        frames = tangent_frames(mesh_normals(points, shape.faces))
+        gradient = gradient_matrices(points, frames, *mesh_edges(shape.faces))
+    spectrum = lowest_eigenpairs(laplacian, mass, settings.n_eigenpairs)
+    return Operators(
+        points=_single(points),
+        mass=_single(mass),
+        eigenvalues=_single(spectrum.eigenvalues),
+        eigenvectors=_single(spectrum.eigenvectors),
+        laplacian=_sparse_tensor(laplacian),
+        gradient_x=_sparse_tensor(gradient[0]),
+        gradient_y=_sparse_tensor(gradient[1]),
+        centre=torch.from_numpy(frame.centre),
+        length=frame.length,
+        method=spectrum.method,
+    )
+
+
+def _cloud_gradient(
+    points: Float[np.ndarray, "n 3"], n_neighbours: int
+) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    neighbours = nearest_neighbours(points, n_neighbours)
+    frames = tangent_frames(cloud_normals(points, neighbours))
+    starts = np.repeat(np.arange(len(points)), neighbours.shape[1])
+    return gradient_matrices(points, frames, starts, neighbours.ravel())
+
+
+def frame_of(operators: Operators) -> Frame:
+    """Where the operators' inner coordinates lie in the file's."""
+    return Frame(centre=operators.centre.cpu().numpy(), length=operators.length)
+
+
+def _single(array: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))
+
+
+def _sparse_tensor(matrix: sparse.csr_matrix) -> SparseMatrix:
+    matrix = matrix.tocsr()
+    matrix.sort_indices()
+    rows, columns = torch.from_numpy(matrix.indptr.astype(np.int32)), torch.from_numpy(matrix.indices.astype(np.int32))
+    return compressed_rows(rows, columns, _single(matrix.data))
+
+
+def compressed_rows(rows: Int[Tensor, " n+1"], columns: Int[Tensor, " e"], values: Float[Tensor, " e"]) -> SparseMatrix:
+    """A sparse square matrix from its row pointers, column indices and values."""
+    n = len(rows) - 1
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
+        return torch.sparse_csr_tensor(rows, columns, values, size=(n, n), check_invariants=False)
+

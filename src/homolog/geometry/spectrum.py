@@ -1,0 +1,194 @@
+"""The lowest eigenpairs of a Laplacian, checked."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sparse
+import scipy.sparse.linalg as sparse_linalg
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.errors import ShapeError, bad_value
+from homolog.geometry.lanczos import BlockLanczos
+
+_log = logging.getLogger(__name__)
+
+# Below this many points, or where most eigenpairs are wanted, a dense solve is both faster and exact.
+_DENSE_POINTS = 500
+_DENSE_SHARE = 0.2
+# Where the last resort, a dense solve of any Laplacian, still takes seconds and well under a gigabyte.
+_DENSE_LIMIT = 6000
+# Largest accepted |S u - lambda u|, as a share of the largest eigenvalue asked for.
+_TOLERANCE = 1e-6
+_BLOCKS = (8, 32)
+_MOST_COMPONENTS = 200
+
+_Pairs = tuple[Float[Tensor, " k"], Float[Tensor, "n k"]]
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Eigenpairs with L phi = lambda M phi, in ascending order.
+
+    Args:
+        eigenvalues: shape (k,), float64, not negative.
+        eigenvectors: shape (n, k), float64, with Phi^T M Phi = I; the entry of largest size in each is positive.
+        residual: the largest |L phi - lambda M phi|, in the norm of M^-1, as a share of the largest eigenvalue.
+        method: how they were found, for reports.
+    """
+
+    eigenvalues: Float[np.ndarray, " k"]
+    eigenvectors: Float[np.ndarray, "n k"]
+    residual: float
+    method: str
+
+
+def lowest_eigenpairs(laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"], n_eigenpairs: int) -> Spectrum:
+    """The ``n_eigenpairs`` lowest eigenpairs of L phi = lambda M phi (at most n).
+
+    Small problems are solved densely. Others by a shift-and-invert block Lanczos iteration whose shift lies in the
+    middle of the wanted eigenvalues, with the functions that are constant on a connected component known beforehand;
+    Sylvester's law of inertia then tells whether any eigenpair was missed. If one was, larger blocks are tried, then
+    ARPACK, then a dense solve where that is affordable; ``method`` says which.
+
+    Raises:
+        ArgumentError: if ``n_eigenpairs`` is not positive.
+        ShapeError: if no method gives eigenpairs with a small residual.
+    """
+    if n_eigenpairs < 1:
+        raise bad_value("n_eigenpairs", n_eigenpairs, "at least 1")
+    problem = _Problem.build(laplacian, mass)
+    k = min(n_eigenpairs, problem.size)
+    if problem.size <= _DENSE_POINTS or k > _DENSE_SHARE * problem.size:
+        return problem.spectrum(_dense(problem, k), "dense")
+    for block in _BLOCKS:
+        pairs = _shift_and_invert(problem, k, block)
+        if pairs is not None:
+            return problem.spectrum(pairs, f"block Lanczos, blocks of {block}")
+        _log.info("block Lanczos with blocks of %d did not find every eigenpair", block)
+    return _last_resort(problem, k)
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """The symmetric problem S u = lambda u with S = M^-1/2 L M^-1/2, where phi = M^-1/2 u."""
+
+    matrix: sparse.csc_matrix
+    root_mass: Float[np.ndarray, " n"]
+    # Orthonormal rows, the known eigenvectors for lambda = 0: constant on one connected component each.
+    kernel: Float[Tensor, "c n"]
+
+    @classmethod
+    def build(cls, laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"]) -> _Problem:
+        root_mass = np.sqrt(mass)
+        scaling = sparse.diags(1 / root_mass)
+        matrix = scaling @ laplacian @ scaling
+        count, component = sparse.csgraph.connected_components(laplacian, directed=False)
+        # More components than that are debris, and the largest are the shape.
+        kept = np.argsort(-np.bincount(component, mass), kind="stable")[: min(count, _MOST_COMPONENTS)]
+        kernel = np.where(component[None, :] == kept[:, None], root_mass[None, :], 0.0)
+        kernel /= np.linalg.norm(kernel, axis=1, keepdims=True)
+        return cls(((matrix + matrix.T) / 2).tocsc(), root_mass, torch.from_numpy(kernel))
+
+    @property
+    def size(self) -> int:
+        return len(self.root_mass)
+
+    def factorise(self, shift: float) -> sparse_linalg.SuperLU:
+        """A sparse L D L^T of S - shift, in the form of an LU with symmetric ordering and diagonal pivots."""
+        shifted = (self.matrix - shift * sparse.identity(self.size, format="csc")).tocsc()
+        return sparse_linalg.splu(
+            shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
+
+    def count_below(self, value: float) -> int:
+        """How many eigenvalues lie below ``value``: as many as there are negative pivots (Sylvester)."""
+        return int((self.factorise(value).U.diagonal() < 0).sum())
+
+    def residual(self, pairs: _Pairs) -> float:
+        values, vectors = pairs[0].numpy(), pairs[1].numpy()
+        errors = np.linalg.norm(self.matrix @ vectors - vectors * values, axis=0)
+        return float(errors.max() / max(values.max(), np.finfo(float).tiny)) if len(values) > 1 else 0.0
+
+    def spectrum(self, pairs: _Pairs, method: str) -> Spectrum:
+        values, vectors = pairs[0].numpy(), pairs[1].numpy() / self.root_mass[:, None]
+        largest = np.abs(vectors).argmax(axis=0)
+        vectors = vectors * np.sign(vectors[largest, np.arange(vectors.shape[1])])
+        return Spectrum(np.maximum(values, 0.0), vectors, self.residual(pairs), method)
+
+
+def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
+    """Eigenpairs by block Lanczos on (S - shift)^-1, or None if it does not converge or misses any."""
+    # Weyl's law puts the k-th eigenvalue of a surface near 4 pi k / area. With the shift a little below the middle,
+    # both ends of the wanted spectrum are near it, which takes a quarter fewer solves than a shift at zero.
+    shift = 0.42 * 4 * np.pi * k / float(problem.root_mass @ problem.root_mass)
+    try:
+        factors = problem.factorise(shift)
+    except RuntimeError:  # the shift hit an eigenvalue
+        return None
+
+    def inverse(rows: Tensor) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(factors.solve(rows.numpy().T).T))
+
+    wanted = k + 1  # one more, to know where the next eigenvalue begins
+    krylov = BlockLanczos(
+        inverse, problem.kernel, block=block, capacity=min(4 * wanted + 12 * block, problem.size - len(problem.kernel))
+    )
+    check_at = 2.2 * wanted + 2 * block
+    while krylov.grow():
+        if krylov.size >= check_at:
+            check_at = krylov.size + wanted / 8
+            pairs = _converged(problem, krylov, shift, wanted)
+            if pairs is not None:
+                return _complete(problem, pairs, k)
+    return None
+
+
+def _converged(problem: _Problem, krylov: BlockLanczos, shift: float, wanted: int) -> _Pairs | None:
+    """The lowest ``wanted`` eigenpairs, those of the kernel included, if their residuals are small enough."""
+    inverse_values, vectors, errors = krylov.ritz_pairs()
+    values = shift + 1 / inverse_values
+    # Negative ones are near-zero values of the inverse: the far end of the spectrum, of either sign by rounding.
+    values = torch.where(values < -1e-3 * shift, torch.inf, values)
+    order = torch.argsort(values)[: max(wanted - len(problem.kernel), 0)]
+    if (errors[order] > 0.01 * _TOLERANCE * inverse_values[order].abs()).any():
+        return None
+    values = torch.cat([torch.zeros(len(problem.kernel), dtype=torch.float64), values[order]])[:wanted]
+    lifted = torch.cat([problem.kernel.T, krylov.lift(vectors[:, order])], dim=1)[:, :wanted]
+    pairs = (values, lifted)
+    return pairs if problem.residual(pairs) < _TOLERANCE else None
+
+
+def _complete(problem: _Problem, pairs: _Pairs, k: int) -> _Pairs | None:
+    """The first ``k`` eigenpairs, or None if the law of inertia says that some were missed."""
+    values, vectors = pairs
+    last, following = float(values[k - 1]), float(values[k])
+    # Inside a cluster of equal eigenvalues there is no place to count from.
+    if following - last > 1e-4 * following and problem.count_below((last + following) / 2) != k:
+        return None
+    return values[:k], vectors[:, :k]
+
+
+def _dense(problem: _Problem, k: int) -> _Pairs:
+    values, vectors = torch.linalg.eigh(torch.from_numpy(problem.matrix.toarray()))
+    return values[:k], vectors[:, :k]
+
+
+def _last_resort(problem: _Problem, k: int) -> Spectrum:
+    if problem.size <= _DENSE_LIMIT:
+        return problem.spectrum(_dense(problem, k), "dense, after block Lanczos failed")
+    start = np.random.default_rng(0).standard_normal(problem.size)
+    shift = -1e-2 / float(problem.root_mass @ problem.root_mass)
+    try:
+        values, vectors = sparse_linalg.eigsh(problem.matrix, k, sigma=shift, v0=start)
+    except (sparse_linalg.ArpackError, RuntimeError) as error:
+        raise ShapeError(f"the eigenvalues of the Laplacian did not converge ({error}); remesh the shape") from None
+    order = np.argsort(values)
+    pairs = (torch.from_numpy(values[order]), torch.from_numpy(vectors[:, order]))
+    if problem.residual(pairs) > 100 * _TOLERANCE:
+        raise ShapeError("the eigenvalues of the Laplacian are too inaccurate; remesh the shape")
+    return problem.spectrum(pairs, "ARPACK, after block Lanczos failed")

@@ -1,0 +1,33 @@
+"""Correspondence as mathematics: pure functions of tensors."""
+
+from homolog.maps.confidence import confidence, coverage_density, covered, local_spread
+from homolog.maps.descriptors import smoothed_positions, wave_kernel_signature
+from homolog.maps.functional_map import (
+    functional_map,
+    functional_map_from_point_map,
+    point_map_from_functional_map,
+    resolvent_mask,
+)
+from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
+from homolog.maps.refinement import zoom_out
+from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
+
+__all__ = [
+    "Nearest",
+    "SoftMatches",
+    "confidence",
+    "coverage_density",
+    "covered",
+    "functional_map",
+    "functional_map_from_point_map",
+    "local_spread",
+    "most_similar",
+    "nearest_neighbour",
+    "normalised",
+    "point_map_from_functional_map",
+    "resolvent_mask",
+    "sinkhorn_matches",
+    "smoothed_positions",
+    "wave_kernel_signature",
+    "zoom_out",
+]

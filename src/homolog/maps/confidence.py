@@ -1,0 +1,77 @@
+"""How far to trust a point map, and which points have no counterpart, without any ground truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csc_matrix, diags
+from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from homolog.geometry import Operators
+
+# Neighbours of a point whose images are compared with its own.
+_NEIGHBOURS = 8
+# Scales in inner units at which a there-and-back distance and a local spread halve the confidence or so.
+_RETURN_SCALE = 0.05
+_SPREAD_SCALE = 0.05
+# The pushed-forward mass is smoothed over about this many point spacings; less leaves gaps between samples open.
+_COVERAGE_SPACINGS = 2.0
+_COVERED = 0.5
+
+
+def confidence(
+    points_y: Float[Tensor, "n_y 3"],
+    points_x: Float[Tensor, "n_x 3"],
+    y_to_x: Int[Tensor, " n_y"],
+    x_to_y: Int[Tensor, " n_x"],
+) -> Float[Tensor, " n_y"]:
+    """Confidence between 0 and 1 in each entry of ``y_to_x``; the points in inner units.
+
+    Two things betray a wrong match: going there and back does not come home, and neighbours do not land together.
+    """
+    home = (points_y - points_y[x_to_y[y_to_x]]).norm(dim=1)
+    spread = local_spread(points_y, points_x, y_to_x)
+    return torch.exp(-home / _RETURN_SCALE - spread / _SPREAD_SCALE)
+
+
+def local_spread(
+    points_y: Float[Tensor, "n_y 3"], points_x: Float[Tensor, "n_x 3"], y_to_x: Int[Tensor, " n_y"]
+) -> Float[Tensor, " n_y"]:
+    """Median distance between a point's image and those of its nearest neighbours."""
+    positions = points_y.cpu().numpy()
+    _, near = KDTree(positions).query(positions, k=min(_NEIGHBOURS + 1, len(positions)))
+    images = points_x[y_to_x]
+    neighbours = images[torch.from_numpy(near[:, 1:]).to(images.device)]
+    return (neighbours - images[:, None]).norm(dim=2).median(dim=1).values
+
+
+def covered(
+    complete: Operators, partial: Operators, partial_to_complete: Int[Tensor, " n_p"]
+) -> Bool[Tensor, " n_c"]:
+    """Which points of a complete shape have a counterpart on a partial one, both at one scale.
+
+    The partial shape's mass is pushed forward along the map and smoothed by a heat step on the complete shape. Where
+    the shape is covered the result is near one, elsewhere near zero, and a half on the edge of the cut.
+    """
+    density = coverage_density(complete, partial.mass, partial_to_complete)
+    return density >= _COVERED
+
+
+def coverage_density(
+    complete: Operators, mass: Float[Tensor, " n_p"], partial_to_complete: Int[Tensor, " n_p"]
+) -> Float[Tensor, " n_c"]:
+    """Smoothed density of pushed-forward mass relative to the complete shape's own; see ``covered``."""
+    own = complete.mass.double().cpu().numpy()
+    pushed = np.bincount(
+        partial_to_complete.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own)
+    )
+    spacing = np.sqrt(own.sum() / len(own))
+    laplacian = complete.laplacian.cpu()
+    sparse = csc_matrix(
+        (laplacian.values().double().numpy(), laplacian.col_indices().numpy(), laplacian.crow_indices().numpy())
+    )
+    heat = splu((diags(own) + (_COVERAGE_SPACINGS * spacing) ** 2 * sparse).tocsc(), permc_spec="MMD_AT_PLUS_A")
+    return torch.from_numpy(heat.solve(pushed)).to(complete.mass)

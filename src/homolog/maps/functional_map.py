@@ -1,0 +1,88 @@
+"""Functional maps: small matrices that carry functions from one shape to another.
+
+``C_xy`` of shape (k_y, k_x) takes spectral coefficients of a function on x to those of its counterpart on y
+(Ovsjanikov et al., "Functional maps", SIGGRAPH 2012).
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from homolog.arrays import takes_arrays
+from homolog.errors import ArgumentError
+from homolog.maps.nearest import nearest_neighbour
+
+
+@takes_arrays
+def resolvent_mask(
+    eigenvalues_x: Float[Tensor, "*batch k_x"], eigenvalues_y: Float[Tensor, "*batch k_y"], *, gamma: float = 0.5
+) -> Float[Tensor, "*batch k_y k_x"]:
+    """Penalty for each entry of ``C_xy``: the distance between the resolvents of the two Laplacians.
+
+    Ren, Panine, Wonka and Ovsjanikov, "Structured regularization of functional map computations", SGP 2019, equation 9.
+    It grows with the difference of the eigenvalues, more slowly where they are large.
+    """
+    largest = torch.maximum(eigenvalues_x.amax(dim=-1), eigenvalues_y.amax(dim=-1))[..., None]
+    x = (eigenvalues_x.clamp(min=0) / largest)[..., None, :] ** gamma
+    y = (eigenvalues_y.clamp(min=0) / largest)[..., :, None] ** gamma
+    real = y / (y**2 + 1) - x / (x**2 + 1)
+    imaginary = 1 / (y**2 + 1) - 1 / (x**2 + 1)
+    return real**2 + imaginary**2
+
+
+@takes_arrays
+def functional_map(
+    coefficients_x: Float[Tensor, "*batch k_x c"],
+    coefficients_y: Float[Tensor, "*batch k_y c"],
+    mask: Float[Tensor, "*batch k_y k_x"],
+    *,
+    regularisation: float = 100.0,
+) -> Float[Tensor, "*batch k_y k_x"]:
+    """The map C minimising |C A - B|^2 + regularisation * sum_ij C_ij^2 mask_ij, differentiable.
+
+    Each row of C is a linear system of its own, (A A^T + regularisation * diag(mask_i)) c_i = A b_i; all are solved
+    together, in float64, by Cholesky factors.
+
+    Args:
+        coefficients_x: A, spectral coefficients of the features of x, (k_x, c).
+        coefficients_y: B, those of y, (k_y, c).
+        mask: see ``resolvent_mask``.
+        regularisation: weight of the mask, lambda in the paper.
+
+    Raises:
+        ArgumentError: if the systems are singular, as with fewer features than eigenpairs and no regularisation.
+    """
+    a, b = coefficients_x.double(), coefficients_y.double()
+    gram = a @ a.mT
+    systems = gram[..., None, :, :] + torch.diag_embed(regularisation * mask.double())
+    factors, failed = torch.linalg.cholesky_ex(systems)
+    if bool(failed.any()):
+        raise ArgumentError(
+            "the functional map is not determined: give at least as many independent features as eigenpairs, "
+            "or a larger regularisation"
+        )
+    rows = torch.cholesky_solve((b @ a.mT)[..., None], factors)
+    return rows[..., 0].to(coefficients_x.dtype)
+
+
+@takes_arrays
+def point_map_from_functional_map(
+    c_xy: Float[Tensor, "k_y k_x"], eigenvectors_x: Float[Tensor, "n_x k"], eigenvectors_y: Float[Tensor, "n_y k"]
+) -> Int[Tensor, " n_y"]:
+    """For each point of y its point of x: nearest neighbours between the rows of Phi_y and of Phi_x C_xy^T."""
+    k_y, k_x = c_xy.shape
+    carried = eigenvectors_x[:, :k_x] @ c_xy.T
+    return nearest_neighbour(eigenvectors_y[:, :k_y], carried).index
+
+
+@takes_arrays
+def functional_map_from_point_map(
+    y_to_x: Int[Tensor, " n_y"],
+    eigenvectors_x: Float[Tensor, "n_x k_x"],
+    eigenvectors_y: Float[Tensor, "n_y k_y"],
+    mass_y: Float[Tensor, " n_y"],
+) -> Float[Tensor, "k_y k_x"]:
+    """The map that pulls functions back along a point map: C_xy = Phi_y^T M_y Pi_yx Phi_x."""
+    return eigenvectors_y.T @ (mass_y[:, None] * eigenvectors_x[y_to_x])

@@ -1,0 +1,52 @@
+"""Spectral refinement of maps."""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from homolog.maps.functional_map import point_map_from_functional_map
+
+# Points of each shape that take part in the refinement; more change the map little and cost in proportion.
+_SAMPLES = 3000
+
+
+def zoom_out(
+    c_xy: Float[Tensor, "k k"],
+    eigenvectors_x: Float[Tensor, "n_x m"],
+    eigenvectors_y: Float[Tensor, "n_y m"],
+    *,
+    step: int = 5,
+    largest: int | None = None,
+) -> Float[Tensor, "m m"]:
+    """Refine a functional map by alternating with its point map, in a growing basis.
+
+    Melzi, Ren, Rodola, Sharma, Wonka and Ovsjanikov, "ZoomOut: spectral upsampling for efficient shape
+    correspondence", SIGGRAPH Asia 2019.
+
+    Args:
+        c_xy: the map to start from; its size is where the growth begins.
+        eigenvectors_x: at least as many eigenvectors as the size to reach.
+        eigenvectors_y: likewise.
+        step: eigenvectors added per round.
+        largest: size to reach; by default all eigenvectors that both shapes have.
+    """
+    largest = min(largest or eigenvectors_x.shape[1], eigenvectors_x.shape[1], eigenvectors_y.shape[1])
+    x, y = eigenvectors_x[_samples(eigenvectors_x)], eigenvectors_y[_samples(eigenvectors_y)]
+    for size in range(c_xy.shape[0] + step, largest + step, step):
+        size = min(size, largest)
+        y_to_x = point_map_from_functional_map(c_xy, x, y)
+        c_xy = _fitted(x[y_to_x, :size], y[:, :size])
+    return c_xy
+
+
+def _fitted(pulled_back: Float[Tensor, "n k"], eigenvectors_y: Float[Tensor, "n k"]) -> Float[Tensor, "k k"]:
+    """The least-squares C with Phi_y C = Pi Phi_x on the samples."""
+    return torch.linalg.lstsq(eigenvectors_y, pulled_back).solution
+
+
+def _samples(eigenvectors: Float[Tensor, "n m"]) -> Int[Tensor, " s"]:
+    n = len(eigenvectors)
+    shuffled = torch.randperm(n, generator=torch.Generator().manual_seed(0))
+    return shuffled[:_SAMPLES].sort().values.to(eigenvectors.device)

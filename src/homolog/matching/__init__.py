@@ -1,0 +1,17 @@
+"""Matcher (operators -> features -> map, the route per modality) and Correspondence (the result)."""
+
+from homolog.matching.correspondence import Correspondence, Route
+from homolog.matching.matcher import Device, Matcher, MatcherSettings, Method, PointMaps, Prepared, Side, choose_device
+
+__all__ = [
+    "Correspondence",
+    "Device",
+    "Matcher",
+    "MatcherSettings",
+    "Method",
+    "PointMaps",
+    "Prepared",
+    "Route",
+    "Side",
+    "choose_device",
+]

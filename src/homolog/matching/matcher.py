@@ -1,0 +1,325 @@
+"""Matching two shapes: shape -> operators -> features -> map, by the route their modalities ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, get_args
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from homolog.errors import ArgumentError, bad_choice
+from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
+from homolog.maps import (
+    confidence,
+    covered,
+    functional_map,
+    most_similar,
+    nearest_neighbour,
+    normalised,
+    point_map_from_functional_map,
+    resolvent_mask,
+    sinkhorn_matches,
+    zoom_out,
+)
+from homolog.matching.axiomatic import AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION, axiomatic_descriptors
+from homolog.matching.correspondence import Correspondence, Route
+from homolog.network import DiffusionNet, WeightsInfo, load_weights
+from homolog.shapes import Modality, Repaired, Shape, repair
+from homolog.steps import Steps
+
+Method = Literal["auto", "functional-map", "features", "axiomatic"]
+Side = Literal["source", "target"]
+Device = Literal["auto", "cpu", "cuda"]
+
+# A function like `compute_operators`: the operators of a clean shape, from wherever they come.
+OperatorSource = Callable[..., Operators]
+
+
+@dataclass(frozen=True)
+class MatcherSettings:
+    """How maps are made from features.
+
+    Args:
+        method: the route; ``"auto"`` takes functional maps between meshes and features wherever a cloud takes part,
+            or the axiomatic route if there are no weights.
+        map_eigenpairs: eigenpairs of the functional map; by default what the weights were trained with.
+        partial_eigenpairs: the same where one shape is partial.
+        regularisation: weight of the resolvent mask.
+        temperature: of the soft map between features.
+        iterations: of Sinkhorn's algorithm.
+        raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
+            here to reproduce the published code.
+        operators: what operators to compute.
+    """
+
+    method: Method = "auto"
+    map_eigenpairs: int | None = None
+    partial_eigenpairs: int = 50
+    regularisation: float = 100.0
+    temperature: float = 0.2
+    iterations: int = 10
+    raw_products: bool = False
+    operators: OperatorSettings = field(default_factory=OperatorSettings)
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            raise bad_choice("method", self.method, get_args(Method))
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A shape made ready to be matched any number of times.
+
+    Args:
+        repaired: the clean shape and the way back to the one given.
+        operators: of the clean shape.
+        features: per clean point (n, d): the network's, or descriptors for the axiomatic route.
+    """
+
+    repaired: Repaired
+    operators: Operators
+    features: Float[Tensor, "n d"]
+
+    @property
+    def modality(self) -> Modality:
+        """``"mesh"`` or ``"cloud"``."""
+        return self.repaired.shape.modality
+
+
+@dataclass(frozen=True)
+class PointMaps:
+    """Point maps between clean shapes; -1 = no counterpart."""
+
+    source_to_target: Int[Tensor, " n_source"]
+    target_to_source: Int[Tensor, " n_target"]
+
+
+class Matcher:
+    """Finds correspondences, with a trained network or without one.
+
+    Every step can be called on its own: ``prepare`` (repair, operators, features), ``functional_maps``,
+    ``match_prepared``; ``match`` is all of them.
+
+    Args:
+        network: a trained network, or None for the axiomatic route alone.
+        info: what its weights expect.
+        settings: how maps are made.
+        device: where the network and the maps run.
+        operators: where operators come from; pass an ``OperatorCache``'s ``operators`` to keep them on disk.
+    """
+
+    def __init__(
+        self,
+        network: DiffusionNet | None = None,
+        info: WeightsInfo | None = None,
+        *,
+        settings: MatcherSettings | None = None,
+        device: Device = "auto",
+        operators: OperatorSource = compute_operators,
+    ) -> None:
+        self.settings = settings or MatcherSettings()
+        self.device = choose_device(device)
+        self.network = None if network is None else network.to(self.device).eval()
+        self.info = info or WeightsInfo()
+        self._operators = operators
+        if network is None and self.settings.method in ("functional-map", "features"):
+            raise ArgumentError(
+                f"method {self.settings.method!r} needs weights: give --weights FILE, or use the method 'axiomatic'"
+            )
+
+    @classmethod
+    def from_weights(
+        cls,
+        weights: str | Path,
+        *,
+        settings: MatcherSettings | None = None,
+        device: Device = "auto",
+        operators: OperatorSource = compute_operators,
+    ) -> Matcher:
+        """A matcher with weights from a file.
+
+        Raises:
+            WeightsError: if the file does not hold weights.
+        """
+        network, info = load_weights(weights)
+        return cls(network, info, settings=settings, device=device, operators=operators)
+
+    def route(self, source: Modality, target: Modality) -> Route:
+        """How two shapes of these modalities are matched."""
+        if self.settings.method != "auto":
+            return self.settings.method
+        if self.network is None:
+            return "axiomatic"
+        return "functional-map" if source == target == "mesh" else "features"
+
+    def prepare(self, shape: Shape, *, as_cloud: bool = False, length: float | None = None) -> Prepared:
+        """Repair a shape and compute its operators and features.
+
+        Args:
+            shape: as it was read.
+            as_cloud: leave the faces out, but keep the scale that they give.
+            length: the file length of one inner unit; by default sqrt(surface area).
+        """
+        repaired = repair(shape)
+        operators = self.operators(repaired.shape, as_cloud=as_cloud, length=length)
+        if as_cloud:
+            repaired = replace(repaired, shape=repaired.shape.as_cloud())
+        return Prepared(repaired, operators, self.features(operators))
+
+    def operators(self, shape: Shape, *, as_cloud: bool = False, length: float | None = None) -> Operators:
+        """The operators of a clean shape, on this matcher's device."""
+        if as_cloud:
+            length = length or unit_frame(shape).length
+            shape = shape.as_cloud()
+        return self._operators(shape, settings=self.settings.operators, length=length).to(self.device)
+
+    @torch.inference_mode()
+    def features(self, operators: Operators) -> Float[Tensor, "n d"]:
+        """The network's features per point (n, d), or descriptors where the route is axiomatic."""
+        if self.network is None or self.settings.method == "axiomatic":
+            return axiomatic_descriptors(operators)
+        return self.network(operators.points, operators)
+
+    def match(
+        self,
+        source: Shape,
+        target: Shape,
+        *,
+        as_cloud: Literal["source", "target", "both"] | None = None,
+        partial: Side | None = None,
+        steps: Steps | None = None,
+    ) -> Correspondence:
+        """Find for every point of each shape its counterpart on the other.
+
+        Args:
+            source: a mesh or cloud in any state; never changed.
+            target: another.
+            as_cloud: which of the two to use without its faces.
+            partial: which of the two, if any, is a part of a shape like the other, in the same units. Points of the
+                complete one that have no counterpart then get -1.
+            steps: collects time and memory of the steps.
+
+        Raises:
+            ShapeError: if a shape cannot be used.
+        """
+        steps = steps or Steps()
+        shapes = {"source": source, "target": target}
+        order: tuple[Side, Side] = ("target", "source") if partial == "source" else ("source", "target")
+        prepared: dict[Side, Prepared] = {}
+        for side in order:  # the complete shape first: a partial one takes its scale
+            length = prepared[order[0]].operators.length if side == partial else None
+            flat = as_cloud in (side, "both")
+            with steps.step(f"repair {side}"):
+                repaired = repair(shapes[side])
+            with steps.step(f"operators of {side}"):
+                operators = self.operators(repaired.shape, as_cloud=flat, length=length)
+            with steps.step(f"features of {side}"):
+                features = self.features(operators)
+            if flat:
+                repaired = replace(repaired, shape=repaired.shape.as_cloud())
+            prepared[side] = Prepared(repaired, operators, features)
+        with steps.step("map"):
+            return self.match_prepared(prepared["source"], prepared["target"], partial=partial)
+
+    @torch.inference_mode()
+    def match_prepared(
+        self, source: Prepared, target: Prepared, *, partial: Side | None = None
+    ) -> Correspondence:
+        """Match two prepared shapes; see ``match``."""
+        if partial not in (None, *get_args(Side)):
+            raise bad_choice("partial", str(partial), get_args(Side))
+        if partial == "source":
+            return self.match_prepared(target, source, partial="target").swapped()
+        route = self.route(source.modality, target.modality)
+        maps = self.point_maps(source, target, partial=partial == "target")
+        forth, back = maps.source_to_target, maps.target_to_source
+        x, y = source.operators.points, target.operators.points
+        source_confidence, target_confidence = confidence(x, y, forth, back), confidence(y, x, back, forth)
+        if partial == "target":
+            found = covered(source.operators, target.operators, back)
+            forth, source_confidence = torch.where(found, forth, -1), torch.where(found, source_confidence, 0.0)
+        return Correspondence(
+            source_to_target=source.repaired.original_map(forth.cpu().numpy(), target.repaired),
+            target_to_source=target.repaired.original_map(back.cpu().numpy(), source.repaired),
+            source_confidence=source.repaired.to_original(source_confidence.cpu().numpy(), fill=0),
+            target_confidence=target.repaired.to_original(target_confidence.cpu().numpy(), fill=0),
+            route=route,
+        )
+
+    @torch.inference_mode()
+    def point_maps(self, source: Prepared, target: Prepared, *, partial: bool = False) -> PointMaps:
+        """Point maps between the clean shapes, before any point is found to have no counterpart."""
+        route = self.route(source.modality, target.modality)
+        if route == "features":
+            return self._maps_by_features(source.features, target.features, partial=partial)
+        c_st, c_ts = self.functional_maps(source, target, partial=partial)
+        phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
+        target_to_source = point_map_from_functional_map(c_st, phi_s, phi_t)
+        if partial:
+            # The way back lies in the same embedding: the map from the part to the whole has too few rows to trust.
+            k_t, k_s = c_st.shape
+            source_to_target = nearest_neighbour(phi_s[:, :k_s] @ c_st.T, phi_t[:, :k_t]).index
+        else:
+            source_to_target = point_map_from_functional_map(c_ts, phi_t, phi_s)
+        return PointMaps(source_to_target, target_to_source)
+
+    @torch.inference_mode()
+    def functional_maps(
+        self, source: Prepared, target: Prepared, *, partial: bool = False
+    ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
+        """The functional maps from source to target and back."""
+        route = self.route(source.modality, target.modality)
+        if route == "axiomatic":
+            return self._refined_maps(source, target)
+        size = self.settings.partial_eigenpairs if partial else self.settings.map_eigenpairs or self.info.map_eigenpairs
+        return self._solved_maps(source, target, size, self.settings.regularisation)
+
+    def _solved_maps(
+        self, source: Prepared, target: Prepared, size: int, regularisation: float
+    ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
+        x, y = source.operators.truncated(size), target.operators.truncated(size)
+        a, b = x.coefficients(source.features), y.coefficients(target.features)
+        mask = resolvent_mask(x.eigenvalues, y.eigenvalues)
+        return (
+            functional_map(a, b, mask, regularisation=regularisation),
+            functional_map(b, a, mask.mT, regularisation=regularisation),
+        )
+
+    def _refined_maps(
+        self, source: Prepared, target: Prepared
+    ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
+        c_st, c_ts = self._solved_maps(source, target, AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION)
+        phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
+        return zoom_out(c_st, phi_s, phi_t), zoom_out(c_ts, phi_t, phi_s)
+
+    def _maps_by_features(
+        self, source: Float[Tensor, "n_s d"], target: Float[Tensor, "n_t d"], *, partial: bool
+    ) -> PointMaps:
+        if not self.settings.raw_products:
+            source, target = normalised(source), normalised(target)
+        if partial:
+            # The softmax over the complete shape: its argmax is the most similar point, at any temperature.
+            return PointMaps(most_similar(source, target).index, most_similar(target, source).index)
+        soft = sinkhorn_matches(
+            target, source, temperature=self.settings.temperature, iterations=self.settings.iterations
+        )
+        return PointMaps(source_to_target=soft.x_to_y, target_to_source=soft.y_to_x)
+
+
+def choose_device(device: Device) -> torch.device:
+    """The torch device for ``"auto"``, ``"cpu"`` or ``"cuda"``.
+
+    Raises:
+        ArgumentError: if there is no such device.
+    """
+    if device not in get_args(Device):
+        raise bad_choice("device", device, get_args(Device))
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ArgumentError("device is 'cuda', but PyTorch finds no CUDA device; use 'cpu' or 'auto'")
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    return torch.device(device)

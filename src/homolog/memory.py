@@ -1,0 +1,62 @@
+"""The working-memory bound: no n x n array is made unless it fits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from homolog.errors import bad_value
+
+_MEBIBYTE = 2**20
+_working_memory: ContextVar[float] = ContextVar("working_memory", default=1024.0)
+
+# Rows are worked on in tiles of about this size even where more would fit: a tile then stays in the processor's cache
+# between the product that makes it and the reductions that read it.
+_TILE_BYTES = 4 * _MEBIBYTE
+
+
+def set_working_memory(mebibytes: float) -> None:
+    """Bound the temporary memory of every product between all points of one shape and all of another.
+
+    Args:
+        mebibytes: the bound, 1024 by default. Results do not depend on it beyond rounding; speed does.
+
+    Raises:
+        ArgumentError: if it is not positive.
+    """
+    if not mebibytes > 0:
+        raise bad_value("working memory", mebibytes, "a positive number of mebibytes")
+    _working_memory.set(float(mebibytes))
+
+
+def get_working_memory() -> float:
+    """The bound in mebibytes; see ``set_working_memory``."""
+    return _working_memory.get()
+
+
+@contextmanager
+def working_memory(mebibytes: float) -> Iterator[None]:
+    """Set the bound within a ``with`` block."""
+    before = get_working_memory()
+    set_working_memory(mebibytes)
+    try:
+        yield
+    finally:
+        set_working_memory(before)
+
+
+def fits(n_bytes: float) -> bool:
+    """Whether an array of so many bytes may be made whole."""
+    return n_bytes <= get_working_memory() * _MEBIBYTE
+
+
+def row_tiles(n_rows: int, bytes_per_row: float) -> Iterator[slice]:
+    """Slices that cut ``n_rows`` into tiles, each within the bound and small enough for the cache (at least one row)."""
+    budget = min(_TILE_BYTES, get_working_memory() * _MEBIBYTE)
+    height = max(1, int(budget // max(bytes_per_row, 1)))
+    # Few rows make a matrix product slow; that many are affordable whatever the bound, short of absurd ones.
+    if fits(16 * bytes_per_row):
+        height = max(height, 16)
+    for start in range(0, n_rows, height):
+        yield slice(start, min(start + height, n_rows))

@@ -1,0 +1,23 @@
+"""What a shape is: reading, writing, checking and repairing meshes and point clouds."""
+
+from homolog.shapes.checking import Finding, Report, check
+from homolog.shapes.reading import READABLE, read_shape
+from homolog.shapes.repairing import Repaired, repair
+from homolog.shapes.sampling import add_noise
+from homolog.shapes.shape import Modality, Shape
+from homolog.shapes.writing import WRITABLE, write_shape
+
+__all__ = [
+    "READABLE",
+    "WRITABLE",
+    "Finding",
+    "Modality",
+    "Repaired",
+    "Report",
+    "Shape",
+    "add_noise",
+    "check",
+    "read_shape",
+    "repair",
+    "write_shape",
+]

@@ -1,0 +1,189 @@
+"""Reading text tables of points, NumPy arrays and PCD."""
+
+from __future__ import annotations
+
+import math
+import re
+import zipfile
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from homolog.errors import MissingExtraError
+from homolog.shapes.parsing import (
+    CUT_OFF,
+    Arrays,
+    UnreadableError,
+    check_claim,
+    content_lines,
+    number_rows,
+    read_text,
+)
+
+_POINT_KEYS = ("points", "vertices")
+# Coordinates hardly compress; an archive that grows more than this is made to fill the memory.
+_MOST_COMPRESSION = 200
+_ALWAYS_ALLOWED = 64 * 2**20
+# LZF writes at least three bytes for 264.
+_MOST_LZF = 100
+
+
+def read_table(path: Path) -> Arrays:
+    """Read a text file with one point a line, separated by commas, semicolons, tabs or blanks.
+
+    ``#`` starts a comment. A first row of words names the columns: those named x, y and z are taken, else the
+    first three.
+    """
+    text = read_text(path)
+    lines = content_lines(text)
+    if not lines:
+        raise UnreadableError("it holds no points")
+    delimiter = next((mark for mark in ";,\t" if mark in lines[0]), None)
+    header = None if _is_numbers(lines[0], delimiter) else lines.pop(0)
+    columns = _xyz_columns(header or _commented_header(text, lines[0]), delimiter)
+    return Arrays(number_rows(lines, columns, delimiter=delimiter))
+
+
+def _cells(line: str, delimiter: str | None) -> list[str]:
+    return [cell.strip(' "') for cell in line.split(delimiter)]
+
+
+def _is_numbers(line: str, delimiter: str | None) -> bool:
+    """Whether a row holds a number at all; a row of words is a header."""
+    for cell in _cells(line, delimiter):
+        try:
+            float(cell)
+        except ValueError:
+            continue
+        return True
+    return False
+
+
+def _commented_header(text: str, first_row: str) -> str:
+    """The comment before the first row, where a table's column names are often kept."""
+    before = text.partition(first_row)[0].strip().splitlines()
+    return before[-1].lstrip("# ") if before else ""
+
+
+def _xyz_columns(header: str, delimiter: str | None) -> list[int]:
+    names = [name.lower() for name in _cells(header, delimiter)]
+    if all(axis in names for axis in "xyz"):
+        return [names.index(axis) for axis in "xyz"]
+    return [0, 1, 2]
+
+
+def read_npy(path: Path) -> Arrays:
+    """Read an array of points, shape (n, 3), from an NPY file; no code in it is run."""
+    content = path.read_bytes()
+    return Arrays(_columns(_array(BytesIO(content), len(content), "its array"), "its array"))
+
+
+def read_npz(path: Path) -> Arrays:
+    """Read ``points`` (or ``vertices``) and perhaps ``faces`` from an NPZ file; no code in it is run."""
+    try:
+        archive = zipfile.ZipFile(path)
+    except zipfile.BadZipFile:
+        raise UnreadableError(f"it is no archive of arrays; {CUT_OFF}") from None
+    with archive:
+        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        key = next((key for key in _POINT_KEYS if key in members), None)
+        if key is None:
+            found = ", ".join(sorted(members)[:8]) or "nothing"
+            raise UnreadableError(f"it holds {found}, but an array 'points' (and perhaps 'faces') is needed")
+        points = _columns(_member(archive, members[key]), key)
+        faces = _member(archive, members["faces"]) if "faces" in members else None
+    return Arrays(points, None if faces is None or not len(faces) else _whole(_columns(faces, "faces")))
+
+
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    if info.file_size > max(_MOST_COMPRESSION * info.compress_size, _ALWAYS_ALLOWED):
+        raise UnreadableError(
+            f"{info.filename} would grow from {info.compress_size} to {info.file_size} bytes; save it again"
+        )
+    try:
+        with archive.open(info) as stream:
+            return _array(stream, info.file_size, info.filename)
+    except zipfile.BadZipFile:
+        raise UnreadableError(f"its {info.filename} is damaged; {CUT_OFF}") from None
+
+
+def _array(stream: IO[bytes], available: int, what: str) -> np.ndarray:
+    """An array of real numbers, whose header is checked before its numbers are read."""
+    version = _magic(stream, what)
+    read_header = (
+        np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    )
+    shape, in_columns, dtype = read_header(stream)
+    if dtype.kind not in "biuf":
+        raise UnreadableError(f"{what} holds values of type {dtype}, but real numbers are needed")
+    count = math.prod(shape)
+    check_claim(count, "numbers", dtype.itemsize, available)
+    content = stream.read(count * dtype.itemsize)
+    if len(content) < count * dtype.itemsize:
+        raise UnreadableError(f"{what} ends too early; {CUT_OFF}")
+    return np.frombuffer(content, dtype).reshape(shape, order="F" if in_columns else "C")
+
+
+def _magic(stream: IO[bytes], what: str) -> tuple[int, int]:
+    try:
+        return np.lib.format.read_magic(stream)
+    except ValueError:
+        raise UnreadableError(f"{what} is no NumPy array") from None
+
+
+def _columns(array: np.ndarray, what: str) -> np.ndarray:
+    if array.ndim != 2 or array.shape[1] < 3:
+        raise UnreadableError(f"{what} has shape {array.shape}, but must have shape (n, 3)")
+    return array[:, :3]
+
+
+def _whole(faces: np.ndarray) -> np.ndarray:
+    if faces.dtype.kind == "f" and not np.array_equal(faces, np.round(faces)):
+        raise UnreadableError("faces must be whole numbers")
+    return faces.astype(np.int64)
+
+
+def read_pcd(path: Path) -> Arrays:
+    """Read the fields x, y and z of a PCD file: text, binary or compressed."""
+    cloud_class = pcd_class()
+    content = path.read_bytes()
+    n_points = _check_pcd(content)
+    cloud = cloud_class.from_fileobj(BytesIO(content))
+    if missing := {"x", "y", "z"}.difference(cloud.fields):
+        raise UnreadableError(f"it has no field {', '.join(sorted(missing))}")
+    points = np.stack([np.atleast_1d(cloud.pc_data[axis]).astype(np.float64) for axis in "xyz"], axis=1)
+    if len(points) != n_points:
+        raise UnreadableError(f"{n_points} points are announced, but {len(points)} found; {CUT_OFF}")
+    return Arrays(points)
+
+
+def pcd_class() -> Any:
+    """The class of point clouds of the package that reads and writes PCD."""
+    try:
+        from pypcd4.pypcd4 import PointCloud
+    except ImportError:
+        raise MissingExtraError("Reading and writing PCD files", "pypcd4", "pcd") from None
+    return PointCloud
+
+
+def _check_pcd(content: bytes) -> int:
+    """The number of points announced, once the file can hold them."""
+    head = re.match(rb".*?^DATA[ \t]+(\w+)[^\n]*\n", content[:100_000], re.DOTALL | re.MULTILINE)
+    counts = dict(re.findall(rb"^(WIDTH|HEIGHT|POINTS)[ \t]+(\d+)", head[0], re.MULTILINE)) if head else {}
+    if head is None or b"POINTS" not in counts:
+        raise UnreadableError("it has no header from FIELDS to POINTS and DATA")
+    n_points, body = int(counts[b"POINTS"]), content[head.end() :]
+    sizes = [
+        int(size)
+        for size in re.findall(rb"\d+", *re.findall(rb"^SIZE[ \t]+([^\n]*)", head[0], re.MULTILINE)[:1])
+    ]
+    if head[1] == b"binary":
+        check_claim(n_points, "points", sum(sizes), len(body))
+    elif head[1] == b"ascii":
+        check_claim(n_points, "points", 2, len(body) + 1)
+    else:
+        check_claim(n_points * sum(sizes), "bytes", 1, _MOST_LZF * len(body))
+        check_claim(int.from_bytes(body[4:8], "little"), "bytes", 1, _MOST_LZF * len(body))
+    return n_points

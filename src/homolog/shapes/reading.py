@@ -1,0 +1,116 @@
+"""Reading a shape from a file of any supported format.
+
+Indices always mean the user's own file: point i of the shape is the i-th point of the file. Nothing is
+merged, reordered or dropped, with one exception: STL knows only separate triangles, whose equal corners
+become one point.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from homolog.errors import HomologError, ShapeError
+from homolog.shapes.gltf_format import read_glb, read_gltf
+from homolog.shapes.mesh_formats import read_obj, read_off, read_stl
+from homolog.shapes.parsing import Arrays, UnreadableError, shorten
+from homolog.shapes.ply_format import read_ply
+from homolog.shapes.point_formats import read_npy, read_npz, read_pcd, read_table
+from homolog.shapes.shape import Shape
+from homolog.shapes.vtk_formats import read_vtk, read_vtp, read_vtu
+
+_READERS: dict[str, Callable[[Path], Arrays]] = {
+    ".off": read_off,
+    ".obj": read_obj,
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".glb": read_glb,
+    ".gltf": read_gltf,
+    ".vtk": read_vtk,
+    ".vtp": read_vtp,
+    ".vtu": read_vtu,
+    ".xyz": read_table,
+    ".txt": read_table,
+    ".csv": read_table,
+    ".npy": read_npy,
+    ".npz": read_npz,
+    ".pcd": read_pcd,
+}
+READABLE: tuple[str, ...] = tuple(_READERS)
+"""The suffixes of the files that ``read_shape`` reads."""
+
+FEWEST_POINTS = 4
+
+
+def read_shape(path: str | Path) -> Shape:
+    """Read a mesh or a point cloud; the suffix says which format, whatever its case.
+
+    Args:
+        path: a file with one of the suffixes in ``READABLE``; ``~`` is expanded.
+
+    Returns:
+        The shape, named like the file, with its points in file order and polygons split into triangles. A
+        file without faces is a point cloud. Points that are NaN and faces that do not fit are kept for
+        ``repair``.
+
+    Raises:
+        ShapeError: if the file cannot be used; one line with the file, the reason, and what to do.
+        MissingExtraError: if reading this format needs a package that is not installed.
+    """
+    file = Path(path).expanduser()
+    reader = _READERS.get(file.suffix.lower())
+    if reader is None:
+        raise ShapeError(f"{path} has the suffix {file.suffix!r}, but must have one of {', '.join(READABLE)}")
+    _check_file(file)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            arrays = reader(file)
+        _check_content(arrays)
+        return Shape(*arrays, name=file.name)
+    except HomologError:
+        raise
+    except Exception as error:
+        raise ShapeError(
+            f"{path} could not be read as {file.suffix[1:].upper()}: {_reason(error)}"
+        ) from error
+
+
+def _check_file(file: Path) -> None:
+    try:
+        if not file.exists():
+            raise ShapeError(f"{file} does not exist; check the path")
+        if file.is_dir():
+            raise ShapeError(f"{file} is a folder; give a file in it")
+        if not file.is_file():
+            raise ShapeError(f"{file} is not an ordinary file; copy its content to one")
+        if file.stat().st_size == 0:
+            raise ShapeError(f"{file} is empty; export it again")
+    except (OSError, ValueError) as error:
+        raise ShapeError(f"{file} cannot be opened: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, UnreadableError):
+        return str(error)
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if isinstance(error, MemoryError):
+        return "it does not fit into memory; reduce it first"
+    said = shorten(error, 100)
+    return f"it is damaged or not of this format ({type(error).__name__}{': ' if said else ''}{said})"
+
+
+def _check_content(arrays: Arrays) -> None:
+    """Refuse what no repair can make a shape of."""
+    points, faces = arrays
+    finite = points[np.isfinite(points).all(axis=1)]
+    if len(finite) < FEWEST_POINTS:
+        raise UnreadableError(f"it has {len(finite)} usable points, but at least {FEWEST_POINTS} are needed")
+    if np.all(finite == finite[0]):
+        raise UnreadableError("all its points are equal; export it again")
+    if faces is not None and not np.any(np.all((faces >= 0) & (faces < len(points)), axis=1)):
+        raise UnreadableError("none of its faces refers to its points; export it again")

@@ -1,0 +1,71 @@
+"""What a shape is: points, and faces if it is a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from homolog.errors import ShapeError
+
+Modality = Literal["mesh", "cloud"]
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A triangle mesh or a raw point cloud.
+
+    Args:
+        points: positions, shape (n, 3), in the file's own units. Copied and made read-only.
+        faces: triangles as 0-based point indices, shape (m, 3), or None for a point cloud. Copied and made
+            read-only.
+        name: how messages call the shape, usually its file name.
+
+    Raises:
+        ShapeError: if an array has another number of dimensions or columns, or does not hold numbers.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"] | None = None
+    name: str = field(default="shape", kw_only=True)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", _locked(self.points, np.float64, f"{self.name}: points"))
+        if self.faces is not None:
+            object.__setattr__(self, "faces", _locked(self.faces, np.int64, f"{self.name}: faces"))
+
+    @property
+    def modality(self) -> Modality:
+        """``"mesh"`` if the shape has faces, else ``"cloud"``."""
+        return "cloud" if self.faces is None else "mesh"
+
+    @property
+    def n_points(self) -> int:
+        """Number of points."""
+        return len(self.points)
+
+    @property
+    def n_faces(self) -> int:
+        """Number of faces; 0 for a point cloud."""
+        return 0 if self.faces is None else len(self.faces)
+
+    def as_cloud(self) -> Shape:
+        """The same points without faces."""
+        return replace(self, faces=None)
+
+    def __repr__(self) -> str:
+        faces = "" if self.faces is None else f", {self.n_faces} faces"
+        return f"Shape({self.name!r}: {self.modality}, {self.n_points} points{faces})"
+
+
+def _locked(values: object, dtype: type, what: str) -> np.ndarray:
+    try:
+        array: np.ndarray = np.array(values, dtype=dtype, order="C")
+    except (TypeError, ValueError, OverflowError):
+        raise ShapeError(f"{what} must be an array of numbers with shape (n, 3)") from None
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ShapeError(f"{what} have shape {array.shape}, but must have shape (n, 3)")
+    array.flags.writeable = False
+    return array

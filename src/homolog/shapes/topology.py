@@ -1,0 +1,76 @@
+"""How the faces of a mesh hang together: components, boundaries, and where it is not a surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+
+@dataclass(frozen=True)
+class Topology:
+    """Counts that describe how a mesh hangs together.
+
+    Args:
+        n_components: pieces that share no point.
+        n_boundary_loops: closed runs of edges with one face: holes, or the rim of an open surface.
+        n_nonmanifold_edges: edges with more than two faces.
+        n_nonmanifold_points: points at which several fans of faces touch, without those on such edges.
+    """
+
+    n_components: int
+    n_boundary_loops: int
+    n_nonmanifold_edges: int
+    n_nonmanifold_points: int
+
+
+def topology(faces: Int[np.ndarray, "m 3"], n_points: int) -> Topology:
+    """Describe a mesh without repeated corners, in which every point has a face."""
+    corner = np.arange(faces.size).reshape(faces.shape)
+    # Edge e of a face runs from corner e to the next one; both ends, sorted by the index of the point.
+    start, end = corner.ravel(), np.roll(corner, -1, axis=1).ravel()
+    point = faces.ravel()
+    swap = point[start] > point[end]
+    low, high = np.where(swap, end, start), np.where(swap, start, end)
+    key = point[low] * n_points + point[high]
+    order = np.argsort(key, kind="stable")
+    low, high, key = low[order], high[order], key[order]
+    _, edge, faces_of_edge = np.unique(key, return_inverse=True, return_counts=True)
+
+    fan = _fans(low, high, edge, faces.size)
+    boundary = faces_of_edge[edge] == 1
+    rims = _components(fan[low[boundary]], fan[high[boundary]], faces.size)
+    crowded = faces_of_edge[edge] > 2
+    on_crowded = point[np.concatenate([low[crowded], high[crowded]])]
+    _, a_corner = np.unique(fan, return_index=True)
+    n_fans = np.bincount(point[a_corner], minlength=n_points)
+    n_fans[on_crowded] = 0
+    return Topology(
+        n_components=len(np.unique(_components(faces[:, 0], faces[:, 1], n_points, faces[:, 2]))),
+        n_boundary_loops=len(np.unique(rims[fan[low[boundary]]])),
+        n_nonmanifold_edges=int(np.sum(faces_of_edge > 2)),
+        n_nonmanifold_points=int(np.sum(n_fans > 1)),
+    )
+
+
+def _fans(
+    low: Int[np.ndarray, " e"], high: Int[np.ndarray, " e"], edge: Int[np.ndarray, " e"], n_corners: int
+) -> Int[np.ndarray, " c"]:
+    """For each corner, the fan it belongs to: faces around one point, each sharing an edge with the next."""
+    (same,) = np.nonzero(edge[1:] == edge[:-1])
+    return _components(
+        np.concatenate([low[same], high[same]]), np.concatenate([low[same + 1], high[same + 1]]), n_corners
+    )
+
+
+def _components(
+    a: Int[np.ndarray, " k"], b: Int[np.ndarray, " k"], n: int, c: Int[np.ndarray, " k"] | None = None
+) -> Int[np.ndarray, " n"]:
+    """A label for each of ``n`` nodes, equal where links a-b (and b-c) lead from one to the other."""
+    rows, columns = (a, b) if c is None else (np.concatenate([a, b]), np.concatenate([b, c]))
+    links = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
+    labels: np.ndarray = connected_components(links.tocsr(), directed=False)[1]
+    return labels

@@ -1,0 +1,388 @@
+"""Whatever a file holds, reading it gives a shape or one clear line: no noise, no huge allocation."""
+
+import base64
+import io
+import json
+import logging
+import os
+import pickle
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from homolog.errors import MissingExtraError, ShapeError
+from homolog.shapes import READABLE, WRITABLE, Shape, read_shape, write_shape
+
+MESH = Shape(
+    [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]],
+    [[0, 1, 2], [0, 1, 3], [1, 2, 4], [2, 3, 4], [0, 2, 3], [1, 3, 4]],
+)
+MESH_FORMATS = [s for s in WRITABLE if s not in (".xyz", ".txt", ".csv", ".npy", ".pcd")]
+BILLION = 10**9
+
+
+def refused(path, *words):
+    """The one line that refuses a file, which must hold all the words."""
+    with pytest.raises(ShapeError) as caught:
+        read_shape(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 400 + 2 * len(str(path))
+    assert path.name in message
+    for word in words:
+        assert word in message, message
+    return message
+
+
+def put(folder, name, content):
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@pytest.fixture(autouse=True)
+def no_noise(capfd, caplog):
+    """Nothing may be printed or logged beside the error."""
+    with caplog.at_level(logging.WARNING):
+        yield
+    out, err = capfd.readouterr()
+    assert (out, err, caplog.records) == ("", "", [])
+
+
+@pytest.fixture
+def little_memory():
+    """Let an allocation of gigabytes fail, so that a reader that trusts a header is found out."""
+    resource = pytest.importorskip("resource")
+    statm = Path("/proc/self/statm")
+    if not statm.exists():
+        pytest.skip("the memory in use cannot be told here")
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(statm.read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + 1_500_000_000, hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def test_missing_folder_and_unknown(tmp_path):
+    refused(tmp_path / "none.ply", "does not exist")
+    (tmp_path / "folder.ply").mkdir()
+    refused(tmp_path / "folder.ply", "folder")
+    message = refused(put(tmp_path, "a.docx", "x"), "'.docx'")
+    assert all(suffix in message for suffix in READABLE)
+    refused(put(tmp_path, "ply", "x"), "''")
+    refused(tmp_path / ("long" * 100 + ".ply"))
+
+
+def test_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.ply")
+    refused(tmp_path / "pipe.ply", "not an ordinary file")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may read everything")
+def test_forbidden(tmp_path):
+    put(tmp_path, "a.ply", "x").chmod(0)
+    refused(tmp_path / "a.ply", "Permission denied")
+
+
+@pytest.mark.parametrize("suffix", READABLE)
+def test_empty(tmp_path, suffix):
+    refused(put(tmp_path, "a" + suffix, b""), "is empty")
+
+
+RUBBISH = {
+    "zeros": bytes(500),
+    "binary": np.random.default_rng(0).bytes(4000),
+    "words": b"the quick brown fox\njumps over the lazy dog\n" * 9,
+    "blank lines": b"\n \n\n",
+    "one line": b"x",
+    "comment": b"# nothing\n",
+    "json": b"[" * 100_000,
+    "latin": "naïve café\n".encode("latin-1") * 9,
+}
+
+
+@pytest.mark.parametrize("suffix", READABLE)
+@pytest.mark.parametrize("content", RUBBISH.values(), ids=RUBBISH)
+def test_rubbish(tmp_path, suffix, content):
+    refused(put(tmp_path, "a" + suffix, content), suffix[1:].upper())
+
+
+@pytest.mark.parametrize("suffix", READABLE)
+@pytest.mark.parametrize(
+    "start", [b"ply\n", b"OFF\n", b"glTF", b"solid\n", b"# vtk DataFile Version 3.0\n", b"PK\3\4"]
+)
+def test_rubbish_after_the_right_start(tmp_path, suffix, start):
+    refused(put(tmp_path, "a" + suffix, start + RUBBISH["binary"]))
+    refused(put(tmp_path, "b" + suffix, start + RUBBISH["words"]))
+
+
+@pytest.mark.parametrize("share", [0.05, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("suffix", [s for s in MESH_FORMATS if s != ".obj"])
+def test_cut_off_mesh(tmp_path, suffix, share):
+    write_shape(tmp_path / f"whole{suffix}", MESH)
+    content = (tmp_path / f"whole{suffix}").read_bytes()
+    refused(put(tmp_path, "a" + suffix, content[: int(share * len(content))]))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.95])
+@pytest.mark.parametrize("suffix", [".ply", ".npy", ".npz", ".pcd", ".glb", ".vtk", ".vtp", ".vtu", ".off"])
+def test_cut_off_cloud(tmp_path, suffix, share):
+    write_shape(tmp_path / f"whole{suffix}", MESH.as_cloud())
+    content = (tmp_path / f"whole{suffix}").read_bytes()
+    refused(put(tmp_path, "a" + suffix, content[: int(share * len(content))]))
+
+
+def test_cut_off_within_a_line(tmp_path):
+    whole = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n"
+    refused(put(tmp_path, "a.obj", whole[:-3]), "'f 1 2'", "fewer than three corners")
+    refused(put(tmp_path, "b.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 2 3"), "'v 2 3'")
+    refused(put(tmp_path, "c.csv", "0,0,0\n1,0,0\n0,1,0\n0,0,1\n2,3"), "'2,3'")
+    facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+    refused(put(tmp_path, "d.stl", "solid\n" + 3 * facet + facet[:-40]), "cut off")
+
+
+def ply_head(kind, points, faces, faces_type="int"):
+    head = f"ply\nformat {kind} 1.0\nelement vertex {points}\n"
+    head += "property float x\nproperty float y\nproperty float z\n"
+    return (
+        head + f"element face {faces}\nproperty list {faces_type} int vertex_indices\nend_header\n"
+    ).encode()
+
+
+FOUR = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], "<f4").tobytes()
+FOUR_LINES = "0 0 0\n1 0 0\n0 1 0\n0 0 1\n"
+PCD = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {n}\nHEIGHT 1\n"
+PCD += "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA {kind}\n"
+VTK = "# vtk DataFile Version 3.0\nx\n{kind}\nDATASET POLYDATA\n"
+VTP = """<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian"><PolyData>
+<Piece NumberOfPoints="{n}" NumberOfVerts="0" NumberOfLines="0" NumberOfStrips="0"
+NumberOfPolys="{m}"><Points>
+<DataArray type="Float32" NumberOfComponents="3" format="ascii">0 0 0 1 0 0 0 1 0 0 0 1</DataArray>
+</Points></Piece></PolyData></VTKFile>"""
+
+
+def npy_head(shape, dtype="<f8"):
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": dtype, "fortran_order": False, "shape": shape})
+    return stream.getvalue()
+
+
+def gltf(count=4, placed=1, indices=None, uri=None):
+    buffer = {"byteLength": 48} | ({"uri": uri} if uri else {})
+    accessor = {"componentType": 5126, "count": count, "type": "VEC3"}
+    primitive = {"attributes": {"POSITION": 0}, "mode": 0}
+    return {
+        "asset": {"version": "2.0"},
+        "scenes": [{"nodes": list(range(placed))}],
+        "nodes": [{"mesh": 0}] * placed,
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": [accessor if uri is None else accessor | {"bufferView": 0}],
+        "bufferViews": [{"buffer": 0, "byteLength": 48}] if uri else [],
+        "buffers": [buffer] if uri else [],
+    }
+
+
+def glb(tree):
+    text = json.dumps(tree).encode()
+    return (
+        b"glTF"
+        + np.array([2, 20 + len(text)], "<u4").tobytes()
+        + np.uint32(len(text)).tobytes()
+        + b"JSON"
+        + text
+    )
+
+
+BOLD_CLAIMS = {
+    "points.off": f"OFF\n{BILLION} 1 0\n{FOUR_LINES}",
+    "faces.off": f"OFF\n4 {BILLION} 0\n{FOUR_LINES}3 0 1 2\n",
+    "corners.off": f"OFF\n4 1 0\n{FOUR_LINES}{BILLION} 0 1 2\n",
+    "negative.off": f"OFF\n-4 1 0\n{FOUR_LINES}",
+    "huge.off": f"OFF\n{10**30} 1 0\n{FOUR_LINES}",
+    "points_text.ply": ply_head("ascii", BILLION, 0) + FOUR_LINES.encode(),
+    "points.ply": ply_head("binary_little_endian", BILLION, 0) + FOUR,
+    "more_points.ply": ply_head("binary_little_endian", 40, 0) + FOUR,
+    "faces.ply": ply_head("binary_little_endian", 4, BILLION) + FOUR,
+    "corners.ply": ply_head("binary_little_endian", 4, 1) + FOUR + np.int32(BILLION).tobytes() + FOUR,
+    "negative_corners.ply": ply_head("binary_little_endian", 4, 1) + FOUR + np.int32(-1).tobytes() + FOUR,
+    "corners_text.ply": ply_head("ascii", 4, 1) + f"{FOUR_LINES}{BILLION} 0 1 2\n".encode(),
+    "facets.stl": b" " * 80 + np.uint32(BILLION).tobytes() + bytes(100),
+    "points.npy": npy_head((BILLION, 3)) + FOUR,
+    "shape.npy": npy_head((2**62, 2**62)) + FOUR,
+    "points_text.pcd": PCD.format(n=BILLION, kind="ascii") + FOUR_LINES,
+    "points.pcd": PCD.format(n=BILLION, kind="binary").encode() + FOUR,
+    "compressed.pcd": PCD.format(n=BILLION, kind="binary_compressed").encode() + FOUR,
+    "sizes.pcd": PCD.format(n=4, kind="binary_compressed").encode()
+    + np.array([48, 4 * BILLION], "<u4").tobytes(),
+    "points_text.vtk": VTK.format(kind="ASCII") + f"POINTS {BILLION} float\n{FOUR_LINES}",
+    "points.vtk": (VTK.format(kind="BINARY") + f"POINTS {BILLION} float\n").encode() + FOUR,
+    "faces.vtk": VTK.format(kind="ASCII")
+    + f"POINTS 4 float\n{FOUR_LINES}POLYGONS {BILLION} {4 * BILLION}\n3 0 1 2\n",
+    "points.vtp": VTP.format(n=BILLION, m=0),
+    "faces.vtp": VTP.format(n=4, m=BILLION),
+    "count.glb": glb(gltf(count=BILLION)),
+    "count.gltf": json.dumps(gltf(count=BILLION)),
+    "buffer.gltf": json.dumps(gltf() | {"buffers": [{"byteLength": BILLION, "uri": "data:x;base64,AAAA"}]}),
+    "length.glb": glb(gltf())[:8] + np.uint32(4 * BILLION).tobytes() + glb(gltf())[12:],
+}
+
+
+@pytest.mark.parametrize("name", BOLD_CLAIMS)
+def test_header_that_claims_too_much(tmp_path, name, little_memory):
+    message = refused(put(tmp_path, name, BOLD_CLAIMS[name]))
+    assert "memory" not in message
+
+
+def test_scene_that_places_a_mesh_too_often(tmp_path, little_memory):
+    tree = gltf(count=30_000, placed=10_000)
+    refused(put(tmp_path, "a.gltf", json.dumps(tree)), "300000000 points")
+
+
+def test_archive_that_would_fill_the_memory(tmp_path, little_memory):
+    with (
+        zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("points.npy", "w") as file,
+    ):
+        file.write(npy_head((4_000_000, 3)))
+        for _ in range(12):
+            file.write(bytes(8_000_000))
+    refused(tmp_path / "a.npz", "would grow")
+
+
+class Bomb:
+    def __reduce__(self):
+        return os.system, ("echo exploded",)
+
+
+def test_no_code_in_arrays_runs(tmp_path):
+    objects = np.array([[Bomb(), 0, 0]] * 4, dtype=object)
+    np.save(tmp_path / "a.npy", objects, allow_pickle=True)
+    refused(tmp_path / "a.npy", "object")
+    np.savez(tmp_path / "a.npz", points=objects)
+    refused(tmp_path / "a.npz", "object")
+    refused(put(tmp_path, "b.npy", pickle.dumps(Bomb())))
+    refused(put(tmp_path, "b.npz", pickle.dumps(Bomb())))
+
+
+def test_arrays_of_the_wrong_kind(tmp_path):
+    def npy(array):
+        np.save(tmp_path / "a.npy", array)
+        return tmp_path / "a.npy"
+
+    def npz(**arrays):
+        np.savez(tmp_path / "a.npz", **arrays)
+        return tmp_path / "a.npz"
+
+    points = np.eye(5, 3)
+    refused(npy(points + 1j), "complex128")
+    refused(npy(np.array([["a", "b", "c"]] * 4)), "<U1")
+    refused(npy(np.zeros(4, [("x", "f4"), ("y", "f4")])))
+    refused(npy(points.ravel()), "(15,)")
+    refused(npy(points[:, :2]), "(5, 2)")
+    refused(npy(np.zeros((3, 3))), "3 usable points")
+    refused(npz(cloud=points, weight=points), "cloud, weight", "'points'")
+    refused(npz(points=points, faces=points + 0.5), "whole numbers")
+    refused(npz(points=points, faces=np.zeros((2, 2), int)), "faces has shape (2, 2)")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".xyz", ".txt"])
+def test_tables_with_cells_that_are_no_numbers(tmp_path, suffix):
+    refused(put(tmp_path, "a" + suffix, "0 0 0\n1 0 0\n0 1 oops\n0 0 1\n1 1 1\n"), "'0 1 oops'")
+    refused(put(tmp_path, "b" + suffix, "x,y,z\n0,0,0\n1,0,0\n0,,1\n0,0,1\n1,1,1\n"), "'0,,1'")
+    refused(put(tmp_path, "c" + suffix, "0 0\n1 0\n0 1\n1 1\n"), "'0 0'", "2 values")
+    refused(put(tmp_path, "d" + suffix, "0,5;0,0;1,0\n" * 4), "numbers")
+    refused(put(tmp_path, "e" + suffix, "x,y,z\n"), "0 usable points")
+
+
+def test_too_few_or_equal_points(tmp_path):
+    refused(put(tmp_path, "a.xyz", "0 0 0\n1 0 0\n0 1 0\n"), "3 usable points", "4")
+    refused(put(tmp_path, "b.xyz", "0 0 0\n1 0 0\n0 1 0\nnan 0 0\n"), "3 usable points")
+    refused(put(tmp_path, "c.xyz", "1 2 3\n" * 9), "equal")
+    refused(put(tmp_path, "d.off", "OFF\n4 1 0\n" + FOUR_LINES + "3 0 1 4\n"), "none of its faces")
+
+
+def test_sizes_inside_compressed_data_do_no_harm(tmp_path):
+    """VTK trusts them, and ends the process that it runs in."""
+    write_shape(tmp_path / "a.vtp", MESH)
+    content = (tmp_path / "a.vtp").read_bytes()
+    start = content.index(b"_", content.index(b"<AppendedData")) + 1
+    blocks = base64.b64encode(np.array([2**31 - 1, 2**31 - 1, 2**31 - 1, 9], "<u4").tobytes()[:15])
+    refused(put(tmp_path, "b.vtp", content[:start] + blocks + content[start + len(blocks) :]))
+
+
+def test_vtk_cells_beyond_the_points(tmp_path):
+    text = VTK.format(kind="ASCII") + f"POINTS 4 float\n{FOUR_LINES}POLYGONS 1 4\n3 0 1 987654321\n"
+    refused(put(tmp_path, "a.vtk", text), "points that it does not hold")
+
+
+def test_references_outside_the_folder_are_refused(tmp_path):
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    put(tmp_path, "secret.bin", FOUR)
+    (inside / "link.bin").symlink_to(tmp_path / "secret.bin")
+    for uri in ["../secret.bin", str(tmp_path / "secret.bin"), "link.bin", "%2e%2e/secret.bin"]:
+        refused(put(inside, "a.gltf", json.dumps(gltf(uri=uri))), "outside its own folder")
+    refused(put(inside, "b.gltf", json.dumps(gltf(uri="http://localhost/x.bin"))), "outside its own folder")
+    refused(put(inside, "c.gltf", json.dumps(gltf(uri="none.bin"))), "not beside it")
+
+
+def test_wrong_kinds_within_a_format(tmp_path):
+    refused(
+        put(tmp_path, "a.vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET STRUCTURED_POINTS\n"),
+        "STRUCTURED_POINTS",
+    )
+    draco = gltf() | {"extensionsRequired": ["KHR_draco_mesh_compression"]}
+    refused(put(tmp_path, "b.glb", glb(draco)), "KHR_draco_mesh_compression", "without compression")
+    strips = ply_head("ascii", 4, 0).replace(b"element face", b"element tristrips") + FOUR_LINES.encode()
+    refused(put(tmp_path, "c.ply", strips), "triangle strips")
+    refused(
+        put(tmp_path, "d.ply", ply_head("ascii", 4, 0).replace(b" z", b" w") + FOUR_LINES.encode()),
+        "property z",
+    )
+    refused(put(tmp_path, "e.obj", "f 1 2 3\n"), "no points")
+    refused(put(tmp_path, "f.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 x\n"), "whole numbers")
+    refused(
+        put(tmp_path, "g.pcd", PCD.format(n=4, kind="ascii").replace("x y z", "x y w") + FOUR_LINES),
+        "field z",
+    )
+
+
+def test_memory_and_depth_become_one_line(tmp_path, monkeypatch):
+    for error in (MemoryError(), RecursionError("too\ndeep")):
+
+        def fail(path, error=error):
+            raise error
+
+        monkeypatch.setitem(sys.modules["homolog.shapes.reading"]._READERS, ".ply", fail)
+        refused(put(tmp_path, "a.ply", "x"), "could not be read as PLY")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "module", "extra"), [(".pcd", "pypcd4", "pcd"), (".vtp", "vtkmodules", "vtk")]
+)
+def test_missing_package_names_its_extra(tmp_path, monkeypatch, suffix, module, extra):
+    write_shape(tmp_path / f"a{suffix}", MESH.as_cloud())
+    for name in [name for name in sys.modules if name.split(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=rf"homolog\[{extra}\]"):
+        read_shape(tmp_path / f"a{suffix}")
+    with pytest.raises(MissingExtraError, match=rf"homolog\[{extra}\]"):
+        write_shape(tmp_path / f"b{suffix}", MESH.as_cloud())
+    assert not (tmp_path / f"b{suffix}").exists()
+
+
+@pytest.mark.parametrize("suffix", [".vtk", ".vtp", ".ply", ".glb", ".stl"])
+def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
+    """Some libraries set up their logging when they are first imported."""
+    path = put(tmp_path, "a" + suffix, RUBBISH["words"])
+    code = "import sys\nfrom homolog.shapes import read_shape\nfrom homolog.errors import ShapeError\n"
+    code += "try:\n    read_shape(sys.argv[1])\nexcept ShapeError:\n    print('refused')\n"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False
+    )
+    assert (done.stdout, done.stderr, done.returncode) == ("refused\n", "", 0)
