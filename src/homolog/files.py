@@ -28,9 +28,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     """
     target = Path(path).expanduser().resolve()
     if not target.parent.is_dir():
-        raise ArgumentError(
-            f"{path} cannot be written: the folder {target.parent} does not exist; create it first"
-        )
+        raise ArgumentError(f"{path} cannot be written: the folder {target.parent} does not exist; create it first")
     if target.is_dir():
         raise ArgumentError(f"{path} cannot be written: it is a folder; give a file name")
     temporary = target.with_name(f".{secrets.token_hex(6)}{target.suffix}")

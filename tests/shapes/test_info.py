@@ -27,8 +27,8 @@ def files(tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=1)
     write_shape(tmp_path / "ball.ply", Shape([*ball.vertices, [9, 9, 9]], ball.faces))
     write_shape(tmp_path / "dots.xyz", Shape(ball.vertices))
-    (tmp_path / "bad[1].off").write_text("rubbish")
-    return tmp_path / "ball.ply", tmp_path / "bad[1].off", tmp_path / "dots.xyz"
+    (tmp_path / "bad[red].off").write_text("rubbish")
+    return tmp_path / "ball.ply", tmp_path / "bad[red].off", tmp_path / "dots.xyz"
 
 
 def test_tables(run, files):
@@ -51,7 +51,7 @@ def test_a_bad_file_is_one_line_and_the_others_still_show(run, files):
     done = run(*files)
     assert done.exit_code == 2
     assert len(done.stderr.splitlines()) == 1
-    assert "bad[1].off" in done.stderr
+    assert "bad[red].off" in done.stderr
     assert "PLY" in done.stdout
     assert "XYZ" in done.stdout
 

@@ -58,6 +58,7 @@ OBJ_FACES = {
     "normals": "f 1//1 2//2 3//1 4//2\nf 1//2 2//1 5//1\n",
     "both": "f 1/1/2 2/2/1 3/3/2 4/4/1\nf 1/4/2 2/3/2 5/1/1\n",
     "backward": "f -6 -5 -4 -3\nf -6 -5 -2\n",
+    "backward with all": "f -6/-4/-2 -5/-3/-1 -4/-2/-2 -3/-1/-1\nf -6/-4/-2 -5/-3/-1 -2/-1/-1\n",
     "grouped": "usemtl red\nf 1 2 3 4\no second\ng part\ns 1\nusemtl blue\nf 1 2 5 # a comment\n",
     "continued": "f 1 2 \\\n3 4\nf 1 2 5\n",
 }
@@ -82,11 +83,7 @@ def test_obj_invalid_indices_are_kept_as_out_of_range(tmp_path):
 
 
 def ply(kind, faces, *, body, n=6, m=2):
-    listing = (
-        f"element face {m}\nproperty uchar flag\nproperty list uchar {faces} vertex_indices\n"
-        if faces
-        else ""
-    )
+    listing = f"element face {m}\nproperty uchar flag\nproperty list uchar {faces} vertex_indices\n" if faces else ""
     head = f"ply\nformat {kind} 1.0\ncomment TextureFile ../out.png\nelement vertex {n}\n"
     head += "property double x\nproperty float quality\nproperty double y\nproperty double z\n"
     return head.encode() + listing.encode() + b"element junk 0\nproperty int a\nend_header\n" + body
@@ -124,6 +121,18 @@ def test_ply_texture_coordinates_never_split_points(tmp_path):
     head += "property list uchar float texcoord\nend_header\n"
     body = lines(POINTS) + "4 0 1 2 3 8 0 0 1 0 1 1 0 1\n3 0 1 4 6 0.3 0.1 0.2 0 0 1\n"
     assert_shape(read_shape(put(tmp_path, "a.ply", head + body)))
+
+
+def test_ply_binary_with_other_lists_beside_the_corners(tmp_path):
+    head = ply("binary_little_endian", "int", body=b"").replace(
+        b"property list uchar int", b"property list ushort float texcoord\nproperty list uchar int"
+    )
+    faces = b""
+    for polygon in ([0, 1, 2, 3], [0, 1, 4]):
+        texture = np.zeros(2 * len(polygon), "<f4")
+        faces += b"\7" + np.uint16(len(texture)).tobytes() + texture.tobytes()
+        faces += bytes([len(polygon)]) + np.array(polygon, "<i4").tobytes()
+    assert_shape(read_shape(put(tmp_path, "a.ply", head + ply_binary_body("<", []) + faces)))
 
 
 def test_ply_without_faces_is_a_cloud(tmp_path):
@@ -197,9 +206,7 @@ def gltf_tree(uri=None):
 def glb(tree, data):
     text = json.dumps(tree).encode()
     text += b" " * (-len(text) % 4)
-    chunks = (
-        np.uint32(len(text)).tobytes() + b"JSON" + text + np.uint32(len(data)).tobytes() + b"BIN\0" + data
-    )
+    chunks = np.uint32(len(text)).tobytes() + b"JSON" + text + np.uint32(len(data)).tobytes() + b"BIN\0" + data
     return b"glTF" + np.array([2, 12 + len(chunks)], "<u4").tobytes() + chunks
 
 
@@ -225,9 +232,7 @@ def test_gltf_with_its_buffer_beside_or_inside(tmp_path):
     tree, data = gltf_tree("my%20data.bin")
     put(tmp_path, "my data.bin", data)
     assert_scene(read_shape(put(tmp_path, "a.gltf", json.dumps(tree))))
-    tree, data = gltf_tree(
-        "data:application/octet-stream;base64," + base64.b64encode(gltf_tree()[1]).decode()
-    )
+    tree, data = gltf_tree("data:application/octet-stream;base64," + base64.b64encode(gltf_tree()[1]).decode())
     assert_scene(read_shape(put(tmp_path, "b.gltf", json.dumps(tree))))
 
 
@@ -278,9 +283,7 @@ def test_tables(tmp_path, suffix, text):
 def test_tables_keep_nan_and_infinity_in_place(tmp_path):
     shape = read_shape(put(tmp_path, "a.csv", "0,0,0\nnan,0,0\n1,0,0\n0,inf,0\n1,1,0\n1,1,1\n"))
     assert shape.n_points == 6
-    np.testing.assert_array_equal(
-        np.isfinite(shape.points).all(axis=1), [True, False, True, False, True, True]
-    )
+    np.testing.assert_array_equal(np.isfinite(shape.points).all(axis=1), [True, False, True, False, True, True])
 
 
 @pytest.mark.parametrize("dtype", ["f4", ">f8", "i2", "u1"])
@@ -291,9 +294,7 @@ def test_npy_of_any_real_type_and_order(tmp_path, dtype):
 
 @pytest.mark.parametrize("key", ["points", "vertices"])
 def test_npz_keys(tmp_path, key):
-    np.savez(
-        tmp_path / "a.npz", **{key: np.array(POINTS), "faces": np.array(QUAD_AND_TRIANGLE, "u4"), "other": 1}
-    )
+    np.savez(tmp_path / "a.npz", **{key: np.array(POINTS), "faces": np.array(QUAD_AND_TRIANGLE, "u4"), "other": 1})
     assert_shape(read_shape(tmp_path / "a.npz"))
     np.savez(tmp_path / "b.npz", **{key: np.array(POINTS, float)})
     assert_shape(read_shape(tmp_path / "b.npz"), faces=None)

@@ -106,9 +106,7 @@ FACES = st.none() | st.lists(st.tuples(CORNER, CORNER, CORNER), max_size=16)
 @settings(derandomize=True, deadline=None, max_examples=400)
 @given(POINTS, FACES)
 def test_any_shape(points, faces):
-    shape = Shape(
-        np.reshape(points, (-1, 3)), None if faces is None else np.reshape(faces, (-1, 3)).astype(int)
-    )
+    shape = Shape(np.reshape(points, (-1, 3)), None if faces is None else np.reshape(faces, (-1, 3)).astype(int))
     report = check(shape)
     if not report.usable:
         with pytest.raises(ShapeError):

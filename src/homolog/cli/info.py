@@ -16,9 +16,7 @@ from homolog.shapes import Report, check, read_shape
 
 
 def info(
-    files: Annotated[
-        list[Path], typer.Argument(help="Meshes and point clouds in any format.", show_default=False)
-    ],
+    files: Annotated[list[Path], typer.Argument(help="Meshes and point clouds in any format.", show_default=False)],
     json: Annotated[bool, typer.Option("--json", help="Print one JSON list instead of tables.")] = False,
 ) -> None:
     """Show what is in each file and what would be repaired before matching.

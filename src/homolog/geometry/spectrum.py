@@ -105,6 +105,10 @@ class _Problem:
             shifted, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
         )
 
+    def expected_eigenvalue(self, k: int) -> float:
+        """About where the k-th eigenvalue of a surface lies, by Weyl's law: 4 pi k / area."""
+        return 4 * np.pi * k / float(self.root_mass @ self.root_mass)
+
     def count_below(self, value: float) -> int:
         """How many eigenvalues lie below ``value``: as many as there are negative pivots (Sylvester)."""
         return int((self.factorise(value).U.diagonal() < 0).sum())
@@ -112,7 +116,8 @@ class _Problem:
     def residual(self, pairs: _Pairs) -> float:
         values, vectors = pairs[0].numpy(), pairs[1].numpy()
         errors = np.linalg.norm(self.matrix @ vectors - vectors * values, axis=0)
-        return float(errors.max() / max(values.max(), np.finfo(float).tiny)) if len(values) > 1 else 0.0
+        # Where there are more components than eigenpairs asked for, all the eigenvalues are zero.
+        return float(errors.max() / max(values.max(), 1e-3 * self.expected_eigenvalue(len(values))))
 
     def spectrum(self, pairs: _Pairs, method: str) -> Spectrum:
         values, vectors = pairs[0].numpy(), pairs[1].numpy() / self.root_mass[:, None]
@@ -123,9 +128,9 @@ class _Problem:
 
 def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
     """Eigenpairs by block Lanczos on (S - shift)^-1, or None if it does not converge or misses any."""
-    # Weyl's law puts the k-th eigenvalue of a surface near 4 pi k / area. With the shift a little below the middle,
-    # both ends of the wanted spectrum are near it, which takes a quarter fewer solves than a shift at zero.
-    shift = 0.42 * 4 * np.pi * k / float(problem.root_mass @ problem.root_mass)
+    # With the shift a little below the middle, both ends of the wanted spectrum are near it, which takes a quarter
+    # fewer solves than a shift at zero.
+    shift = 0.42 * problem.expected_eigenvalue(k)
     try:
         factors = problem.factorise(shift)
     except RuntimeError:  # the shift hit an eigenvalue
@@ -166,10 +171,14 @@ def _converged(problem: _Problem, krylov: BlockLanczos, shift: float, wanted: in
 def _complete(problem: _Problem, pairs: _Pairs, k: int) -> _Pairs | None:
     """The first ``k`` eigenpairs, or None if the law of inertia says that some were missed."""
     values, vectors = pairs
-    last, following = float(values[k - 1]), float(values[k])
-    # Inside a cluster of equal eigenvalues there is no place to count from.
-    if following - last > 1e-4 * following and problem.count_below((last + following) / 2) != k:
-        return None
+    # Inside a cluster of equal eigenvalues there is no place to count from. Where the k-th lies in one, the count is
+    # taken below the cluster: it does not matter which of its members were found.
+    least_gap = (1e-4 * values[1:]).clamp(min=1e-8 * problem.expected_eigenvalue(k))
+    (gaps,) = torch.nonzero(values[1:] - values[:-1] > least_gap, as_tuple=True)
+    if len(gaps):
+        below = int(gaps[-1]) + 1
+        if problem.count_below(float(values[below - 1] + values[below]) / 2) != below:
+            return None
     return values[:k], vectors[:, :k]
 
 

@@ -159,16 +159,12 @@ def _unusable(shape: Shape, cleaning: Cleaning, extent: float) -> Iterator[Findi
     if cleaning.faces is not None and not len(cleaning.faces):
         yield Finding("usable faces", 0, "unusable", "no face is left; use the points alone (--as-cloud)")
     elif n_points < FEWEST_POINTS:
-        yield Finding(
-            "usable points", n_points, "unusable", f"at least {FEWEST_POINTS} different points are needed"
-        )
+        yield Finding("usable points", n_points, "unusable", f"at least {FEWEST_POINTS} different points are needed")
     elif not low < extent < high or np.abs(cleaning.points).max() > high:
         action = f"the extent {extent:.3g} leaves the range of numbers; give the shape in other units"
         yield Finding("points too close or too far", n_points, "unusable", action)
     elif _on_a_line(cleaning.points, extent):
-        yield Finding(
-            "points on one line", n_points, "unusable", "a surface is needed; export the shape again"
-        )
+        yield Finding("points on one line", n_points, "unusable", "a surface is needed; export the shape again")
 
 
 def _on_a_line(points: Float[np.ndarray, "n 3"], extent: float) -> bool:
@@ -223,17 +219,11 @@ def _scale(points: Float[np.ndarray, "n 3"], extent: float) -> Iterator[Finding]
 
 def _surface(found: Topology, n_slivers: int) -> Iterator[Finding]:
     if n_slivers:
-        yield Finding(
-            "zero-area slivers", n_slivers, "note", "kept, dropping them opens holes; lengths are mollified"
-        )
+        yield Finding("zero-area slivers", n_slivers, "note", "kept, dropping them opens holes; lengths are mollified")
     if found.n_nonmanifold_edges:
-        yield Finding(
-            "non-manifold edges", found.n_nonmanifold_edges, "note", "kept; operators use a tufted cover"
-        )
+        yield Finding("non-manifold edges", found.n_nonmanifold_edges, "note", "kept; operators use a tufted cover")
     if found.n_nonmanifold_points:
-        yield Finding(
-            "non-manifold points", found.n_nonmanifold_points, "note", "kept; operators use a tufted cover"
-        )
+        yield Finding("non-manifold points", found.n_nonmanifold_points, "note", "kept; operators use a tufted cover")
     if found.n_components > 1:
         yield Finding("components", found.n_components, "note", "kept; each is matched like the rest")
     if found.n_boundary_loops:

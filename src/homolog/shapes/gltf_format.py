@@ -38,9 +38,7 @@ def _glb_header(content: bytes) -> dict[str, Any]:
         raise UnreadableError("it does not start with glTF")
     length, chunk = struct.unpack("<II", content[8:16])
     if length > len(content) or chunk > len(content) - 20:
-        raise UnreadableError(
-            f"the header announces {length} bytes, but the file has {len(content)}; {CUT_OFF}"
-        )
+        raise UnreadableError(f"the header announces {length} bytes, but the file has {len(content)}; {CUT_OFF}")
     return _json_object(content[20 : 20 + chunk])
 
 
@@ -59,9 +57,7 @@ def _read(path: Path, content: bytes, kind: str, header: dict[str, Any]) -> Arra
         raise UnreadableError(f"it is compressed with {', '.join(used)}; export it without compression")
     files = _files_beside(path.parent, header)
     available = len(content) + sum(map(len, files.values()))
-    check_claim(
-        sum(int(b["byteLength"]) for b in header.get("buffers", [])), "bytes of buffers", 1, available
-    )
+    check_claim(sum(int(b["byteLength"]) for b in header.get("buffers", [])), "bytes of buffers", 1, available)
     _check_accessors(header, available)
     with _quiet_trimesh():
         scene = trimesh.load_scene(BytesIO(content), file_type=kind, resolver=files, skip_materials=True)
@@ -76,13 +72,9 @@ def _files_beside(folder: Path, header: dict[str, Any]) -> dict[str, bytes]:
             continue
         file = (folder / unquote(name)).resolve()
         if "://" in name or file.parent != folder.resolve():
-            raise UnreadableError(
-                f"it refers to {shorten(name)!r} outside its own folder; put that file beside it"
-            )
+            raise UnreadableError(f"it refers to {shorten(name)!r} outside its own folder; put that file beside it")
         if not file.is_file():
-            raise UnreadableError(
-                f"it refers to {shorten(name)!r}, which is not beside it; put that file there"
-            )
+            raise UnreadableError(f"it refers to {shorten(name)!r}, which is not beside it; put that file there")
         files[name] = file.read_bytes()
     return files
 
@@ -93,14 +85,10 @@ def _check_accessors(header: dict[str, Any], available: int) -> None:
     for accessor in accessors:
         check_claim(int(accessor["count"]), "elements", 1, available)
     meshes = header.get("meshes", [])
-    sizes = [
-        sum(int(accessors[p["attributes"]["POSITION"]]["count"]) for p in m["primitives"]) for m in meshes
-    ]
+    sizes = [sum(int(accessors[p["attributes"]["POSITION"]]["count"]) for p in m["primitives"]) for m in meshes]
     total = sum(sizes[node["mesh"]] for node in header.get("nodes", []) if "mesh" in node)
     if total > _MOST_POINTS:
-        raise UnreadableError(
-            f"its scene has {total} points, more than {_MOST_POINTS}; export one object alone"
-        )
+        raise UnreadableError(f"its scene has {total} points, more than {_MOST_POINTS}; export one object alone")
 
 
 @contextmanager

@@ -45,9 +45,7 @@ def read_off(path: Path) -> Arrays:
     check_claim(n_points, "points", 6, len(text))
     check_claim(n_faces, "faces", 2, len(text))
     if len(lines) < 1 + n_points + n_faces:
-        raise UnreadableError(
-            f"{n_points} points and {n_faces} faces are announced, but lines are missing; {CUT_OFF}"
-        )
+        raise UnreadableError(f"{n_points} points and {n_faces} faces are announced, but lines are missing; {CUT_OFF}")
     points = number_rows(lines[1 : 1 + n_points], (0, 1, 2))
     faces = lines[1 + n_points : 1 + n_points + n_faces]
     return Arrays(points, polygon_rows(faces) if faces else None)
@@ -75,9 +73,7 @@ def _obj_faces(polygons: list[str], keys: list[str]) -> Int[np.ndarray, "m 3"]:
     return fan_triangles(sizes, _obj_index(index, sizes, keys))
 
 
-def _obj_index(
-    index: Int[np.ndarray, " c"], sizes: Int[np.ndarray, " m"], keys: list[str]
-) -> Int[np.ndarray, " c"]:
+def _obj_index(index: Int[np.ndarray, " c"], sizes: Int[np.ndarray, " m"], keys: list[str]) -> Int[np.ndarray, " c"]:
     """Turn OBJ's counting, from 1 or backward from the face's own line, into indices; -1 if there is none."""
     from_start = np.where(index > 0, index - 1, -1)
     if index.min() >= 0:
@@ -99,9 +95,7 @@ def read_stl(path: Path) -> Arrays:
     elif content.lstrip()[:5].lower() == b"solid":
         corners = _stl_text_corners(read_text(path))
     else:
-        raise UnreadableError(
-            f"its {len(content)} bytes do not fit the {n_facets} triangles announced; {CUT_OFF}"
-        )
+        raise UnreadableError(f"its {len(content)} bytes do not fit the {n_facets} triangles announced; {CUT_OFF}")
     return weld(corners)
 
 

@@ -80,9 +80,7 @@ def _blame_line(lines: Sequence[str], columns: Sequence[int], dtype: type, delim
         try:
             [dtype(cells[column].strip('" ')) for column in columns]
         except (ValueError, OverflowError):
-            raise UnreadableError(
-                f"the line {shorten(line)!r} should hold {kind}; correct or remove it"
-            ) from None
+            raise UnreadableError(f"the line {shorten(line)!r} should hold {kind}; correct or remove it") from None
     raise UnreadableError(f"its lines do not all hold {kind}")
 
 

@@ -58,9 +58,7 @@ class _Element:
                 return position
             if prop.count_type:
                 break
-        raise UnreadableError(
-            f"its element {self.name} has no property {name}, or one that stands after a list"
-        )
+        raise UnreadableError(f"its element {self.name} has no property {name}, or one that stands after a list")
 
     def index_list(self) -> _Property:
         """The list of corners of a face element."""
@@ -81,9 +79,7 @@ def read_ply(path: Path) -> Arrays:
         if element.properties:
             check_claim(element.count, f"elements {element.name}", 1, len(content) - header.end())
     body = content[header.end() :]
-    points, faces = (
-        _read_text(body, elements) if byte_order == "=" else _read_binary(body, elements, byte_order)
-    )
+    points, faces = _read_text(body, elements) if byte_order == "=" else _read_binary(body, elements, byte_order)
     if points is None:
         raise UnreadableError("it has no element vertex")
     return Arrays(points, faces)
@@ -102,9 +98,7 @@ def _parse_header(text: str) -> tuple[str, list[_Element]]:
                 raise UnreadableError("it holds triangle strips; export it with plain faces")
             case ["element", name, count] if count.isdecimal():
                 elements.append(_Element(name, int(count)))
-            case ["property", "list", count_type, type_, name] if (
-                elements and {count_type, type_} <= _TYPES.keys()
-            ):
+            case ["property", "list", count_type, type_, name] if elements and {count_type, type_} <= _TYPES.keys():
                 elements[-1].properties.append(_Property(name, _TYPES[type_], _TYPES[count_type]))
             case ["property", type_, name] if elements and type_ in _TYPES:
                 elements[-1].properties.append(_Property(name, _TYPES[type_]))
@@ -208,9 +202,7 @@ def _lists_one_by_one(
     return (sizes, corners), offset
 
 
-def _walk_row(
-    body: bytes, offset: int, element: _Element, byte_order: str
-) -> Iterator[tuple[_Property, int, int]]:
+def _walk_row(body: bytes, offset: int, element: _Element, byte_order: str) -> Iterator[tuple[_Property, int, int]]:
     """Each property of the row at ``offset``: itself, how many values, and where they start."""
     order: Literal["little", "big"] = "little" if byte_order == "<" else "big"
     for prop in element.properties:

@@ -112,9 +112,7 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 def _array(stream: IO[bytes], available: int, what: str) -> np.ndarray:
     """An array of real numbers, whose header is checked before its numbers are read."""
     version = _magic(stream, what)
-    read_header = (
-        np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    )
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, in_columns, dtype = read_header(stream)
     if dtype.kind not in "biuf":
         raise UnreadableError(f"{what} holds values of type {dtype}, but real numbers are needed")
@@ -171,19 +169,16 @@ def pcd_class() -> Any:
 def _check_pcd(content: bytes) -> int:
     """The number of points announced, once the file can hold them."""
     head = re.match(rb".*?^DATA[ \t]+(\w+)[^\n]*\n", content[:100_000], re.DOTALL | re.MULTILINE)
-    counts = dict(re.findall(rb"^(WIDTH|HEIGHT|POINTS)[ \t]+(\d+)", head[0], re.MULTILINE)) if head else {}
-    if head is None or b"POINTS" not in counts:
-        raise UnreadableError("it has no header from FIELDS to POINTS and DATA")
-    n_points, body = int(counts[b"POINTS"]), content[head.end() :]
-    sizes = [
-        int(size)
-        for size in re.findall(rb"\d+", *re.findall(rb"^SIZE[ \t]+([^\n]*)", head[0], re.MULTILINE)[:1])
-    ]
+    entries = dict(re.findall(rb"^([A-Z]+)[ \t]+([\d \t]+?)\s*$", head[0], re.MULTILINE)) if head else {}
+    if head is None or not {b"SIZE", b"POINTS"} <= entries.keys():
+        raise UnreadableError("it has no header from FIELDS and SIZE to POINTS and DATA")
+    n_points, body = int(entries[b"POINTS"]), content[head.end() :]
+    bytes_per_point = sum(int(size) for size in entries[b"SIZE"].split())
     if head[1] == b"binary":
-        check_claim(n_points, "points", sum(sizes), len(body))
+        check_claim(n_points, "points", bytes_per_point, len(body))
     elif head[1] == b"ascii":
         check_claim(n_points, "points", 2, len(body) + 1)
     else:
-        check_claim(n_points * sum(sizes), "bytes", 1, _MOST_LZF * len(body))
+        check_claim(n_points * bytes_per_point, "bytes", 1, _MOST_LZF * len(body))
         check_claim(int.from_bytes(body[4:8], "little"), "bytes", 1, _MOST_LZF * len(body))
     return n_points

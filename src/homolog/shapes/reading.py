@@ -74,23 +74,27 @@ def read_shape(path: str | Path) -> Shape:
     except HomologError:
         raise
     except Exception as error:
-        raise ShapeError(
-            f"{path} could not be read as {file.suffix[1:].upper()}: {_reason(error)}"
-        ) from error
+        raise ShapeError(f"{path} could not be read as {file.suffix[1:].upper()}: {_reason(error)}") from error
 
 
 def _check_file(file: Path) -> None:
     try:
-        if not file.exists():
-            raise ShapeError(f"{file} does not exist; check the path")
-        if file.is_dir():
-            raise ShapeError(f"{file} is a folder; give a file in it")
-        if not file.is_file():
-            raise ShapeError(f"{file} is not an ordinary file; copy its content to one")
-        if file.stat().st_size == 0:
-            raise ShapeError(f"{file} is empty; export it again")
+        fault = _fault(file)
     except (OSError, ValueError) as error:
         raise ShapeError(f"{file} cannot be opened: {_reason(error)}") from error
+    if fault:
+        raise ShapeError(f"{file} {fault}")
+
+
+def _fault(file: Path) -> str:
+    """What is wrong with a file before a look into it, if anything."""
+    if not file.exists():
+        return "does not exist; check the path"
+    if file.is_dir():
+        return "is a folder; give a file in it"
+    if not file.is_file():
+        return "is not an ordinary file; copy its content to one"
+    return "" if file.stat().st_size else "is empty; export it again"
 
 
 def _reason(error: Exception) -> str:

@@ -47,9 +47,7 @@ def write_shape(path: str | Path, shape: Shape, *, colours: Colours | None = Non
             f"{path} has the suffix {suffix!r}, but must have one of {', '.join(WRITABLE)} to be written"
         )
     if suffix in _POINTS_ONLY and shape.faces is not None:
-        raise ShapeError(
-            f"{path} cannot hold the faces of {shape.name}; choose .ply, or write shape.as_cloud()"
-        )
+        raise ShapeError(f"{path} cannot hold the faces of {shape.name}; choose .ply, or write shape.as_cloud()")
     if suffix == ".stl" and shape.faces is None:
         raise ShapeError(f"{path} cannot hold {shape.name}, a point cloud; choose .ply")
     if colours is not None:
@@ -112,9 +110,7 @@ def _write_trimesh(kind: str) -> Callable[[Path, Shape], None]:
         else:
             geometry = _TRIMESH.Trimesh(shape.points, shape.faces, process=False, validate=False)
         path.write_bytes(
-            _TRIMESH.Scene(geometry).export(file_type=kind)
-            if kind == "glb"
-            else geometry.export(file_type=kind)
+            _TRIMESH.Scene(geometry).export(file_type=kind) if kind == "glb" else geometry.export(file_type=kind)
         )
 
     return write
@@ -130,9 +126,7 @@ def _write_npy(path: Path, shape: Shape) -> None:
 
 
 def _write_npz(path: Path, shape: Shape) -> None:
-    arrays = (
-        {"points": shape.points} if shape.faces is None else {"points": shape.points, "faces": shape.faces}
-    )
+    arrays = {"points": shape.points} if shape.faces is None else {"points": shape.points, "faces": shape.faces}
     with path.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
