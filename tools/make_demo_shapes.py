@@ -482,9 +482,7 @@ def remesh(surface: trimesh.Trimesh, dense: DenseSurface, count: int) -> trimesh
 
 def check_closed(mesh: trimesh.Trimesh, name: str) -> None:
     """Refuse anything but one closed manifold sphere without loose vertices."""
-    sound = (
-        mesh.is_watertight and mesh.is_winding_consistent and mesh.euler_number == 2 and mesh.body_count == 1
-    )
+    sound = mesh.is_watertight and mesh.is_winding_consistent and mesh.euler_number == 2 and mesh.body_count == 1
     if not sound or mesh.volume <= 0 or len(np.unique(mesh.faces)) != len(mesh.vertices):
         raise RuntimeError(f"{name}: the mesh is not one closed manifold surface")
 
@@ -503,9 +501,7 @@ def surface_neighbours(mesh: trimesh.Trimesh, dense: DenseSurface) -> Ints:
     return np.asarray(owner[source])
 
 
-def ground_truth(
-    mesh: trimesh.Trimesh, surface: trimesh.Trimesh, dense: DenseSurface, template: Template
-) -> Ints:
+def ground_truth(mesh: trimesh.Trimesh, surface: trimesh.Trimesh, dense: DenseSurface, template: Template) -> Ints:
     """The mesh vertex at each template point."""
     # The vertices nearest along the surface to the corners of the point's triangle, with their neighbours,
     # are the candidates; of those that face the same way the nearest is taken. So no point jumps to another

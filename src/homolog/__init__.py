@@ -1,1 +1,43 @@
-"""Homolog."""
+"""Homolog: dense correspondences between non-rigid 3D shapes.
+
+Meshes and point clouds, whole or partial, in any mix::
+
+    import homolog
+
+    source, target = homolog.read_shape("a.ply"), homolog.read_shape("b.obj")
+    matcher = homolog.Matcher.from_weights("weights.safetensors")
+    found = matcher.match(source, target)
+    found.source_to_target  # for each source point the index of its target point
+"""
+
+from homolog.errors import HomologError
+from homolog.geometry import OperatorCache, Operators, compute_operators
+from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches
+from homolog.matching import Correspondence, Matcher, MatcherSettings
+from homolog.memory import get_working_memory, set_working_memory, working_memory
+from homolog.network import load_weights
+from homolog.shapes import Report, Shape, check, read_shape, repair, write_shape
+
+__all__ = [
+    "Correspondence",
+    "HomologError",
+    "Matcher",
+    "MatcherSettings",
+    "OperatorCache",
+    "Operators",
+    "Report",
+    "Shape",
+    "check",
+    "compute_operators",
+    "functional_map",
+    "get_working_memory",
+    "load_weights",
+    "point_map_from_functional_map",
+    "read_shape",
+    "repair",
+    "resolvent_mask",
+    "set_working_memory",
+    "sinkhorn_matches",
+    "working_memory",
+    "write_shape",
+]

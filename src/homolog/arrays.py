@@ -24,14 +24,16 @@ def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
             return function(*args, **kwargs)
         given = [_to_tensor(value) for value in args]
         named = {name: _to_tensor(value) for name, value in kwargs.items()}
-        return _to_numpy(function(*given, **named))  # type: ignore[arg-type]
+        return _to_numpy(function(*given, **named))
 
     return wrapper
 
 
 def _to_tensor(value: Any) -> Any:
     # Copied where read-only: torch has no read-only tensors.
-    return torch.from_numpy(value if value.flags.writeable else value.copy()) if isinstance(value, np.ndarray) else value
+    return (
+        torch.from_numpy(value if value.flags.writeable else value.copy()) if isinstance(value, np.ndarray) else value
+    )
 
 
 def _to_numpy(value: Any) -> Any:

@@ -52,7 +52,7 @@ def fits(n_bytes: float) -> bool:
 
 
 def row_tiles(n_rows: int, bytes_per_row: float) -> Iterator[slice]:
-    """Slices that cut ``n_rows`` into tiles, each within the bound and small enough for the cache (at least one row)."""
+    """Slices that cut ``n_rows`` into tiles of at least a row, within the bound and small enough for the cache."""
     budget = min(_TILE_BYTES, get_working_memory() * _MEBIBYTE)
     height = max(1, int(budget // max(bytes_per_row, 1)))
     # Few rows make a matrix product slow; that many are affordable whatever the bound, short of absurd ones.

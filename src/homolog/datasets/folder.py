@@ -1,4 +1,4 @@
-"""A folder of shapes with ground truth: ``off/NAME.off``, ``corres/NAME.vts``, and optional lists of pairs and splits."""
+"""A folder of shapes with ground truth, ``off/NAME.off`` and ``corres/NAME.vts``, and lists of pairs and splits."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ class ShapeFolder:
         names = self.split(split)
         own = self.root / "pairs.txt"
         if not own.is_file():
-            return tuple(itertools.product(names, repeat=2))
+            return tuple((source, target) for source in names for target in names)
         pairs = tuple(pair for pair in self._read_pairs(own) if set(pair) <= set(names))
         if not pairs:
             raise DataError(f"{own} lists no pair with both shapes in split {split!r}; use --split all or --pairs FILE")

@@ -1,7 +1,7 @@
 """How good maps are: metrics and the field's protocol."""
 
 from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
-from homolog.evaluation.protocol import Evaluation, Modalities, Protocol, evaluate
+from homolog.evaluation.protocol import Evaluation, Modalities, Protocol, evaluate, geodesic_errors
 
 __all__ = [
     "PCK_THRESHOLD",
@@ -10,6 +10,7 @@ __all__ = [
     "Protocol",
     "area_under_pck",
     "evaluate",
+    "geodesic_errors",
     "least_confident_share",
     "pck_curve",
 ]

@@ -211,24 +211,12 @@ class _Run:
         for source, numbers in by_source.items():
             truth = np.concatenate([queries[number].truth for number in numbers])
             mapped = np.concatenate([queries[number].mapped for number in numbers])
-            distances = self._distances(self.shapes[source], truth, np.where(mapped < 0, truth, mapped))
+            distances = geodesic_errors(self.shapes[source], truth, np.where(mapped < 0, truth, mapped))
             cuts = np.cumsum([len(queries[number].truth) for number in numbers])[:-1]
             for number, part in zip(numbers, np.split(distances, cuts), strict=True):
                 kept = queries[number].mapped >= 0
                 errors[number] = PairErrors(queries[number].pair, part[kept], queries[number].confidences[kept])
         return [errors[number] for number in range(len(queries))]
-
-    @staticmethod
-    def _distances(shape: Shape, starts: Int[np.ndarray, " q"], ends: Int[np.ndarray, " q"]) -> Float[np.ndarray, " q"]:
-        if shape.faces is None:
-            raise DataError(f"{shape.name} has no faces, but geodesic errors are measured along a surface")
-        unit = np.sqrt(surface_area(shape))
-        graph = edge_graph(shape.points / unit, shape.faces)
-        distances = pair_distances(graph, starts, ends)
-        # Between separate pieces there is no way along the surface: the straight one is the least it can be.
-        apart = np.isinf(distances)
-        distances[apart] = np.linalg.norm(shape.points[starts[apart]] - shape.points[ends[apart]], axis=1) / unit
-        return distances
 
     def _tick(self, what: str) -> None:
         self.progress(self.done, self.total, what)
@@ -237,3 +225,22 @@ class _Run:
 
 def _roles(source: str, target: str) -> tuple[tuple[str, Literal["source"]], tuple[str, Literal["target"]]]:
     return (source, "source"), (target, "target")
+
+
+def geodesic_errors(
+    shape: Shape, truth: Int[np.ndarray, " q"], mapped: Int[np.ndarray, " q"]
+) -> Float[np.ndarray, " q"]:
+    """Distance along a mesh's edges from each true point to the one it was mapped to, in units of sqrt(area).
+
+    Between separate pieces, where there is no way along the surface, it is the straight one: the least it can be.
+
+    Raises:
+        DataError: if the shape has no faces.
+    """
+    if shape.faces is None:
+        raise DataError(f"{shape.name} has no faces, but geodesic errors are measured along a surface")
+    unit = np.sqrt(surface_area(shape))
+    distances = pair_distances(edge_graph(shape.points / unit, shape.faces), truth, mapped)
+    apart = np.isinf(distances)
+    distances[apart] = np.linalg.norm(shape.points[truth[apart]] - shape.points[mapped[apart]], axis=1) / unit
+    return distances

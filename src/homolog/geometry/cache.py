@@ -63,10 +63,10 @@ class OperatorCache:
         """The cache in the default folder; ``HOMOLOG_CACHE_GB`` changes its bound of 10 GB."""
         given = os.environ.get("HOMOLOG_CACHE_GB", "10")
         try:
-            gigabytes = float(given)
-        except ValueError:
+            max_bytes = int(float(given) * _GIBIBYTE)
+        except (ValueError, OverflowError):  # the latter from an infinite one
             raise ArgumentError(f"HOMOLOG_CACHE_GB is {given!r}, but must be a number of gigabytes") from None
-        return cls(cache_folder(), max_bytes=int(gigabytes * _GIBIBYTE))
+        return cls(cache_folder(), max_bytes=max_bytes)
 
     def operators(
         self, shape: Shape, *, settings: OperatorSettings | None = None, length: float | None = None
@@ -97,7 +97,8 @@ class OperatorCache:
         tensors = _tensors(operators)
         if self.eigenvectors == "float16":
             tensors["eigenvectors"] = tensors["eigenvectors"].half()
-        notes = {"checksum": _checksum(tensors), "length": operators.length.hex(), "method": operators.method}
+        notes = {"length": operators.length.hex(), "method": operators.method}
+        notes["checksum"] = _checksum(tensors, notes)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             with atomic_path(path) as temporary:
@@ -130,12 +131,12 @@ def _read(path: Path) -> Operators | None:
         with safe_open(path, framework="pt") as entry:
             notes = entry.metadata() or {}
             tensors = {name: entry.get_tensor(name) for name in entry.keys()}  # noqa: SIM118
-        if notes.get("checksum") != _checksum(tensors):
+        if notes.pop("checksum", None) != _checksum(tensors, notes):
             raise ValueError("its checksum does not match")
         operators = _operators(tensors, length=float.fromhex(notes["length"]), method=notes["method"])
     except FileNotFoundError:
         return None
-    except (OSError, SafetensorError, ValueError, KeyError, RuntimeError) as error:
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         _log.warning("the cached operators %s are damaged (%s) and are computed anew", path, error)
         return None
     with suppress(OSError):
@@ -169,12 +170,10 @@ def _operators(tensors: dict[str, Tensor], *, length: float, method: str) -> Ope
     )
 
 
-def _checksum(tensors: dict[str, Tensor]) -> str:
-    digest = hashlib.blake2b(digest_size=16)
+def _checksum(tensors: dict[str, Tensor], notes: dict[str, str]) -> str:
+    digest = hashlib.blake2b(json.dumps(notes, sort_keys=True).encode(), digest_size=16)
     for name in sorted(tensors):
         array: np.ndarray = tensors[name].numpy()
         digest.update(f"{name} {array.dtype} {array.shape}".encode())
         digest.update(array.tobytes())
     return digest.hexdigest()
-
-

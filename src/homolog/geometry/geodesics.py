@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import dijkstra
 
+from homolog.errors import bad_value
 from homolog.geometry.tangent import mesh_edges
 
 # Points whose distances are computed together: bounds the dense rows that Dijkstra returns.
@@ -40,7 +43,12 @@ def pair_distances(
         starts: point indices.
         ends: point indices, one for each start.
         horizon: first search radius, in the graph's units.
+
+    Raises:
+        ArgumentError: if the horizon is not positive.
     """
+    if not horizon > 0:
+        raise bad_value("horizon", horizon, "positive")
     distances = np.full(len(starts), np.inf)
     distances[starts == ends] = 0.0
     open_pairs = np.flatnonzero(starts != ends)
@@ -62,7 +70,7 @@ def _within(
     by_source = np.argsort(group, kind="stable")
     edges = np.searchsorted(group[by_source], np.arange(0, len(sources) + _ROWS, _ROWS))
     distances = np.empty(len(starts))
-    for row, (first, last) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+    for row, (first, last) in enumerate(itertools.pairwise(edges)):
         rows = dijkstra(graph, indices=sources[row * _ROWS : (row + 1) * _ROWS], limit=limit)
         pairs = by_source[first:last]
         distances[pairs] = rows[group[pairs] - row * _ROWS, ends[pairs]]

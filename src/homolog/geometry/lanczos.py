@@ -29,9 +29,7 @@ class BlockLanczos:
         # Rows hold the vectors, so that blocks are contiguous. There is always one block more than was multiplied.
         self._rows = torch.empty(capacity, kernel.shape[1], dtype=torch.float64)
         self._projected = torch.zeros(capacity, capacity, dtype=torch.float64)
-        start = torch.randn(
-            block, kernel.shape[1], generator=torch.Generator().manual_seed(0), dtype=torch.float64
-        )
+        start = torch.randn(block, kernel.shape[1], generator=torch.Generator().manual_seed(0), dtype=torch.float64)
         self._rows[:block], self._coupling = _orthonormal_rows(self._away_from_kernel(start))
         self._filled = block
 
@@ -57,7 +55,7 @@ class BlockLanczos:
         """Ritz values theta of the inverted operator, their vectors in the basis (columns), and |A v - theta v|."""
         upper = torch.triu(self._projected[: self.size, : self.size])
         values, vectors = torch.linalg.eigh(upper + torch.triu(upper, 1).T)
-        return values, vectors, (self._coupling.T @ vectors[-self._block :]).norm(dim=0)
+        return values, vectors, (self._coupling @ vectors[-self._block :]).norm(dim=0)
 
     def lift(self, vectors: Float[Tensor, "m j"]) -> Float[Tensor, "n j"]:
         """Vectors in the basis as vectors in the whole space."""

@@ -68,8 +68,8 @@ class Operators:
 
     def to(self, device: torch.device | str) -> Operators:
         """The same operators on another device."""
-        moved = {f.name: getattr(self, f.name) for f in fields(self)}
-        return Operators(**{k: v.to(device) if isinstance(v, Tensor) else v for k, v in moved.items()})
+        tensors = {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), Tensor)}
+        return replace(self, **{name: tensor.to(device) for name, tensor in tensors.items()})
 
     def truncated(self, n_eigenpairs: int) -> Operators:
         """The same operators with only the lowest eigenpairs."""
@@ -138,9 +138,7 @@ def compute_operators(
     )
 
 
-def _cloud_gradient(
-    points: Float[np.ndarray, "n 3"], n_neighbours: int
-) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+def _cloud_gradient(points: Float[np.ndarray, "n 3"], n_neighbours: int) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     neighbours = nearest_neighbours(points, n_neighbours)
     frames = tangent_frames(cloud_normals(points, neighbours))
     starts = np.repeat(np.arange(len(points)), neighbours.shape[1])
@@ -169,4 +167,3 @@ def compressed_rows(rows: Int[Tensor, " n+1"], columns: Int[Tensor, " e"], value
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Sparse CSR tensor support is in beta")
         return torch.sparse_csr_tensor(rows, columns, values, size=(n, n), check_invariants=False)
-

@@ -33,7 +33,8 @@ class Frame:
 
     def inside(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Coordinates in inner units, around the centre."""
-        return (points - self.centre) / self.length
+        inner: np.ndarray = (points - self.centre) / self.length
+        return inner
 
 
 def unit_frame(shape: Shape, *, length: float | None = None) -> Frame:
@@ -73,6 +74,8 @@ def cloud_area(points: Float[np.ndarray, "n 3"]) -> float:
     at noise of 2 % of the unit length.
     """
     radius = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    if radius == 0:
+        return 0.0
     stride = max(1, len(points) // _COUNTED_POINTS)
     tree = KDTree(points)
     small, large = (_area_by_counts(tree, points[::stride], share * radius) for share in _BALLS)

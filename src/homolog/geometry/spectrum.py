@@ -92,6 +92,9 @@ class _Problem:
         kept = np.argsort(-np.bincount(component, mass), kind="stable")[: min(count, _MOST_COMPONENTS)]
         kernel = np.where(component[None, :] == kept[:, None], root_mass[None, :], 0.0)
         kernel /= np.linalg.norm(kernel, axis=1, keepdims=True)
+        # robust-laplacian gives a point without faces a one on the diagonal: a constant there is not in the kernel.
+        size = np.linalg.norm(kernel * matrix.diagonal(), axis=1)
+        kernel = kernel[np.linalg.norm(matrix @ kernel.T, axis=0) <= 1e-9 * size]
         return cls(((matrix + matrix.T) / 2).tocsc(), root_mass, torch.from_numpy(kernel))
 
     @property

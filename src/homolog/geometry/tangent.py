@@ -23,9 +23,7 @@ def mesh_normals(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
     return _unit(normals)
 
 
-def cloud_normals(
-    points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]
-) -> Float[np.ndarray, "n 3"]:
+def cloud_normals(points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]) -> Float[np.ndarray, "n 3"]:
     """Unit normal per point, of either sign: the direction in which its neighbours spread least around it."""
     edges = points[neighbours] - points[:, None]
     _, directions = np.linalg.eigh(np.einsum("nji,njk->nik", edges, edges))

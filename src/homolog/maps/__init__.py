@@ -1,6 +1,6 @@
 """Correspondence as mathematics: pure functions of tensors."""
 
-from homolog.maps.confidence import confidence, coverage_density, covered, local_spread
+from homolog.maps.confidence import confidence, coverage_density, covered, local_stretch
 from homolog.maps.descriptors import smoothed_positions, wave_kernel_signature
 from homolog.maps.functional_map import (
     functional_map,
@@ -20,7 +20,7 @@ __all__ = [
     "covered",
     "functional_map",
     "functional_map_from_point_map",
-    "local_spread",
+    "local_stretch",
     "most_similar",
     "nearest_neighbour",
     "normalised",

@@ -12,11 +12,10 @@ from torch import Tensor
 
 from homolog.geometry import Operators
 
-# Neighbours of a point whose images are compared with its own.
-_NEIGHBOURS = 8
-# Scales in inner units at which a there-and-back distance and a local spread halve the confidence or so.
-_RETURN_SCALE = 0.05
-_SPREAD_SCALE = 0.05
+# Neighbours of a point that its match is judged with.
+_NEIGHBOURS = 20
+# Distortion, in inner units, at which the confidence has fallen to 1/e.
+_SCALE = 0.1
 # The pushed-forward mass is smoothed over about this many point spacings; less leaves gaps between samples open.
 _COVERAGE_SPACINGS = 2.0
 _COVERED = 0.5
@@ -30,27 +29,33 @@ def confidence(
 ) -> Float[Tensor, " n_y"]:
     """Confidence between 0 and 1 in each entry of ``y_to_x``; the points in inner units.
 
-    Two things betray a wrong match: going there and back does not come home, and neighbours do not land together.
+    Two things betray a wrong match: going there and back does not come home, and neighbours do not keep their
+    distances. Both are averaged over a point's nearest neighbours, as errors come in patches.
     """
+    near = _neighbourhoods(points_y)
     home = (points_y - points_y[x_to_y[y_to_x]]).norm(dim=1)
-    spread = local_spread(points_y, points_x, y_to_x)
-    return torch.exp(-home / _RETURN_SCALE - spread / _SPREAD_SCALE)
+    stretch = local_stretch(points_y, points_x[y_to_x], near)
+    return torch.exp(-(home[near].mean(dim=1) + stretch) / _SCALE)
 
 
-def local_spread(
-    points_y: Float[Tensor, "n_y 3"], points_x: Float[Tensor, "n_x 3"], y_to_x: Int[Tensor, " n_y"]
-) -> Float[Tensor, " n_y"]:
-    """Median distance between a point's image and those of its nearest neighbours."""
-    positions = points_y.cpu().numpy()
+def local_stretch(
+    points: Float[Tensor, "n 3"], images: Float[Tensor, "n 3"], near: Int[Tensor, "n j"]
+) -> Float[Tensor, " n"]:
+    """By how much, on average, a map changes the distances between a point and its neighbours."""
+    before = (points[near] - points[:, None]).norm(dim=2)
+    after = (images[near] - images[:, None]).norm(dim=2)
+    stretch: Tensor = (after - before).abs().mean(dim=1)
+    return stretch
+
+
+def _neighbourhoods(points: Float[Tensor, "n 3"]) -> Int[Tensor, "n j"]:
+    """Indices of each point's nearest points, itself among them."""
+    positions = points.cpu().numpy()
     _, near = KDTree(positions).query(positions, k=min(_NEIGHBOURS + 1, len(positions)))
-    images = points_x[y_to_x]
-    neighbours = images[torch.from_numpy(near[:, 1:]).to(images.device)]
-    return (neighbours - images[:, None]).norm(dim=2).median(dim=1).values
+    return torch.from_numpy(near).to(points.device)
 
 
-def covered(
-    complete: Operators, partial: Operators, partial_to_complete: Int[Tensor, " n_p"]
-) -> Bool[Tensor, " n_c"]:
+def covered(complete: Operators, partial: Operators, partial_to_complete: Int[Tensor, " n_p"]) -> Bool[Tensor, " n_c"]:
     """Which points of a complete shape have a counterpart on a partial one, both at one scale.
 
     The partial shape's mass is pushed forward along the map and smoothed by a heat step on the complete shape. Where
@@ -65,9 +70,7 @@ def coverage_density(
 ) -> Float[Tensor, " n_c"]:
     """Smoothed density of pushed-forward mass relative to the complete shape's own; see ``covered``."""
     own = complete.mass.double().cpu().numpy()
-    pushed = np.bincount(
-        partial_to_complete.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own)
-    )
+    pushed = np.bincount(partial_to_complete.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))
     spacing = np.sqrt(own.sum() / len(own))
     laplacian = complete.laplacian.cpu()
     sparse = csc_matrix(

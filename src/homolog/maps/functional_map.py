@@ -58,7 +58,10 @@ def functional_map(
     gram = a @ a.mT
     systems = gram[..., None, :, :] + torch.diag_embed(regularisation * mask.double())
     factors, failed = torch.linalg.cholesky_ex(systems)
-    if bool(failed.any()):
+    # By rounding, a singular matrix can have a last pivot that is a trifle above zero.
+    pivots, diagonal = factors.diagonal(dim1=-2, dim2=-1).square(), systems.diagonal(dim1=-2, dim2=-1)
+    singular = pivots <= 10 * gram.shape[-1] * torch.finfo(torch.float64).eps * diagonal
+    if bool(failed.any() or singular.any()):
         raise ArgumentError(
             "the functional map is not determined: give at least as many independent features as eigenpairs, "
             "or a larger regularisation"

@@ -43,7 +43,8 @@ def zoom_out(
 
 def _fitted(pulled_back: Float[Tensor, "n k"], eigenvectors_y: Float[Tensor, "n k"]) -> Float[Tensor, "k k"]:
     """The least-squares C with Phi_y C = Pi Phi_x on the samples."""
-    return torch.linalg.lstsq(eigenvectors_y, pulled_back).solution
+    solution: Tensor = torch.linalg.lstsq(eigenvectors_y, pulled_back).solution
+    return solution
 
 
 def _samples(eigenvectors: Float[Tensor, "n m"]) -> Int[Tensor, " s"]:

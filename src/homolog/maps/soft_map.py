@@ -102,7 +102,7 @@ class _Kernel:
         return row_tiles(len(self.left), bytes_per_row=3 * self.right.shape[1] * self.left.element_size())
 
     def column_log_sums(self) -> Float[Tensor, " n_x"]:
-        """log sum_i K_ij."""
+        """Log sum_i K_ij."""
         total = self.left.new_full((self.right.shape[1],), -torch.inf)
         for rows in self.tiles():
             total = torch.logaddexp(total, self._tile_log_sums(rows))

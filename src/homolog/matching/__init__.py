@@ -2,6 +2,7 @@
 
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.matcher import Device, Matcher, MatcherSettings, Method, PointMaps, Prepared, Side, choose_device
+from homolog.matching.output import matched_colours, position_colours, write_result
 
 __all__ = [
     "Correspondence",
@@ -14,4 +15,7 @@ __all__ = [
     "Route",
     "Side",
     "choose_device",
+    "matched_colours",
+    "position_colours",
+    "write_result",
 ]

@@ -27,6 +27,7 @@ from homolog.maps import (
 )
 from homolog.matching.axiomatic import AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION, axiomatic_descriptors
 from homolog.matching.correspondence import Correspondence, Route
+from homolog.matching.orientation import orientation_warnings
 from homolog.network import DiffusionNet, WeightsInfo, load_weights
 from homolog.shapes import Modality, Repaired, Shape, repair
 from homolog.steps import Steps
@@ -60,7 +61,7 @@ class MatcherSettings:
     map_eigenpairs: int | None = None
     partial_eigenpairs: int = 50
     regularisation: float = 100.0
-    temperature: float = 0.2
+    temperature: float = 0.1
     iterations: int = 10
     raw_products: bool = False
     operators: OperatorSettings = field(default_factory=OperatorSettings)
@@ -156,19 +157,37 @@ class Matcher:
             return "axiomatic"
         return "functional-map" if source == target == "mesh" else "features"
 
-    def prepare(self, shape: Shape, *, as_cloud: bool = False, length: float | None = None) -> Prepared:
+    def prepare(
+        self,
+        shape: Shape,
+        *,
+        as_cloud: bool = False,
+        length: float | None = None,
+        steps: Steps | None = None,
+        label: str = "shape",
+    ) -> Prepared:
         """Repair a shape and compute its operators and features.
 
         Args:
             shape: as it was read.
             as_cloud: leave the faces out, but keep the scale that they give.
             length: the file length of one inner unit; by default sqrt(surface area).
+            steps: collects time and memory of the steps.
+            label: what the steps call the shape.
+
+        Raises:
+            ShapeError: if the shape cannot be used.
         """
-        repaired = repair(shape)
-        operators = self.operators(repaired.shape, as_cloud=as_cloud, length=length)
+        steps = steps or Steps()
+        with steps.step(f"repair {label}"):
+            repaired = repair(shape)
+        with steps.step(f"operators of {label}"):
+            operators = self.operators(repaired.shape, as_cloud=as_cloud, length=length)
+        with steps.step(f"features of {label}"):
+            features = self.features(operators)
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
-        return Prepared(repaired, operators, self.features(operators))
+        return Prepared(repaired, operators, features)
 
     def operators(self, shape: Shape, *, as_cloud: bool = False, length: float | None = None) -> Operators:
         """The operators of a clean shape, on this matcher's device."""
@@ -182,7 +201,8 @@ class Matcher:
         """The network's features per point (n, d), or descriptors where the route is axiomatic."""
         if self.network is None or self.settings.method == "axiomatic":
             return axiomatic_descriptors(operators)
-        return self.network(operators.points, operators)
+        features: Tensor = self.network(operators.points, operators)
+        return features
 
     def match(
         self,
@@ -207,28 +227,31 @@ class Matcher:
             ShapeError: if a shape cannot be used.
         """
         steps = steps or Steps()
-        shapes = {"source": source, "target": target}
-        order: tuple[Side, Side] = ("target", "source") if partial == "source" else ("source", "target")
-        prepared: dict[Side, Prepared] = {}
-        for side in order:  # the complete shape first: a partial one takes its scale
-            length = prepared[order[0]].operators.length if side == partial else None
-            flat = as_cloud in (side, "both")
-            with steps.step(f"repair {side}"):
-                repaired = repair(shapes[side])
-            with steps.step(f"operators of {side}"):
-                operators = self.operators(repaired.shape, as_cloud=flat, length=length)
-            with steps.step(f"features of {side}"):
-                features = self.features(operators)
-            if flat:
-                repaired = replace(repaired, shape=repaired.shape.as_cloud())
-            prepared[side] = Prepared(repaired, operators, features)
+        complete: Side = "target" if partial == "source" else "source"
+        shapes: dict[Side, Shape] = {"source": source, "target": target}
+        flat: dict[Side, bool] = {side: as_cloud in (side, "both") for side in shapes}
+        # The complete shape first: a partial one takes its scale.
+        first = self.prepare(shapes[complete], as_cloud=flat[complete], steps=steps, label=complete)
+        other: Side = "source" if complete == "target" else "target"
+        length = first.operators.length if partial else None
+        second = self.prepare(shapes[other], as_cloud=flat[other], length=length, steps=steps, label=other)
+        prepared = {complete: first, other: second}
         with steps.step("map"):
-            return self.match_prepared(prepared["source"], prepared["target"], partial=partial)
+            found = self.match_prepared(prepared["source"], prepared["target"], partial=partial)
+        with steps.step("check orientation"):
+            return replace(found, warnings=self.orientation_warnings(prepared["source"], prepared["target"]))
 
     @torch.inference_mode()
-    def match_prepared(
-        self, source: Prepared, target: Prepared, *, partial: Side | None = None
-    ) -> Correspondence:
+    def orientation_warnings(self, source: Prepared, target: Prepared) -> tuple[str, ...]:
+        """What to tell the user if the shapes do not stand as the weights expect; see ``WeightsInfo.upright``."""
+        route = self.route(source.modality, target.modality)
+        if self.network is None or route == "axiomatic" or not self.info.upright:
+            return ()
+        lengths = source.operators.length, target.operators.length
+        return tuple(orientation_warnings(self.network, source.repaired.shape, target.repaired.shape, lengths=lengths))
+
+    @torch.inference_mode()
+    def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
         """Match two prepared shapes; see ``match``."""
         if partial not in (None, *get_args(Side)):
             raise bad_choice("partial", str(partial), get_args(Side))

@@ -1,7 +1,7 @@
 """DiffusionNet, and its weights on disk."""
 
 from homolog.network.diffusion_net import DiffusionNet, GradientProduct, NetworkSettings, diffuse
-from homolog.network.weights import WeightsInfo, load_weights, save_weights
+from homolog.network.weights import WeightsInfo, find_weights, load_weights, save_weights, shipped_weights
 
 __all__ = [
     "DiffusionNet",
@@ -9,6 +9,8 @@ __all__ = [
     "NetworkSettings",
     "WeightsInfo",
     "diffuse",
+    "find_weights",
     "load_weights",
     "save_weights",
+    "shipped_weights",
 ]

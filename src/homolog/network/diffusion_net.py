@@ -62,7 +62,8 @@ class DiffusionNet(nn.Module):
         hidden = self.first(inputs)
         for block in self.blocks:
             hidden = block(hidden, operators)
-        return self.last(hidden)
+        features: Tensor = self.last(hidden)
+        return features
 
 
 class DiffusionBlock(nn.Module):
@@ -85,22 +86,19 @@ class DiffusionBlock(nn.Module):
         activation = self.perceptron[0](torch.cat([hidden, diffused, gradients], dim=-1))
         for layer in self.perceptron[1:]:
             activation = layer(self.dropout(torch.relu(activation)))
-        return hidden + activation
+        output: Tensor = hidden + activation
+        return output
 
     def _gradient_features(self, diffused: Float[Tensor, "n w"], operators: Operators) -> Float[Tensor, "n w"]:
-        """tanh of the inner products between each channel's gradient and learned combinations of all channels'."""
+        """Tanh of the inner products between each channel's gradient and learned combinations of all channels'."""
         x, y = operators.gradient_x @ diffused, operators.gradient_y @ diffused
         real_x, imaginary_y = self.real(x), self.imaginary(y)
-        if self.gradient_product == "equivariant":
-            along_y = self.real(y) + self.imaginary(x)
-        else:
-            along_y = real_x + imaginary_y
+        published = self.gradient_product == "published"
+        along_y = real_x + imaginary_y if published else self.real(y) + self.imaginary(x)
         return torch.tanh(x * (real_x - imaginary_y) + y * along_y)
 
 
-def diffuse(
-    functions: Float[Tensor, "n c"], times: Float[Tensor, " c"], operators: Operators
-) -> Float[Tensor, "n c"]:
+def diffuse(functions: Float[Tensor, "n c"], times: Float[Tensor, " c"], operators: Operators) -> Float[Tensor, "n c"]:
     """Heat diffusion of functions on a shape, each for its own time, in the operators' eigenbasis."""
     decay = torch.exp(-operators.eigenvalues[:, None] * times.clamp(min=_SHORTEST_TIME))
     return operators.eigenvectors @ (decay * operators.coefficients(functions))

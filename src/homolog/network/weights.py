@@ -6,11 +6,10 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
@@ -19,6 +18,7 @@ from homolog.files import atomic_path, sha256
 from homolog.network.diffusion_net import DiffusionNet, NetworkSettings
 
 _FORMAT = "homolog-weights-1"
+_SHIPPED = Path(__file__).parent / "shipped"
 
 
 @dataclass(frozen=True)
@@ -66,10 +66,12 @@ def load_weights(path: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
         settings, info, tensors = read(path)
         network = DiffusionNet(settings)
         network.load_state_dict(tensors)
-    except (SafetensorError, UnpicklingError, OSError, EOFError, KeyError, TypeError, ValueError, RuntimeError) as error:
-        reason = str(error).strip().splitlines()[0][:120] if str(error).strip() else type(error).__name__
+    except WeightsError:
+        raise
+    except Exception as error:  # on damaged bytes the readers raise nearly anything
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise WeightsError(f"{path} does not hold weights of this network ({reason}); check the file") from None
-    if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
+    if not all(torch.isfinite(tensor).all() for tensor in network.state_dict().values()):
         raise WeightsError(f"{path} holds weights that are not finite; check the file")
     return network.eval(), info
 
@@ -125,3 +127,24 @@ def _known(settings: type, given: Mapping[str, Any]) -> dict[str, Any]:
     if unknown:
         raise ValueError(f"its header has an unknown setting {unknown[0]!r}; it may need a newer homolog")
     return dict(given)
+
+
+def find_weights(name: str | Path) -> Path:
+    """The file of the weights that a user named: a path, or the name of weights that ship with the package.
+
+    Raises:
+        WeightsError: if there is neither.
+    """
+    path = Path(name).expanduser()
+    if path.is_file():
+        return path
+    shipped = shipped_weights()
+    if str(name) in shipped:
+        return shipped[str(name)]
+    names = f"one of the shipped weights ({', '.join(shipped)})" if shipped else "the path of a weight file"
+    raise WeightsError(f"there are no weights {str(name)!r}; give {names}, or none for the axiomatic method")
+
+
+def shipped_weights() -> dict[str, Path]:
+    """Name and file of the weights that ship with the package."""
+    return {file.stem: file for file in sorted(_SHIPPED.glob("*.safetensors"))}

@@ -1,6 +1,7 @@
 """What a shape is: reading, writing, checking and repairing meshes and point clouds."""
 
 from homolog.shapes.checking import Finding, Report, check
+from homolog.shapes.orientation import Up, rotation_about, stand_upright
 from homolog.shapes.reading import READABLE, read_shape
 from homolog.shapes.repairing import Repaired, repair
 from homolog.shapes.sampling import add_noise
@@ -15,9 +16,12 @@ __all__ = [
     "Repaired",
     "Report",
     "Shape",
+    "Up",
     "add_noise",
     "check",
     "read_shape",
     "repair",
+    "rotation_about",
+    "stand_upright",
     "write_shape",
 ]

@@ -1,0 +1,243 @@
+"""Time every step of a match, in seconds and in yardsticks.
+
+Run from the root of the checkout::
+
+    make bench
+    python benchmarks/bench.py --only cloud_map --points 5000
+
+A yardstick is one 4096 x 4096 x 4096 float32 matrix product on the same machine. Each figure is measured in a process
+of its own, in turn with the yardstick, so that other work on the machine weighs on both; medians are reported. Prints a
+table and writes ``benchmarks/latest.json``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+import trimesh
+from rich.console import Console
+from rich.table import Table
+
+from homolog.geometry import compute_operators
+from homolog.maps import (
+    functional_map,
+    most_similar,
+    normalised,
+    point_map_from_functional_map,
+    resolvent_mask,
+    sinkhorn_matches,
+)
+from homolog.network import DiffusionNet, WeightsInfo, save_weights
+from homolog.shapes import Shape, read_shape, write_shape
+
+ROOT = Path(__file__).parents[1]
+DEMO = ROOT / "src" / "homolog" / "demo_data" / "off"
+SIZES = (5_000, 20_000, 100_000)
+STEPS = (
+    "operators_mesh",
+    "operators_cloud",
+    "features",
+    "functional_map",
+    "mesh_map",
+    "cloud_map",
+    "nearest_map",
+    "match_cold",
+    "match_warm",
+)
+# Sinkhorn between clouds of this size is measured once, for its memory.
+LARGE_CLOUD = 50_000
+_EIGENPAIRS = 80
+
+
+def body(name: str, n_points: int) -> Shape:
+    """A demo body with about ``n_points`` vertices: subdivided smoothly, then decimated."""
+    import fast_simplification
+
+    shape = read_shape(DEMO / f"{name}.off")
+    if n_points <= 6_000:
+        return shape
+    mesh = trimesh.Trimesh(shape.points, shape.faces, process=False)
+    while len(mesh.vertices) < n_points:
+        mesh = mesh.subdivide_loop()
+    points, faces = fast_simplification.simplify(
+        np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces), target_count=2 * n_points
+    )
+    return Shape(points, faces, name=name)
+
+
+def yardstick() -> float:
+    """Seconds of one 4096 x 4096 x 4096 float32 matrix product."""
+    a, b = torch.ones(4096, 4096), torch.ones(4096, 4096)
+    began = time.perf_counter()
+    a @ b
+    return time.perf_counter() - began
+
+
+class Pair:
+    """Operators and features of two bodies, made once for the steps that need them."""
+
+    def __init__(self, n_points: int) -> None:
+        self.n_points = n_points
+        self.operators = [compute_operators(body(name, n_points)) for name in ("amber", "boris")]
+        network = untrained_network()
+        with torch.inference_mode():
+            self.features = [network(operators.points, operators) for operators in self.operators]
+
+
+def untrained_network() -> DiffusionNet:
+    """A network with fixed random weights: they cost what trained ones do."""
+    torch.manual_seed(0)
+    return DiffusionNet().eval()
+
+
+def solved(pair: Pair) -> torch.Tensor:
+    """The functional map of a pair, coefficients included."""
+    x, y = (operators.truncated(_EIGENPAIRS) for operators in pair.operators)
+    a, b = x.coefficients(pair.features[0]), y.coefficients(pair.features[1])
+    return functional_map(a, b, resolvent_mask(x.eigenvalues, y.eigenvalues))
+
+
+def mesh_map(pair: Pair) -> object:
+    """Features to point map, one direction, by the functional map."""
+    x, y = pair.operators
+    return point_map_from_functional_map(solved(pair), x.eigenvectors, y.eigenvectors)
+
+
+def spread_features(n_points: int, seed: int) -> torch.Tensor:
+    """Features like a trained network's for a cloud too large to wait for its operators: smooth, of unit length."""
+    generator = torch.Generator().manual_seed(seed)
+    low = torch.randn(n_points, 16, generator=generator)
+    return normalised(torch.tanh(low @ torch.randn(16, 128, generator=torch.Generator().manual_seed(0))))
+
+
+def step(name: str, n_points: int) -> Callable[[], object]:
+    """The function to time, everything it needs made beforehand."""
+    if name.startswith("operators"):
+        shape = body("amber", n_points)
+        shape = shape.as_cloud() if name == "operators_cloud" else shape
+        return lambda: compute_operators(shape)
+    if name == "features":
+        operators = compute_operators(body("amber", n_points))
+        network = untrained_network()
+        return lambda: network(operators.points, operators)
+    if name == "cloud_map" and n_points == LARGE_CLOUD:
+        x, y = spread_features(n_points, 1), spread_features(n_points, 2)
+        return lambda: sinkhorn_matches(y, x, temperature=0.1)
+    pair = Pair(n_points)
+    x, y = (normalised(f) for f in pair.features)
+    return {
+        "functional_map": lambda: solved(pair),
+        "mesh_map": lambda: mesh_map(pair),
+        "cloud_map": lambda: sinkhorn_matches(y, x, temperature=0.1),
+        "nearest_map": lambda: most_similar(y, x),
+    }[name]
+
+
+def measure(name: str, n_points: int) -> dict[str, object]:
+    """Time one step in this process."""
+    repeats = 1 if n_points == LARGE_CLOUD else 3 if n_points > 6_000 else 7
+    run, peak = step(name, n_points), 0.0
+    seconds, yards = list[float](), list[float]()
+    with torch.inference_mode():
+        if repeats > 1:
+            run()
+        for _ in range(repeats):
+            began = time.perf_counter()
+            run()
+            seconds.append(time.perf_counter() - began)
+            peak = peak if yards else peak_mb(resource.RUSAGE_SELF)  # before the yardstick's own matrices
+            yards.append(yardstick())
+    return row(name, n_points, statistics.median(seconds), statistics.median(yards), peak)
+
+
+def measure_match(name: str, n_points: int) -> dict[str, object]:
+    """Time ``homolog match`` as a whole process, from files, with an empty or a filled cache."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        for which in ("amber", "boris"):
+            write_shape(folder / f"{which}.ply", body(which, n_points))
+        save_weights(folder / "untrained.safetensors", untrained_network(), WeightsInfo(name="untrained"))
+        command = [sys.executable, "-m", "homolog", "match", "amber.ply", "boris.ply", "-o", "out", "--quiet"]
+        command += ["--weights", "untrained.safetensors"]
+        environment = {**os.environ, "HOMOLOG_CACHE": str(folder / "cache")}
+        seconds, yards = [], []
+        for repeat in range(2 if name == "match_cold" and n_points > 6_000 else 4):
+            if name == "match_cold":
+                environment["HOMOLOG_CACHE"] = str(folder / f"cache{repeat}")
+            began = time.perf_counter()
+            subprocess.run(command, cwd=folder, env=environment, check=True)
+            seconds.append(time.perf_counter() - began)
+            yards.append(yardstick())
+        counted = seconds[1:] if name == "match_warm" else seconds
+        return row(
+            name, n_points, statistics.median(counted), statistics.median(yards), peak_mb(resource.RUSAGE_CHILDREN)
+        )
+
+
+def row(name: str, n_points: int, seconds: float, yard: float, peak: float) -> dict[str, object]:
+    """One figure, as it is kept."""
+    return {
+        "name": name,
+        "points": n_points,
+        "seconds": round(seconds, 4),
+        "yardsticks": round(seconds / yard, 3),
+        "peak_mb": round(peak),
+    }
+
+
+def peak_mb(who: int) -> float:
+    """Peak resident memory in MB."""
+    return resource.getrusage(who).ru_maxrss / 1024
+
+
+def measured_apart(name: str, n_points: int) -> dict[str, object]:
+    """One figure, from a process of its own."""
+    command = [sys.executable, __file__, "--one", name, "--points", str(n_points)]
+    finished = subprocess.run(command, capture_output=True, text=True, check=True)
+    found: dict[str, object] = json.loads(finished.stdout.splitlines()[-1])
+    return found
+
+
+def main() -> None:
+    """Measure what is asked for, print it, and keep it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=STEPS, default=STEPS, help="steps to time")
+    parser.add_argument("--points", nargs="+", type=int, default=SIZES, help="sizes to time")
+    parser.add_argument("--one", choices=STEPS, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.one:
+        measuring = measure_match if arguments.one.startswith("match") else measure
+        print(json.dumps(measuring(arguments.one, arguments.points[0])))
+        return
+    cases = [
+        (name, n) for n in arguments.points for name in arguments.only if not (name == "cloud_map" and n > LARGE_CLOUD)
+    ]
+    if "cloud_map" in arguments.only and tuple(arguments.points) == SIZES:
+        cases.append(("cloud_map", LARGE_CLOUD))
+    rows = []
+    for name, n_points in cases:
+        rows.append(measured_apart(name, n_points))
+        print(rows[-1], file=sys.stderr)
+    (ROOT / "benchmarks" / "latest.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    table = Table(title="homolog, in yardsticks")
+    for column in ("name", "points", "seconds", "yardsticks", "peak_mb"):
+        table.add_column(column, justify="left" if column == "name" else "right")
+    for found in rows:
+        table.add_row(*(str(value) for value in found.values()))
+    Console().print(table)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""``homolog demo``: match the two bodies that ship with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from homolog.cli.match import Job
+from homolog.cli.options import Quiet, build_matcher, described
+from homolog.cli.progress import progress_bar
+from homolog.datasets import ShapeFolder
+from homolog.evaluation import geodesic_errors
+from homolog.matching import Correspondence, Side
+from homolog.shapes import Shape
+from homolog.steps import Steps
+
+_DATA = Path(__file__).parents[1] / "demo_data"
+_SOURCE, _TARGET = "amber", "boris"
+_LARGEST_ERROR = 5.0
+# Points this far from the middle, as a share of the body's width, are clearly left or right.
+_LATERAL = 0.1
+_STEPS = 11
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the result.")] = Path(
+        "homolog-demo"
+    ),
+    quiet: Quiet = False,
+) -> None:
+    """Match two bodies that ship with the package, and compare with the truth.
+
+    Two different people in different poses, meshed separately (CC0). Fails if the mean error is above 5 (x100).
+
+    Example:
+      homolog demo -o homolog-demo
+    """
+    folder = ShapeFolder.open(_DATA)
+    files: dict[Side, Path] = {"source": _DATA / "off" / f"{_SOURCE}.off", "target": _DATA / "off" / f"{_TARGET}.off"}
+    job = Job(files, {"source": "y", "target": "y"}, build_matcher(None, "auto", "auto", no_cache=True))
+    with progress_bar(quiet=quiet) as progress:
+        count = iter(range(_STEPS))
+        steps = Steps(listener=lambda name: progress(next(count), _STEPS, name))
+        found = job.run(steps)
+        with steps.step("write"):
+            paths = job.write(output, found, steps, described(job.matcher, None))
+    source = folder.shape(_SOURCE)
+    truth, asked = folder.common_points(_SOURCE), folder.common_points(_TARGET)
+    errors = 100 * geodesic_errors(source, truth, found.target_to_source[asked])
+    sides = _same_side(source, truth, found.target_to_source[asked])
+    if not quiet:
+        _show(found, errors, sides, steps, paths)
+    if errors.mean() > _LARGEST_ERROR:
+        typer.echo(f"The mean error is {errors.mean():.2f}, above {_LARGEST_ERROR:g}: something is wrong.", err=True)
+        raise typer.Exit(1)
+
+
+def _same_side(source: Shape, truth: np.ndarray, mapped: np.ndarray) -> float:
+    """Share of clearly left or right points that are mapped to their own side of the source."""
+    across = source.points[:, 0] - np.median(source.points[:, 0])
+    lateral = np.abs(across[truth]) > _LATERAL * np.ptp(across)
+    return float(np.mean(np.sign(across[truth]) == np.sign(across[mapped]), where=lateral))
+
+
+def _show(found: Correspondence, errors: np.ndarray, sides: float, steps: Steps, paths: list[Path]) -> None:
+    table = Table(title=f"{_SOURCE} to {_TARGET}", show_header=False, title_justify="left")
+    table.add_row("points", f"{len(found.source_to_target)} and {len(found.target_to_source)}")
+    table.add_row("route", found.route)
+    table.add_row("mean geodesic error x100", f"{errors.mean():.2f}")
+    table.add_row("median, 95th percentile", f"{np.median(errors):.2f}, {np.percentile(errors, 95):.2f}")
+    verdict = "right" if sides > 0.95 else "mixed up"
+    table.add_row("left and right", f"{verdict}: {100 * sides:.1f} % of lateral points on their own side")
+    table.add_row("seconds", f"{sum(step.seconds for step in steps.finished):.1f}")
+    console = Console()
+    console.print(table)
+    console.print("Open source.ply and target.ply side by side: same colour, same point.", highlight=False)
+    for path in paths:
+        typer.echo(path)

@@ -1,0 +1,47 @@
+"""``homolog doctor``: what is installed, and where things are kept."""
+
+from __future__ import annotations
+
+import os
+
+import torch
+import typer
+
+from homolog.geometry import OperatorCache
+from homolog.memory import get_working_memory
+from homolog.network import shipped_weights
+from homolog.versions import version_of, versions
+
+_EXTRAS = {"vtk": "pyvista", "pcd": "pypcd4", "plot": "matplotlib"}
+
+
+def doctor() -> None:
+    """Print versions, devices, optional parts, and the cache's place and size.
+
+    Example:
+      homolog doctor
+    """
+    for name, version in versions().items():
+        _row(name, version)
+    _row("processors", f"{os.cpu_count()}, {torch.get_num_threads()} threads used")
+    _row("CUDA devices", ", ".join(_cuda_devices()) or "none")
+    for extra, package in _EXTRAS.items():
+        found = version_of(package)
+        _row(f"extra '{extra}'", f"{package} {found}" if found else f"missing: pip install 'homolog[{extra}]'")
+    _row("shipped weights", ", ".join(shipped_weights()) or "none")
+    cache = OperatorCache.default()
+    entries, size = cache.size()
+    _row(
+        "cache",
+        f"{cache.folder} (HOMOLOG_CACHE): {entries} shapes, {size / 2**20:.0f} MB of at most "
+        f"{cache.max_bytes / 2**20:.0f} (HOMOLOG_CACHE_GB)",
+    )
+    _row("working memory", f"{get_working_memory():.0f} MB")
+
+
+def _row(name: str, value: str) -> None:
+    typer.echo(f"{name:<18} {value}")
+
+
+def _cuda_devices() -> list[str]:
+    return [torch.cuda.get_device_name(number) for number in range(torch.cuda.device_count())]

@@ -1,0 +1,92 @@
+"""``homolog evaluate``: the published score on a folder with ground truth."""
+
+from __future__ import annotations
+
+import json as json_format
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from homolog.cli.options import (
+    DeviceOption,
+    MethodOption,
+    NoCache,
+    Quiet,
+    Verbose,
+    Weights,
+    build_matcher,
+    described,
+    set_verbosity,
+)
+from homolog.cli.progress import progress_bar
+from homolog.datasets import ShapeFolder, Split
+from homolog.evaluation import Evaluation, Modalities, Protocol
+from homolog.evaluation import evaluate as evaluate_folder
+from homolog.files import atomic_path
+from homolog.versions import versions
+
+
+def evaluate(
+    data: Annotated[Path, typer.Argument(help="A folder with off/ and corres/.", show_default=False)],
+    weights: Weights = None,
+    method: MethodOption = "auto",
+    modality: Annotated[Modalities, typer.Option(help="What source and target are used as.")] = "mesh",
+    split: Annotated[Split, typer.Option(help="Which shapes: train.txt or test.txt, or by order of name.")] = "test",
+    pairs: Annotated[Path | None, typer.Option(help="A file of SOURCE,TARGET lines to use instead.")] = None,
+    noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+    json: Annotated[Path | None, typer.Option(metavar="OUT", help="Also write everything as JSON.")] = None,
+    device: DeviceOption = "auto",
+    no_cache: NoCache = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Score maps on a folder of shapes with ground truth.
+
+    The score is the mean geodesic error x100 of the map that gives each target point its source point, over all points
+    of all pairs together, in units of the square root of the source's area.
+
+    Examples:
+      homolog evaluate FAUST_r --weights people.safetensors
+
+      homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
+    """
+    set_verbosity(quiet=quiet, verbose=verbose)
+    protocol = Protocol(
+        modality=modality, split=split, pairs_file=None if pairs is None else str(pairs), noise=noise, seed=seed
+    )
+    matcher = build_matcher(weights, method, device, no_cache=no_cache)
+    folder = ShapeFolder.open(data)
+    with progress_bar(quiet=quiet) as progress:
+        evaluation = evaluate_folder(matcher, folder, protocol, progress=progress)
+    if json is not None:
+        report = {
+            **evaluation.to_dict(),
+            "data": str(folder.root),
+            "protocol": asdict(protocol),
+            **described(matcher, weights),
+            "command": ["homolog", *sys.argv[1:]],
+            "versions": versions(),
+        }
+        with atomic_path(json) as temporary:
+            temporary.write_text(json_format.dumps(report, indent=1) + "\n", encoding="utf-8")
+    if not quiet:
+        Console().print(_table(evaluation, folder, protocol))
+
+
+def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> Table:
+    found = evaluation.to_dict()
+    noise = f", noise {protocol.noise:g}" if protocol.noise else ""
+    table = Table(title=f"{folder.root.name}, {protocol.modality}{noise}", show_header=False, title_justify="left")
+    table.add_row("mean geodesic error x100", f"{found['mean_geodesic_error']:.2f}")
+    table.add_row("median geodesic error x100", f"{found['median_geodesic_error']:.2f}")
+    table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
+    table.add_row("pairs", str(len(found["pairs"])))
+    table.add_row("route", found["route"])
+    table.add_row("seconds", f"{found['seconds']['total']:.0f}")
+    return table

@@ -1,0 +1,185 @@
+"""``homolog match``: two files in, a correspondence out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+
+from homolog.cli.options import (
+    DeviceOption,
+    MethodOption,
+    NoCache,
+    Quiet,
+    Verbose,
+    Weights,
+    build_matcher,
+    described,
+    set_verbosity,
+)
+from homolog.cli.progress import Report, progress_bar
+from homolog.errors import ShapeError
+from homolog.files import sha256
+from homolog.matching import Correspondence, Matcher, Side, write_result
+from homolog.shapes import Shape, Up, check, read_shape, stand_upright
+from homolog.steps import Steps
+from homolog.versions import versions
+
+# read, repair, operators and features for each shape, the map, the check of the orientation, and writing.
+_STEPS = 11
+
+
+def match(
+    source: Annotated[Path, typer.Argument(help="The shape whose positions give the colours.", show_default=False)],
+    target: Annotated[Path, typer.Argument(help="The shape to match it to.", show_default=False)],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the result.")] = Path(
+        "match"
+    ),
+    weights: Weights = None,
+    method: MethodOption = "auto",
+    as_cloud: Annotated[
+        Literal["source", "target", "both"] | None, typer.Option(help="Use only the points of this shape.")
+    ] = None,
+    partial: Annotated[
+        Side | None,
+        typer.Option(help="This shape is a part of one like the other, in the same units; points may have no match."),
+    ] = None,
+    up: Annotated[Up, typer.Option(help="The axis that points up in both files.")] = "y",
+    source_up: Annotated[Up | None, typer.Option(help="The axis that points up in the source, if it differs.")] = None,
+    target_up: Annotated[Up | None, typer.Option(help="The axis that points up in the target, if it differs.")] = None,
+    device: DeviceOption = "auto",
+    strict: Annotated[bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.")] = False,
+    no_cache: NoCache = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Match two shapes: for every point of each, the corresponding point of the other.
+
+    Writes OUT/correspondence.npz (point indices both ways and confidences), OUT/source.ply and OUT/target.ply (same
+    colour, same point) and OUT/report.json.
+
+    Examples:
+      homolog match cat.off lion.obj -o result --weights animals.safetensors
+
+      homolog match scan.ply template.obj -o result --partial source --source-up z
+
+      homolog match a.ply b.xyz -o result --method axiomatic
+    """
+    set_verbosity(quiet=quiet, verbose=verbose)
+    ups: dict[Side, Up] = {"source": source_up or up, "target": target_up or up}
+    with progress_bar(quiet=quiet) as progress:
+        steps = Steps(listener=_counted(progress, verbose=verbose))
+        job = Job({"source": source, "target": target}, ups, build_matcher(weights, method, device, no_cache=no_cache))
+        found = job.run(steps, as_cloud=as_cloud, partial=partial, strict=strict)
+        options = {"method": method, "as_cloud": as_cloud, "partial": partial, "up": ups, "strict": strict}
+        with steps.step("write"):
+            paths = job.write(output, found, steps, {"options": options, **described(job.matcher, weights)})
+    if not quiet:
+        _summary(found, steps, paths, verbose=verbose)
+
+
+@dataclass
+class Job:
+    """One match from files to files; ``shapes`` is filled by ``run``."""
+
+    files: dict[Side, Path]
+    ups: dict[Side, Up]
+    matcher: Matcher
+    shapes: dict[Side, Shape] | None = None
+
+    def run(
+        self,
+        steps: Steps,
+        *,
+        as_cloud: Literal["source", "target", "both"] | None = None,
+        partial: Side | None = None,
+        strict: bool = False,
+    ) -> Correspondence:
+        """Read and match; in strict mode anything repaired or warned of is an error."""
+        shapes: dict[Side, Shape] = {}
+        for side, file in self.files.items():
+            with steps.step(f"read {side}"):
+                shapes[side] = read_shape(file)
+            if strict:
+                _refuse_repairs(shapes[side])
+        self.shapes = shapes
+        upright = {side: stand_upright(shape, self.ups[side]) for side, shape in shapes.items()}
+        found = self.matcher.match(
+            upright["source"], upright["target"], as_cloud=as_cloud, partial=partial, steps=steps
+        )
+        if strict and found.warnings:
+            raise ShapeError(f"{found.warnings[0]} (--strict)")
+        return found
+
+    def write(self, output: Path, found: Correspondence, steps: Steps, setup: dict[str, Any]) -> list[Path]:
+        """Write the result and its report."""
+        shapes = self.shapes or {}
+        inputs = {side: _input_report(self.files[side], shape) for side, shape in shapes.items()}
+        report = {
+            "inputs": inputs,
+            "route": found.route,
+            "warnings": list(found.warnings),
+            **setup,
+            "matched": _matched(found),
+            "steps": [asdict(step) for step in steps.finished],
+            "versions": versions(),
+        }
+        return write_result(output, shapes["source"], shapes["target"], found, report)
+
+
+def _refuse_repairs(shape: Shape) -> None:
+    for finding in check(shape).findings:
+        if finding.severity != "note":
+            raise ShapeError(f"{shape.name}: {finding} (--strict)")
+
+
+def _input_report(file: Path, shape: Shape) -> dict[str, Any]:
+    return {"file": str(file), "sha256": sha256(file), **check(shape).to_dict()}
+
+
+def _matched(found: Correspondence) -> dict[str, Any]:
+    return {
+        "source_points": len(found.source_to_target),
+        "source_points_without_counterpart": int((found.source_to_target < 0).sum()),
+        "source_mean_confidence": float(found.source_confidence.mean()),
+        "target_points": len(found.target_to_source),
+        "target_points_without_counterpart": int((found.target_to_source < 0).sum()),
+        "target_mean_confidence": float(found.target_confidence.mean()),
+    }
+
+
+def _counted(progress: Report, *, verbose: bool) -> Any:
+    console = Console(stderr=True, highlight=False)
+    count = 0
+
+    def listen(name: str) -> None:
+        nonlocal count
+        progress(count, _STEPS, name)
+        count += 1
+        if verbose:
+            console.print(f"{name} ...")
+
+    return listen
+
+
+def _summary(found: Correspondence, steps: Steps, paths: list[Path], *, verbose: bool) -> None:
+    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
+    for warning in found.warnings:
+        console.print(f"Warning: {warning}")
+    if verbose:
+        for step in steps.finished:
+            console.print(f"{step.name:<24} {step.seconds:8.2f} s   peak {step.peak_mb:7.0f} MB")
+    seconds = sum(step.seconds for step in steps.finished)
+    matched = _matched(found)
+    console.print(
+        f"Matched by {found.route} in {seconds:.1f} s: "
+        f"{matched['source_points']} source points ({matched['source_points_without_counterpart']} without, "
+        f"mean confidence {matched['source_mean_confidence']:.2f}), "
+        f"{matched['target_points']} target points ({matched['target_points_without_counterpart']}, "
+        f"{matched['target_mean_confidence']:.2f})."
+    )
+    for path in paths:
+        typer.echo(path)

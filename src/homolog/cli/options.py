@@ -1,0 +1,56 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import asdict
+from typing import Annotated, Any
+
+import typer
+
+from homolog.geometry import OperatorCache, compute_operators
+from homolog.matching import Device, Matcher, MatcherSettings, Method
+from homolog.network import find_weights, load_weights
+
+Weights = Annotated[
+    str | None,
+    typer.Option(
+        "--weights",
+        metavar="NAME|FILE",
+        help="Trained weights: a .safetensors file, or a .pth that the paper's authors released. "
+        "Without any, the axiomatic method is used.",
+    ),
+]
+MethodOption = Annotated[
+    Method,
+    typer.Option(
+        help="How maps are found. auto: functional maps between meshes, features wherever a cloud takes part. "
+        "axiomatic needs no weights."
+    ),
+]
+DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print each step, its time and memory.")]
+NoCache = Annotated[bool, typer.Option("--no-cache", help="Neither read nor write cached operators.")]
+
+
+def build_matcher(weights: str | None, method: Method, device: Device, *, no_cache: bool) -> Matcher:
+    """The matcher that the shared options ask for."""
+    operators = compute_operators if no_cache else OperatorCache.default().operators
+    settings = MatcherSettings(method=method)
+    if weights is None:
+        return Matcher(settings=settings, device=device, operators=operators)
+    network, info = load_weights(find_weights(weights))
+    return Matcher(network, info, settings=settings, device=device, operators=operators)
+
+
+def described(matcher: Matcher, weights: str | None) -> dict[str, Any]:
+    """Weights, settings and device, for reports."""
+    info = None if matcher.network is None else {"given": weights, **asdict(matcher.info)}
+    return {"weights": info, "settings": asdict(matcher.settings), "device": str(matcher.device)}
+
+
+def set_verbosity(*, quiet: bool, verbose: bool) -> None:
+    """Let the library's log through as the options ask."""
+    level = logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING
+    logging.getLogger("homolog").setLevel(level)

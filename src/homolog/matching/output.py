@@ -1,0 +1,73 @@
+"""What a match leaves on disk: the maps, two coloured shapes, and a report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from homolog.errors import ArgumentError
+from homolog.files import atomic_path
+from homolog.matching.correspondence import Correspondence
+from homolog.shapes import Shape, write_shape
+
+# What has no counterpart, or cannot be coloured, is grey.
+_NO_COLOUR = (160, 160, 160)
+
+
+def write_result(
+    folder: str | Path, source: Shape, target: Shape, correspondence: Correspondence, report: dict[str, Any]
+) -> list[Path]:
+    """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
+
+    The shapes are as given, coloured so that the same colour means the same point. Each file is written whole or not at
+    all; others in the folder are left alone.
+
+    Raises:
+        ArgumentError: if the folder cannot be made or written to.
+    """
+    folder = Path(folder).expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentError(f"{folder} cannot be made a folder ({error.strerror}); give another -o") from None
+    paths = [folder / name for name in ("correspondence.npz", "source.ply", "target.ply", "report.json")]
+    source_colours, target_colours = matched_colours(source, correspondence)
+    correspondence.save(paths[0])
+    write_shape(paths[1], source, colours=source_colours)
+    write_shape(paths[2], target, colours=target_colours)
+    with atomic_path(paths[3]) as temporary:
+        temporary.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    return paths
+
+
+def matched_colours(
+    source: Shape, correspondence: Correspondence
+) -> tuple[UInt8[np.ndarray, "n_source 3"], UInt8[np.ndarray, "n_target 3"]]:
+    """Colours by the source's position, and the same on the target by its map to the source; grey without a match."""
+    by_position = position_colours(source.points)
+    source_colours = np.where(correspondence.source_to_target[:, None] >= 0, by_position, _grey())
+    return source_colours, _carried(by_position, correspondence.target_to_source)
+
+
+def position_colours(points: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
+    """Smooth colours from positions: the bounding box becomes the colour cube, a little lightened."""
+    finite = np.isfinite(points).all(axis=1)
+    colours = np.full(points.shape, _NO_COLOUR, dtype=np.uint8)
+    low, high = points[finite].min(axis=0), points[finite].max(axis=0)
+    share = (points[finite] - low) / np.where(high > low, high - low, 1.0)
+    colours[finite] = np.round(40 + 215 * share)
+    return colours
+
+
+def _carried(
+    colours: UInt8[np.ndarray, "n_source 3"], target_to_source: Int[np.ndarray, " n_target"]
+) -> UInt8[np.ndarray, "n_target 3"]:
+    return np.where(target_to_source[:, None] >= 0, colours[target_to_source], _grey())
+
+
+def _grey() -> UInt8[np.ndarray, " 3"]:
+    return np.array(_NO_COLOUR, dtype=np.uint8)

@@ -1,0 +1,40 @@
+"""Which way is up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+from jaxtyping import Float
+
+from homolog.errors import bad_choice
+from homolog.shapes.shape import Shape
+
+Up = Literal["x", "y", "z"]
+
+
+def stand_upright(shape: Shape, up: Up) -> Shape:
+    """Turn a shape whose ``up`` axis points up so that +y does.
+
+    A z-up shape that faces -y, as most software has it, then faces +z.
+
+    Raises:
+        ArgumentError: if ``up`` is not x, y or z.
+    """
+    if up not in get_args(Up):
+        raise bad_choice("up", up, get_args(Up))
+    if up == "y":
+        return shape
+    turn = rotation_about(0, -90) if up == "z" else rotation_about(2, 90)
+    return replace(shape, points=shape.points @ turn.T)
+
+
+def rotation_about(axis: int, degrees: float) -> Float[np.ndarray, "3 3"]:
+    """The right-handed rotation about coordinate axis 0, 1 or 2, by multiples of a quarter exact."""
+    cosine, sine = np.round([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))], 15)
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    rotation = np.eye(3)
+    rotation[first, first] = rotation[second, second] = cosine
+    rotation[first, second], rotation[second, first] = -sine, sine
+    return rotation

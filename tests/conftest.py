@@ -1,0 +1,177 @@
+"""What the tests share: small shapes of known geometry, the demo bodies, and the published reference numbers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse as sparse
+import torch
+import trimesh
+from hypothesis import settings
+
+import homolog
+from homolog.geometry import Operators, OperatorSettings, compute_operators
+from homolog.geometry.operators import compressed_rows
+from homolog.shapes import Shape, read_shape
+
+# The same examples on every run, and no failure because a machine is slow.
+settings.register_profile("homolog", derandomize=True, deadline=None)
+settings.load_profile("homolog")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep every test away from the user's own operator cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HOMOLOG_CACHE", str(tmp_path_factory.mktemp("operator-cache")))
+        patch.delenv("HOMOLOG_CACHE_GB", raising=False)
+        yield
+
+
+def sphere_shape(subdivisions: int, *, radius: float = 1.0) -> Shape:
+    """A sphere of 10 * 4^subdivisions + 2 points, as regular as can be."""
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+    return Shape(np.asarray(mesh.vertices), np.asarray(mesh.faces), name="sphere")
+
+
+def grid_shape(n: int, *, width: float = 1.0) -> Shape:
+    """A flat, open square of n x n points in the plane z = 0."""
+    x, y = np.meshgrid(np.linspace(0, width, n), np.linspace(0, width, n), indexing="ij")
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(n * n)], axis=1)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + n, corner + n + 1], axis=1),
+            np.stack([corner, corner + n + 1, corner + 1], axis=1),
+        ]
+    )
+    return Shape(points, faces, name="grid")
+
+
+def blob_shape(subdivisions: int = 3) -> Shape:
+    """A smooth closed surface without any symmetry, so that no eigenvalue is repeated."""
+    sphere = sphere_shape(subdivisions)
+    x, y, z = sphere.points.T
+    radius = 1 + 0.25 * x * y + 0.2 * np.sin(2 * z + 0.4) + 0.15 * np.cos(3 * x + y + 0.7) + 0.1 * np.sin(2 * x - z)
+    points = sphere.points * radius[:, None] * np.array([1.0, 1.4, 0.8])
+    return Shape(points, sphere.faces, name="blob")
+
+
+def joined(shapes: list[Shape]) -> Shape:
+    """Several meshes as one."""
+    offsets = np.cumsum([0, *(shape.n_points for shape in shapes)])
+    faces = [shape.faces + offset for shape, offset in zip(shapes, offsets, strict=False)]
+    return Shape(np.concatenate([shape.points for shape in shapes]), np.concatenate(faces), name="several")
+
+
+def relabelled(shape: Shape, order: np.ndarray) -> Shape:
+    """The same surface with its points in another order: new point i is old point ``order[i]``."""
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    return Shape(shape.points[order], None if shape.faces is None else place[shape.faces], name=shape.name)
+
+
+def random_rotation(seed: int) -> np.ndarray:
+    """A proper rotation (3, 3)."""
+    q, r = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+@dataclass(frozen=True)
+class Makers:
+    """The functions above, for tests to make shapes with."""
+
+    sphere: Callable[..., Shape] = sphere_shape
+    grid: Callable[..., Shape] = grid_shape
+    blob: Callable[..., Shape] = blob_shape
+    joined: Callable[..., Shape] = joined
+    relabelled: Callable[..., Shape] = relabelled
+    rotation: Callable[[int], np.ndarray] = random_rotation
+
+
+@pytest.fixture(scope="session")
+def make() -> Makers:
+    """Makers of small shapes."""
+    return Makers()
+
+
+@dataclass(frozen=True)
+class DemoPair:
+    """The two bundled bodies, with the common points of their true correspondence."""
+
+    amber: Shape
+    boris: Shape
+    amber_points: np.ndarray
+    boris_points: np.ndarray
+
+
+@pytest.fixture(scope="session")
+def demo_folder() -> Path:
+    """The bundled data: ``off/NAME.off`` and ``corres/NAME.vts``."""
+    return Path(homolog.__file__).parent / "demo_data"
+
+
+@pytest.fixture(scope="session")
+def demo(demo_folder: Path) -> DemoPair:
+    """The two bundled bodies."""
+    shapes = [read_shape(demo_folder / "off" / f"{name}.off") for name in ("amber", "boris")]
+    common = [np.loadtxt(demo_folder / "corres" / f"{name}.vts", dtype=int) - 1 for name in ("amber", "boris")]
+    return DemoPair(*shapes, *common)
+
+
+@pytest.fixture(scope="session")
+def demo_operators(demo: DemoPair) -> tuple[Operators, Operators]:
+    """The operators of both bundled bodies, with 60 eigenpairs."""
+    wanted = OperatorSettings(n_eigenpairs=60)
+    return compute_operators(demo.amber, settings=wanted), compute_operators(demo.boris, settings=wanted)
+
+
+@pytest.fixture(scope="session")
+def reference() -> Path:
+    """The folder of reference numbers: ``HOMOLOG_REFERENCE``, or ``../shared/reference`` beside the checkout."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "reference"
+    folder = Path(os.environ.get("HOMOLOG_REFERENCE", beside))
+    if not (folder / "faust_080_091.npz").is_file():
+        pytest.skip(f"no reference numbers at {folder}; set HOMOLOG_REFERENCE")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def faust(reference: Path) -> dict[str, np.ndarray]:
+    """The published code's numbers for one pair of FAUST_r."""
+    with np.load(reference / "faust_080_091.npz") as stored:
+        return {name: stored[name] for name in stored.files}
+
+
+@pytest.fixture(scope="session")
+def stored_operators(faust: dict[str, np.ndarray]) -> Callable[[str], Operators]:
+    """Operators as the published code used them: ``stored_operators("x_mesh")``."""
+
+    def build(which: str) -> Operators:
+        n = len(faust[f"{which}_mass"])
+
+        def matrix(name: str) -> torch.Tensor:
+            rows, columns = faust[f"{which}_{name}_ij"]
+            whole = sparse.csr_matrix((faust[f"{which}_{name}_v"], (rows, columns)), shape=(n, n))
+            return compressed_rows(*(torch.from_numpy(part) for part in (whole.indptr, whole.indices, whole.data)))
+
+        return Operators(
+            points=torch.from_numpy(faust[f"{which[0]}_vertices"]),
+            mass=torch.from_numpy(faust[f"{which}_mass"]),
+            eigenvalues=torch.from_numpy(faust[f"{which}_evals"]),
+            eigenvectors=torch.from_numpy(faust[f"{which}_evecs"]),
+            laplacian=matrix("laplacian"),
+            gradient_x=matrix("gradX"),
+            gradient_y=matrix("gradY"),
+            centre=torch.zeros(3, dtype=torch.float64),
+            length=1.0,
+            method="stored",
+        )
+
+    return build

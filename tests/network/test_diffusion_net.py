@@ -1,0 +1,185 @@
+"""DiffusionNet: its symmetries, its gradients, and the numbers of the published code."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from homolog.errors import ArgumentError
+from homolog.geometry import Operators, OperatorSettings, compute_operators
+from homolog.geometry.operators import compressed_rows
+from homolog.network import DiffusionNet, NetworkSettings, diffuse, load_weights
+from homolog.network.diffusion_net import DiffusionBlock
+
+SMALL = NetworkSettings(width=16, out_channels=8, blocks=2, dropout=0.5)
+WANTED = OperatorSettings(n_eigenpairs=24)
+
+
+def network_of(settings: NetworkSettings = SMALL, seed: int = 0) -> DiffusionNet:
+    """A network of random weights that uses all of its parts, with times at which heat has spread somewhat."""
+    torch.manual_seed(seed)
+    network = DiffusionNet(settings)
+    with torch.no_grad():
+        for block in network.blocks:
+            block.times.uniform_(0, 0.1)
+            block.real.weight.mul_(0.5)
+    return network.eval()
+
+
+@pytest.fixture(scope="module")
+def operators(make) -> Operators:
+    return compute_operators(make.blob(2), settings=WANTED)
+
+
+def turned(operators: Operators, angles: Tensor) -> Operators:
+    """The same shape with each point's tangent frame turned by an angle of its own."""
+    rows = torch.repeat_interleave(torch.arange(operators.n_points), operators.gradient_x.crow_indices().diff())
+    x, y = operators.gradient_x.values(), operators.gradient_y.values()
+    cosine, sine = angles.cos()[rows], angles.sin()[rows]
+    pattern = operators.gradient_x.crow_indices(), operators.gradient_x.col_indices()
+    return replace(
+        operators,
+        gradient_x=compressed_rows(*pattern, cosine * x + sine * y),
+        gradient_y=compressed_rows(*pattern, cosine * y - sine * x),
+    )
+
+
+def in_double(operators: Operators) -> Operators:
+    values = {f.name: getattr(operators, f.name) for f in fields(operators)}
+    return Operators(**{k: v.double() if isinstance(v, Tensor) else v for k, v in values.items()})
+
+
+def slow_block(block: DiffusionBlock, hidden: Tensor, operators: Operators) -> Tensor:
+    """Equations of the paper, channel by channel and with complex numbers."""
+    phi, mass = operators.eigenvectors.double(), operators.mass.double()
+    hidden = hidden.double()
+    diffused = torch.zeros_like(hidden)
+    for channel, time in enumerate(block.times.double()):
+        heat = phi @ torch.diag(torch.exp(-operators.eigenvalues.double() * time.clamp(min=1e-8))) @ phi.T
+        diffused[:, channel] = heat @ (mass * hidden[:, channel])
+    x = operators.gradient_x.to_dense().double() @ diffused
+    y = operators.gradient_y.to_dense().double() @ diffused
+    gradient = torch.complex(x, y)
+    mixed = gradient @ torch.complex(block.real.weight.double(), block.imaginary.weight.double()).T
+    features = torch.tanh((gradient.conj() * mixed).real)
+    out = torch.cat([hidden, diffused, features], dim=1)
+    for i, layer in enumerate(block.perceptron):
+        out = (torch.relu(out) if i else out) @ layer.weight.double().T + layer.bias.double()
+    return hidden + out
+
+
+def test_a_block_equals_the_paper_s_equations(operators: Operators) -> None:
+    block = network_of().blocks[0]
+    hidden = torch.randn(operators.n_points, 16, generator=torch.Generator().manual_seed(1))
+    expected = slow_block(block, hidden, operators)
+    torch.testing.assert_close(block(hidden, operators).double(), expected, atol=1e-3, rtol=1e-3)
+
+
+def test_turning_every_tangent_frame_changes_nothing(operators: Operators) -> None:
+    angles = 2 * torch.pi * torch.rand(operators.n_points, generator=torch.Generator().manual_seed(2))
+    network = network_of()
+    before, after = (network(operators.points, ops) for ops in (operators, turned(operators, angles)))
+    torch.testing.assert_close(after, before, atol=1e-4, rtol=1e-4)
+
+
+def test_the_published_order_does_depend_on_the_frames(operators: Operators) -> None:
+    angles = 2 * torch.pi * torch.rand(operators.n_points, generator=torch.Generator().manual_seed(2))
+    network = network_of(replace(SMALL, gradient_product="published"))
+    before, after = (network(operators.points, ops) for ops in (operators, turned(operators, angles)))
+    assert (after - before).abs().max() > 0.01
+
+
+@pytest.mark.parametrize("modality", ["mesh", "cloud"])
+def test_relabelling_the_points_relabels_the_features(modality: str, make) -> None:
+    blob = make.blob(2)
+    order = np.random.default_rng(0).permutation(blob.n_points)
+    shapes = [blob, make.relabelled(blob, order)]
+    if modality == "cloud":
+        shapes = [shape.as_cloud() for shape in shapes]
+    network = network_of()
+    first, second = (network(ops.points, ops) for ops in (compute_operators(s, settings=WANTED) for s in shapes))
+    assert first.std(dim=0).min() > 0.01
+    torch.testing.assert_close(second, first[order], atol=2e-3, rtol=2e-3)
+
+
+def test_features_hardly_depend_on_the_resolution(make) -> None:
+    coarse, fine = make.blob(3), make.blob(4)
+    np.testing.assert_allclose(fine.points[: coarse.n_points], coarse.points, atol=1e-12)
+    network = network_of()
+    operators = [compute_operators(shape, settings=WANTED) for shape in (coarse, fine)]
+    # One frame for both, so that the inputs at the shared points are the same.
+    points = [(torch.from_numpy(s.points - coarse.points.mean(0)) / operators[0].length).float() for s in (coarse, fine)]
+    few, many = (network(p, ops) for p, ops in zip(points, operators, strict=True))
+    shared = many[: coarse.n_points]
+    assert (shared - few).norm() < 0.05 * (few - few.mean(dim=0)).norm()
+
+
+def test_diffusion_smooths_for_each_channel_s_time(operators: Operators) -> None:
+    values = torch.randn(operators.n_points, 4, generator=torch.Generator().manual_seed(0))
+    out = diffuse(values, torch.tensor([0.0, -3.0, 0.01, 1e4]), operators)
+    inside = operators.eigenvectors @ operators.coefficients(values)
+    torch.testing.assert_close(out[:, :2], inside[:, :2], atol=1e-4, rtol=1e-4)  # no time, and none below zero
+    decay = torch.exp(-0.01 * operators.eigenvalues)
+    torch.testing.assert_close(
+        operators.coefficients(out)[:, 2], decay * operators.coefficients(values)[:, 2], atol=1e-4, rtol=1e-4
+    )
+    mean = (operators.mass @ values[:, 3]) / operators.mass.sum()
+    torch.testing.assert_close(out[:, 3], mean.expand(operators.n_points), atol=1e-4, rtol=1e-4)
+
+
+def test_the_published_architecture_has_its_number_of_parameters() -> None:
+    assert sum(parameter.numel() for parameter in DiffusionNet().parameters()) == 477_824
+
+
+def test_dropout_acts_in_training_alone(operators: Operators) -> None:
+    network = network_of()
+    torch.testing.assert_close(
+        network(operators.points, operators), network(operators.points, operators), atol=0, rtol=0
+    )
+    network.train()
+    torch.manual_seed(5)
+    first, second = network(operators.points, operators), network(operators.points, operators)
+    assert (first - second).abs().max() > 0.01
+    undropped = network_of(replace(SMALL, dropout=0.0)).train()
+    torch.testing.assert_close(
+        undropped(operators.points, operators), network_of()(operators.points, operators), atol=1e-6, rtol=0
+    )
+
+
+@pytest.mark.parametrize("product", ["equivariant", "published"])
+def test_gradients_of_a_block_are_right(product: str, make) -> None:
+    operators = in_double(compute_operators(make.sphere(0), settings=OperatorSettings(n_eigenpairs=5)))
+    settings = NetworkSettings(width=3, dropout=0.0, gradient_product=product)
+    torch.manual_seed(0)
+    block = DiffusionBlock(settings).double()
+    parameters = {name: value.detach().clone() for name, value in block.named_parameters()}
+    parameters["times"] = torch.tensor([0.02, 0.1, 0.3], dtype=torch.float64)
+    names = list(parameters)
+
+    def run(hidden: Tensor, *values: Tensor) -> Tensor:
+        return torch.func.functional_call(block, dict(zip(names, values, strict=True)), (hidden, operators))
+
+    inputs = [torch.randn(12, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), *parameters.values()]
+    assert torch.autograd.gradcheck(run, [value.requires_grad_() for value in inputs], eps=1e-6, atol=1e-6)
+
+
+def test_an_unknown_gradient_product_is_refused() -> None:
+    with pytest.raises(ArgumentError, match="did you mean 'equivariant'"):
+        DiffusionNet(NetworkSettings(gradient_product="equivarient"))
+
+
+@pytest.mark.reference
+@pytest.mark.parametrize("which", ["x_mesh", "y_mesh", "x_cloud", "y_cloud"])
+def test_features_are_those_of_the_published_code(which: str, reference, faust, stored_operators) -> None:
+    network, info = load_weights(reference / "surreal.pth")
+    assert network.settings == NetworkSettings(gradient_product="published") and info.name == "surreal"
+    operators = stored_operators(which)
+    with torch.inference_mode():
+        found = network(operators.points, operators).numpy()
+    expected = faust[f"{which}_features"]
+    errors = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
+    assert errors.max() < 1e-4

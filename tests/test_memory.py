@@ -1,0 +1,74 @@
+"""The working-memory bound."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from homolog.errors import ArgumentError
+from homolog.memory import fits, get_working_memory, row_tiles, set_working_memory, working_memory
+
+
+@given(
+    n_rows=st.integers(0, 5000),
+    bytes_per_row=st.floats(0, 1e8),
+    mebibytes=st.floats(1e-6, 1e4),
+)
+def test_tiles_cover_every_row_once_in_order(n_rows: int, bytes_per_row: float, mebibytes: float) -> None:
+    with working_memory(mebibytes):
+        tiles = list(row_tiles(n_rows, bytes_per_row))
+    assert [row for tile in tiles for row in range(tile.start, tile.stop)] == list(range(n_rows))
+    assert all(tile.stop > tile.start for tile in tiles)
+
+
+@given(n_rows=st.integers(2, 5000), bytes_per_row=st.integers(1, 10**7), mebibytes=st.floats(1e-3, 1e4))
+def test_a_tile_stays_within_the_bound_unless_it_is_a_single_row(
+    n_rows: int, bytes_per_row: int, mebibytes: float
+) -> None:
+    with working_memory(mebibytes):
+        for tile in row_tiles(n_rows, bytes_per_row):
+            height = tile.stop - tile.start
+            assert height == 1 or height * bytes_per_row <= mebibytes * 2**20
+
+
+def test_tiles_stay_small_where_much_memory_is_allowed() -> None:
+    with working_memory(10_000):
+        first = next(row_tiles(10**6, bytes_per_row=4 * 1000))
+    assert (first.stop - first.start) * 4000 <= 4 * 2**20
+
+
+def test_long_rows_still_come_in_sixteens_where_they_fit() -> None:
+    with working_memory(1024):
+        assert next(row_tiles(100, bytes_per_row=2**22)) == slice(0, 16)
+
+
+def test_fits_compares_with_the_bound_in_mebibytes() -> None:
+    with working_memory(2):
+        assert fits(2 * 2**20)
+        assert not fits(2 * 2**20 + 1)
+
+
+def test_the_bound_returns_after_a_block_even_when_it_fails() -> None:
+    before = get_working_memory()
+    with pytest.raises(RuntimeError), working_memory(3):
+        assert get_working_memory() == 3
+        raise RuntimeError
+    assert get_working_memory() == before
+
+
+def test_setting_the_bound_lasts() -> None:
+    before = get_working_memory()
+    try:
+        set_working_memory(17)
+        assert get_working_memory() == 17
+    finally:
+        set_working_memory(before)
+
+
+@pytest.mark.parametrize("value", [0, -1, float("nan")])
+def test_a_bound_that_is_not_positive_is_refused_and_changes_nothing(value: float) -> None:
+    before = get_working_memory()
+    with pytest.raises(ArgumentError, match="working memory"):
+        set_working_memory(value)
+    assert get_working_memory() == before
