@@ -25,8 +25,9 @@ def network_of(settings: NetworkSettings = SMALL, seed: int = 0) -> DiffusionNet
     network = DiffusionNet(settings)
     with torch.no_grad():
         for block in network.blocks:
-            block.times.uniform_(0, 0.1)
-            block.real.weight.mul_(0.5)
+            block.times.uniform_(0, 0.05)
+            block.real.weight.mul_(3)
+            block.imaginary.weight.mul_(3)
     return network.eval()
 
 

@@ -317,7 +317,7 @@ class Matcher:
     ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
         c_st, c_ts = self._solved_maps(source, target, AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION)
         phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
-        return zoom_out(c_st, phi_s, phi_t), zoom_out(c_ts, phi_t, phi_s)
+        return zoom_out(c_st, phi_s, phi_t, step=10), zoom_out(c_ts, phi_t, phi_s, step=10)
 
     def _maps_by_features(
         self, source: Float[Tensor, "n_s d"], target: Float[Tensor, "n_t d"], *, partial: bool

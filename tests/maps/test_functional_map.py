@@ -1,0 +1,266 @@
+"""Functional maps against slow references, and what their directions mean."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from homolog.errors import ArgumentError
+from homolog.geometry import Operators, OperatorSettings, compute_operators
+from homolog.maps import (
+    functional_map,
+    functional_map_from_point_map,
+    point_map_from_functional_map,
+    resolvent_mask,
+    zoom_out,
+)
+from homolog.shapes import Shape
+
+
+def random(*shape: int, seed: int = 0, dtype: torch.dtype = torch.float64) -> Tensor:
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=dtype)
+
+
+def slow_functional_map(a: Tensor, b: Tensor, mask: Tensor, regularisation: float) -> np.ndarray:
+    """Row by row, as an ordinary least-squares problem without normal equations."""
+    a, b, mask = (tensor.double().numpy() for tensor in (a, b, mask))
+    rows = []
+    for row in range(len(b)):
+        system = np.vstack([a.T, np.diag(np.sqrt(regularisation * mask[row]))])
+        wanted = np.concatenate([b[row], np.zeros(len(a))])
+        rows.append(np.linalg.lstsq(system, wanted, rcond=None)[0])
+    return np.stack(rows)
+
+
+def slow_mask(x: np.ndarray, y: np.ndarray, gamma: float) -> np.ndarray:
+    """|R(lambda_y) - R(lambda_x)|^2 with the resolvent R(l) = 1 / (l^gamma - i), entry by entry, in complex numbers."""
+    largest = max(x.max(), y.max())
+    mask = np.zeros((len(y), len(x)))
+    for i in range(len(y)):
+        for j in range(len(x)):
+            one, other = 1 / ((y[i] / largest) ** gamma - 1j), 1 / ((x[j] / largest) ** gamma - 1j)
+            mask[i, j] = abs(one - other) ** 2
+    return mask
+
+
+@pytest.fixture(scope="module")
+def eigenvalues() -> tuple[Tensor, Tensor]:
+    x = torch.cat([torch.zeros(1), random(11).abs().float().cumsum(0) * 20])
+    y = torch.cat([torch.zeros(1), random(8, seed=1).abs().float().cumsum(0) * 30])
+    return x, y
+
+
+@pytest.mark.parametrize("gamma", [0.5, 1.0])
+def test_the_mask_is_the_distance_of_resolvents(gamma: float, eigenvalues) -> None:
+    x, y = eigenvalues
+    mask = resolvent_mask(x, y, gamma=gamma)
+    assert mask.shape == (9, 12)
+    np.testing.assert_allclose(mask, slow_mask(x.double().numpy(), y.double().numpy(), gamma), atol=1e-6)
+
+
+def test_the_mask_has_symmetric_roles_no_scale_and_a_zero_for_equal_values(eigenvalues) -> None:
+    x, y = eigenvalues
+    mask = resolvent_mask(x, y)
+    torch.testing.assert_close(resolvent_mask(y, x), mask.T, atol=0, rtol=0)
+    torch.testing.assert_close(resolvent_mask(1000 * x, 1000 * y), mask, atol=1e-6, rtol=1e-5)
+    assert (resolvent_mask(x, x).diagonal() == 0).all()
+    assert (mask >= 0).all() and mask[0, 0] == 0
+    # Rounding below zero counts as zero.
+    torch.testing.assert_close(resolvent_mask(torch.tensor([-1e-9, 5.0]), y[:3])[:, 0], resolvent_mask(x, y[:3])[:, 0] * 0 + resolvent_mask(torch.tensor([0.0, 5.0]), y[:3])[:, 0])  # noqa: E501
+
+
+@pytest.mark.parametrize("regularisation", [0.0, 1e-3, 1.0, 100.0])
+def test_the_map_equals_least_squares_row_by_row(regularisation: float, eigenvalues) -> None:
+    a, b, mask = random(12, 30), random(9, 30, seed=1), resolvent_mask(*eigenvalues).double()
+    found = functional_map(a, b, mask, regularisation=regularisation)
+    np.testing.assert_allclose(found, slow_functional_map(a, b, mask, regularisation), rtol=1e-7, atol=1e-9)
+
+
+def test_single_precision_features_give_the_same_map(eigenvalues) -> None:
+    a, b, mask = random(12, 30).float(), random(9, 30, seed=1).float(), resolvent_mask(*eigenvalues)
+    found = functional_map(a, b, mask)
+    assert found.dtype == torch.float32
+    np.testing.assert_allclose(found, slow_functional_map(a, b, mask, 100.0), rtol=1e-4, atol=1e-5)
+    arrays = functional_map(a.numpy(), b.numpy(), mask.numpy())
+    assert isinstance(arrays, np.ndarray)
+    np.testing.assert_array_equal(arrays, found)
+
+
+def test_a_batch_equals_a_loop() -> None:
+    a, b = random(2, 3, 7, 20), random(2, 3, 5, 20, seed=1)
+    x, y = random(2, 3, 7, seed=2).abs(), random(2, 3, 5, seed=3).abs()
+    masks = resolvent_mask(x, y)
+    found = functional_map(a, b, masks, regularisation=3.0)
+    assert masks.shape == found.shape == (2, 3, 5, 7)
+    for i in range(2):
+        for j in range(3):
+            torch.testing.assert_close(masks[i, j], resolvent_mask(x[i, j], y[i, j]))
+            torch.testing.assert_close(found[i, j], functional_map(a[i, j], b[i, j], masks[i, j], regularisation=3.0))
+
+
+def test_gradients_are_right() -> None:
+    a, b, mask = random(4, 6), random(3, 6, seed=1), random(3, 4, seed=2).abs()
+    inputs = [tensor.requires_grad_() for tensor in (a, b, mask)]
+    assert torch.autograd.gradcheck(lambda a, b, m: functional_map(a, b, m, regularisation=0.7), inputs)
+
+
+def test_equal_features_give_the_identity() -> None:
+    a = random(10, 40)
+    values = torch.linspace(0, 50, 10, dtype=torch.float64)
+    identity = torch.eye(10, dtype=torch.float64)
+    torch.testing.assert_close(functional_map(a, a, resolvent_mask(values, values), regularisation=1e-9), identity)
+    # The mask does not weigh on the diagonal, so that no strength of it can change an identity.
+    torch.testing.assert_close(functional_map(a, a, resolvent_mask(values, values), regularisation=100.0), identity)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_an_undetermined_map_is_refused(seed: int) -> None:
+    k = 5 + 2 * seed
+    a, b = random(k, k - 1, seed=seed).float(), random(k, k - 1, seed=seed + 1).float()
+    with pytest.raises(ArgumentError, match="larger regularisation"):
+        functional_map(a, b, torch.ones(k, k), regularisation=0.0)
+
+
+def test_features_without_content_or_not_finite_are_refused() -> None:
+    broken = random(4, 9)
+    broken[1, 2] = torch.nan
+    for a in (torch.zeros(4, 9, dtype=torch.float64), broken):
+        with pytest.raises(ArgumentError):
+            functional_map(a, random(4, 9), torch.ones(4, 4, dtype=torch.float64), regularisation=0.0)
+
+
+# --- directions, on a shape and a relabelled copy: point i of y is point order[i] of x
+
+
+@pytest.fixture(scope="module")
+def copies(make) -> tuple[Operators, Operators, Tensor]:
+    x = make.blob(3)
+    order = np.random.default_rng(3).permutation(x.n_points)
+    settings = OperatorSettings(n_eigenpairs=40)
+    pair = [compute_operators(shape, settings=settings) for shape in (x, make.relabelled(x, order))]
+    return pair[0], pair[1], torch.from_numpy(order)
+
+
+def features(operators: Operators) -> Tensor:
+    """Functions that depend on the place alone."""
+    centres = random(60, 3, dtype=torch.float32) * 0.4
+    return torch.exp(-20 * (operators.points[:, None] - centres).square().sum(dim=2))
+
+
+def test_c_xy_takes_functions_on_x_to_y_and_y_to_x_gives_points_of_x(copies) -> None:
+    x, y, order = copies
+    x, y = x.truncated(30), y.truncated(40)
+    assert torch.equal(y.points, x.points[order])
+    a, b = x.coefficients(features(x)), y.coefficients(features(y))
+    c_xy = functional_map(a, b, resolvent_mask(x.eigenvalues, y.eigenvalues), regularisation=1e-6)
+    assert c_xy.shape == (40, 30)
+    # A smooth function on x, carried over, is the same function on y.
+    wanted = random(30, dtype=torch.float32) * torch.exp(-0.02 * x.eigenvalues)
+    on_x = x.eigenvectors @ wanted
+    on_y = y.eigenvectors @ (c_xy @ wanted)
+    torch.testing.assert_close(on_y, on_x[order], atol=0.01 * float(on_x.abs().max()), rtol=0)
+    y_to_x = point_map_from_functional_map(c_xy, x.eigenvectors, y.eigenvectors)
+    assert y_to_x.shape == order.shape and y_to_x.dtype == torch.int64
+    assert (y_to_x == order).float().mean() > 0.99
+
+
+def test_a_point_map_and_its_functional_map_are_one(copies) -> None:
+    x, y, order = copies
+    c_xy = functional_map_from_point_map(order, x.eigenvectors[:, :25], y.eigenvectors[:, :35], y.mass)
+    assert c_xy.shape == (35, 25)
+    # Pulling back functions of x along y_to_x: (Pi f)(i) = f(order[i]).
+    torch.testing.assert_close(
+        y.eigenvectors[:, :35] @ c_xy, x.eigenvectors[:, :25][order], atol=5e-3, rtol=0
+    )
+    assert torch.equal(point_map_from_functional_map(c_xy, x.eigenvectors, y.eigenvectors), order)
+
+
+def test_the_point_map_is_the_nearest_row_by_brute_force() -> None:
+    x, y, c_xy = random(70, 9), random(50, 12, seed=1), random(7, 5, seed=2)
+    carried = x[:, :5].numpy() @ c_xy.numpy().T
+    expected = [np.argmin(((carried - row) ** 2).sum(axis=1)) for row in y[:, :7].numpy()]
+    np.testing.assert_array_equal(point_map_from_functional_map(c_xy, x, y), expected)
+
+
+@pytest.mark.parametrize(("step", "largest", "size"), [(5, None, 40), (1, None, 40), (7, 33, 33), (5, 99, 40)])
+def test_zoom_out_recovers_a_copy_from_a_coarse_start(step: int, largest: int | None, size: int, copies) -> None:
+    x, y, order = copies
+    start = functional_map_from_point_map(order, x.eigenvectors[:, :8], y.eigenvectors[:, :8], y.mass)
+    start = start + 0.1 * random(8, 8, seed=4, dtype=torch.float32)
+    before = point_map_from_functional_map(start, x.eigenvectors, y.eigenvectors)
+    refined = zoom_out(start, x.eigenvectors, y.eigenvectors, step=step, largest=largest)
+    assert refined.shape == (size, size)
+    after = point_map_from_functional_map(refined, x.eigenvectors, y.eigenvectors)
+    assert (before == order).float().mean() < 0.5
+    assert (after == order).float().mean() > 0.99
+
+
+def test_zoom_out_of_a_map_that_is_large_enough_is_the_map_itself(copies) -> None:
+    x, y, _ = copies
+    start = random(12, 12, dtype=torch.float32)
+    assert torch.equal(zoom_out(start, x.eigenvectors, y.eigenvectors, largest=12), start)
+
+
+def test_zoom_out_between_different_bodies_improves_the_map(demo, demo_operators) -> None:
+    amber, boris = demo_operators
+    amber_of_boris = np.full(demo.boris.n_points, -1)
+    amber_of_boris[demo.boris_points] = demo.amber_points
+    known = torch.from_numpy(np.flatnonzero(amber_of_boris >= 0))
+    truth = torch.from_numpy(amber_of_boris)[known]
+    # The least-squares map of the known points, in few functions.
+    start = torch.linalg.lstsq(boris.eigenvectors[known, :10], amber.eigenvectors[truth, :10]).solution
+    refined = zoom_out(start, amber.eigenvectors, boris.eigenvectors)
+    errors = []
+    for c_xy in (start, refined):
+        y_to_x = point_map_from_functional_map(c_xy, amber.eigenvectors, boris.eigenvectors)
+        errors.append(float((amber.points[y_to_x[known]] - amber.points[truth]).norm(dim=1).mean()))
+    assert errors[1] < 0.06 and errors[1] < 0.7 * errors[0], errors
+
+
+# --- the numbers of the published code
+
+
+@pytest.mark.reference
+def test_maps_between_meshes_are_those_of_the_published_code(faust, stored_operators) -> None:
+    x, y = (stored_operators(f"{side}_mesh").truncated(80) for side in "xy")
+    a, b = (ops.coefficients(torch.from_numpy(faust[f"{s}_mesh_features"])) for s, ops in (("x", x), ("y", y)))
+    mask = resolvent_mask(x.eigenvalues, y.eigenvalues)
+    c_xy, c_yx = functional_map(a, b, mask), functional_map(b, a, mask.T)
+    for found, name in ((c_xy, "Cxy"), (c_yx, "Cyx")):
+        assert np.linalg.norm(found.numpy() - faust[name]) < 1e-3 * np.linalg.norm(faust[name])
+    y_to_x = point_map_from_functional_map(c_xy, x.eigenvectors, y.eigenvectors).numpy()
+    assert (y_to_x == faust["mesh_p2p_y_to_x"]).mean() >= 0.999
+
+
+@pytest.mark.reference
+def test_operators_from_the_same_mesh_are_near_those_of_the_published_code(faust, stored_operators) -> None:
+    stored = stored_operators("x_mesh")
+    own = compute_operators(Shape(faust["x_vertices"], faust["x_faces"]), length=1.0)
+    torch.testing.assert_close(own.eigenvalues[1:], stored.eigenvalues[1:], rtol=1e-3, atol=0)
+    torch.testing.assert_close(own.mass, stored.mass, rtol=1e-2, atol=1e-8)
+    values = stored.points
+    sizes = [torch.hypot(ops.gradient_x @ values, ops.gradient_y @ values) for ops in (own, stored)]
+    torch.testing.assert_close(*sizes, atol=2e-3, rtol=0)
+
+
+@pytest.fixture(scope="module")
+def david(reference) -> dict[str, Tensor]:
+    with np.load(reference / "cuts_david.npz") as stored:
+        return {name: torch.from_numpy(stored[name]) for name in stored.files}
+
+
+@pytest.mark.reference
+def test_maps_with_a_partial_shape_are_those_of_the_published_code(david) -> None:
+    complete, partial = (
+        david[f"{side}_evecs"].T @ (david[f"{side}_mass"][:, None] * david[f"{side}_features"])
+        for side in ("complete", "partial")
+    )
+    mask = resolvent_mask(david["complete_evals"], david["partial_evals"])
+    pairs = (
+        (functional_map(complete, partial, mask), david["C_complete_partial"]),
+        (functional_map(partial, complete, mask.T), david["C_partial_complete"]),
+    )
+    for found, expected in pairs:
+        assert (found - expected).norm() < 1e-3 * expected.norm()
