@@ -10,6 +10,12 @@ Meshes and point clouds, whole or partial, in any mix::
     found.source_to_target  # for each source point the index of its target point
 """
 
+import os
+
+# Idle threads that spin make small matrix products many times slower on a machine with other work. OpenMP reads this
+# once, when PyTorch is first imported; whoever has chosen otherwise, or imported PyTorch before, is left alone.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
 from homolog.errors import HomologError
 from homolog.geometry import OperatorCache, Operators, compute_operators
 from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches

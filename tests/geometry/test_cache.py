@@ -300,10 +300,9 @@ def test_several_processes_may_write_the_same_entry_at_once(tmp_path) -> None:
     ready = tmp_path / "ready"
     ready.mkdir()
     command = [sys.executable, "-c", WORKER, str(tmp_path / "cache"), str(ready)]
-    workers = [
-        subprocess.Popen([*command, str(i)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
-        for i in range(3)
-    ]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    single = {**os.environ, "OMP_NUM_THREADS": "1"}
+    workers = [subprocess.Popen([*command, str(i)], env=single, **pipes) for i in range(3)]
     results = [worker.communicate(timeout=300) for worker in workers]
     assert [worker.returncode for worker in workers] == [0, 0, 0], results
     assert len({line for printed, _ in results for line in printed.split()}) == 1

@@ -75,7 +75,7 @@ def test_only_far_pairs_are_searched_again_with_the_horizon_doubled(graph, monke
 
 def test_points_on_different_pieces_are_infinitely_far(make) -> None:
     one = make.sphere(1)
-    both = make.joined([one, type(one)(one.points + [5, 0, 0], one.faces)])
+    both = make.joined([one, type(one)(one.points + np.array([5, 0, 0]), one.faces)])
     graph = edge_graph(both.points, both.faces)
     distances = pair_distances(graph, np.array([0, 3, 50, 0]), np.array([42, 60, 1, 1]))
     assert np.isinf(distances[:3]).all() and np.isfinite(distances[3])

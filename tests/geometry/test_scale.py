@@ -19,7 +19,10 @@ def clouds(demo) -> dict[str, tuple[np.ndarray, float]]:
     shapes = {"amber": demo.amber, "boris": demo.boris}
     sphere = np.random.default_rng(7).standard_normal((5000, 3))
     sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
-    return {**{name: (shape.points, surface_area(shape)) for name, shape in shapes.items()}, "sphere": (sphere, 4 * np.pi)}
+    return {
+        **{name: (shape.points, surface_area(shape)) for name, shape in shapes.items()},
+        "sphere": (sphere, 4 * np.pi),
+    }
 
 
 def test_the_area_of_known_meshes(make) -> None:
@@ -99,4 +102,3 @@ def test_the_order_of_the_points_does_not_matter(clouds) -> None:
     points = points[:1900]  # all of them are counted
     shuffled = np.random.default_rng(0).permutation(points)
     assert cloud_area(shuffled) == pytest.approx(cloud_area(points), rel=1e-9)
-

@@ -48,7 +48,7 @@ def apart(make, count: int, subdivisions: int, *, growth: float = 0.0):
     shapes = []
     for i in range(count):
         sphere = make.sphere(subdivisions, radius=1 + growth * i)
-        shapes.append(type(sphere)(sphere.points + [4.0 * i, 0, 0], sphere.faces))
+        shapes.append(type(sphere)(sphere.points + np.array([4.0 * i, 0, 0]), sphere.faces))
     return make.joined(shapes)
 
 

@@ -68,7 +68,8 @@ def test_the_mask_has_symmetric_roles_no_scale_and_a_zero_for_equal_values(eigen
     assert (resolvent_mask(x, x).diagonal() == 0).all()
     assert (mask >= 0).all() and mask[0, 0] == 0
     # Rounding below zero counts as zero.
-    torch.testing.assert_close(resolvent_mask(torch.tensor([-1e-9, 5.0]), y[:3])[:, 0], resolvent_mask(x, y[:3])[:, 0] * 0 + resolvent_mask(torch.tensor([0.0, 5.0]), y[:3])[:, 0])  # noqa: E501
+    below, zero = (resolvent_mask(torch.tensor([value, 5.0]), y) for value in (-1e-9, 0.0))
+    assert torch.equal(below, zero)
 
 
 @pytest.mark.parametrize("regularisation", [0.0, 1e-3, 1.0, 100.0])
@@ -153,7 +154,9 @@ def test_c_xy_takes_functions_on_x_to_y_and_y_to_x_gives_points_of_x(copies) -> 
     x, y, order = copies
     x, y = x.truncated(30), y.truncated(40)
     assert torch.equal(y.points, x.points[order])
-    a, b = x.coefficients(features(x)), y.coefficients(features(y))
+    # Features without any part outside the basis of x; else C would also explain that part, by chance.
+    on_x = x.eigenvectors @ x.coefficients(features(x))
+    a, b = x.coefficients(on_x), y.coefficients(on_x[order])
     c_xy = functional_map(a, b, resolvent_mask(x.eigenvalues, y.eigenvalues), regularisation=1e-6)
     assert c_xy.shape == (40, 30)
     # A smooth function on x, carried over, is the same function on y.
@@ -171,16 +174,15 @@ def test_a_point_map_and_its_functional_map_are_one(copies) -> None:
     c_xy = functional_map_from_point_map(order, x.eigenvectors[:, :25], y.eigenvectors[:, :35], y.mass)
     assert c_xy.shape == (35, 25)
     # Pulling back functions of x along y_to_x: (Pi f)(i) = f(order[i]).
-    torch.testing.assert_close(
-        y.eigenvectors[:, :35] @ c_xy, x.eigenvectors[:, :25][order], atol=5e-3, rtol=0
-    )
+    torch.testing.assert_close(y.eigenvectors[:, :35] @ c_xy, x.eigenvectors[:, :25][order], atol=5e-3, rtol=0)
     assert torch.equal(point_map_from_functional_map(c_xy, x.eigenvectors, y.eigenvectors), order)
 
 
-def test_the_point_map_is_the_nearest_row_by_brute_force() -> None:
-    x, y, c_xy = random(70, 9), random(50, 12, seed=1), random(7, 5, seed=2)
-    carried = x[:, :5].numpy() @ c_xy.numpy().T
-    expected = [np.argmin(((carried - row) ** 2).sum(axis=1)) for row in y[:, :7].numpy()]
+@pytest.mark.parametrize(("k_y", "k_x"), [(7, 5), (4, 8), (6, 6)])
+def test_the_point_map_is_the_nearest_row_by_brute_force(k_y: int, k_x: int) -> None:
+    x, y, c_xy = random(70, 9), random(50, 12, seed=1), random(k_y, k_x, seed=2)
+    carried = x[:, :k_x].numpy() @ c_xy.numpy().T
+    expected = [np.argmin(((carried - row) ** 2).sum(axis=1)) for row in y[:, :k_y].numpy()]
     np.testing.assert_array_equal(point_map_from_functional_map(c_xy, x, y), expected)
 
 
@@ -195,6 +197,8 @@ def test_zoom_out_recovers_a_copy_from_a_coarse_start(step: int, largest: int | 
     after = point_map_from_functional_map(refined, x.eigenvectors, y.eigenvectors)
     assert (before == order).float().mean() < 0.5
     assert (after == order).float().mean() > 0.99
+    true = functional_map_from_point_map(order, x.eigenvectors[:, :size], y.eigenvectors[:, :size], y.mass)
+    assert (refined - true).norm() < 0.05 * true.norm()
 
 
 def test_zoom_out_of_a_map_that_is_large_enough_is_the_map_itself(copies) -> None:
@@ -235,14 +239,20 @@ def test_maps_between_meshes_are_those_of_the_published_code(faust, stored_opera
 
 
 @pytest.mark.reference
-def test_operators_from_the_same_mesh_are_near_those_of_the_published_code(faust, stored_operators) -> None:
-    stored = stored_operators("x_mesh")
-    own = compute_operators(Shape(faust["x_vertices"], faust["x_faces"]), length=1.0)
-    torch.testing.assert_close(own.eigenvalues[1:], stored.eigenvalues[1:], rtol=1e-3, atol=0)
-    torch.testing.assert_close(own.mass, stored.mass, rtol=1e-2, atol=1e-8)
-    values = stored.points
+@pytest.mark.parametrize("which", ["x_mesh", "y_cloud"])
+def test_operators_of_the_same_shape_are_those_of_the_published_code(which: str, faust, stored_operators) -> None:
+    stored, side = stored_operators(which), which[0]
+    shape = Shape(faust[f"{side}_vertices"], faust[f"{side}_faces"] if which == "x_mesh" else None)
+    own = compute_operators(shape, length=1.0, settings=OperatorSettings(laplacian="cotangent"))
+    torch.testing.assert_close(own.mass, stored.mass, rtol=1e-4, atol=0)
+    # Theirs is shifted by some 1e-8 of the Laplacian's size, which shows in the lowest.
+    torch.testing.assert_close(own.eigenvalues, stored.eigenvalues, rtol=1e-4, atol=1e-4)
+    overlap = (own.eigenvectors * stored.eigenvectors * own.mass[:, None]).sum(dim=0).abs()
+    assert (overlap[:80] > 0.999).all()
+    values = torch.cos(20 * stored.points)
     sizes = [torch.hypot(ops.gradient_x @ values, ops.gradient_y @ values) for ops in (own, stored)]
-    torch.testing.assert_close(*sizes, atol=2e-3, rtol=0)
+    # Tangent planes agree but for the clouds' neighbours at equal distances.
+    assert ((sizes[0] - sizes[1]).abs() < 1e-2 * (1 + sizes[1])).float().mean() > 0.999
 
 
 @pytest.fixture(scope="module")

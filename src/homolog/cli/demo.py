@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from homolog.cli.match import Job
-from homolog.cli.options import Quiet, build_matcher, described
+from homolog.cli.options import Quiet, build_matcher, check_folder, described
 from homolog.cli.progress import progress_bar
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import geodesic_errors
@@ -40,6 +40,7 @@ def demo(
     Example:
       homolog demo -o homolog-demo
     """
+    check_folder(output)
     folder = ShapeFolder.open(_DATA)
     files: dict[Side, Path] = {"source": _DATA / "off" / f"{_SOURCE}.off", "target": _DATA / "off" / f"{_TARGET}.off"}
     job = Job(files, {"source": "y", "target": "y"}, build_matcher(None, "auto", "auto", no_cache=True))

@@ -20,6 +20,7 @@ from homolog.cli.options import (
     Verbose,
     Weights,
     build_matcher,
+    check_file,
     described,
     set_verbosity,
 )
@@ -57,6 +58,8 @@ def evaluate(
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
+    if json is not None:
+        check_file(json)
     protocol = Protocol(
         modality=modality, split=split, pairs_file=None if pairs is None else str(pairs), noise=noise, seed=seed
     )

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import sys
+import warnings
 from types import FrameType
-
-# Idle threads must not spin: on a machine with other work that makes small products many times slower. Read once, when
-# the numerical libraries are loaded, hence set before they are imported.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import typer
 
@@ -40,6 +36,9 @@ class _Interrupted(BaseException):
 def main() -> None:
     """Run the command line; a user's mistake is one line on stderr and exit code 2, Ctrl-C is exit code 130."""
     logging.basicConfig(format="%(message)s", level=logging.WARNING)
+    if not sys.warnoptions:
+        # What libraries tell programmers is noise to users; `python -W default -m homolog` shows it.
+        warnings.simplefilter("ignore")
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     try:

@@ -17,6 +17,7 @@ from homolog.cli.options import (
     Verbose,
     Weights,
     build_matcher,
+    check_folder,
     described,
     set_verbosity,
 )
@@ -69,6 +70,7 @@ def match(
       homolog match a.ply b.xyz -o result --method axiomatic
     """
     set_verbosity(quiet=quiet, verbose=verbose)
+    check_folder(output)
     ups: dict[Side, Up] = {"source": source_up or up, "target": target_up or up}
     with progress_bar(quiet=quiet) as progress:
         steps = Steps(listener=_counted(progress, verbose=verbose))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from homolog.errors import ArgumentError
 from homolog.geometry import OperatorCache, compute_operators
 from homolog.matching import Device, Matcher, MatcherSettings, Method
 from homolog.network import find_weights, load_weights
@@ -54,3 +56,18 @@ def set_verbosity(*, quiet: bool, verbose: bool) -> None:
     """Let the library's log through as the options ask."""
     level = logging.ERROR if quiet else logging.INFO if verbose else logging.WARNING
     logging.getLogger("homolog").setLevel(level)
+
+
+def check_folder(output: Path) -> None:
+    """Refuse a result folder that cannot be made, before any work is done for it."""
+    place = output.expanduser()
+    nearest = next(path for path in (place, *place.absolute().parents) if path.exists())
+    if not nearest.is_dir():
+        raise ArgumentError(f"{output} cannot be made a folder, {nearest} is a file; give another -o")
+
+
+def check_file(output: Path) -> None:
+    """Refuse a result file that cannot be written, before any work is done for it."""
+    place = output.expanduser()
+    if place.is_dir() or not place.absolute().parent.is_dir():
+        raise ArgumentError(f"{output} cannot be written; give a file name in a folder that exists")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -67,8 +68,10 @@ class ShapeFolder:
         """
         path = self.root / "corres" / f"{name}.vts"
         try:
-            indices = np.loadtxt(path, dtype=np.int64, ndmin=1)
-        except (OSError, ValueError, OverflowError) as error:
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")  # an empty file, or a number with a fraction
+                indices = np.loadtxt(path, dtype=np.int64, ndmin=1)
+        except (OSError, ValueError, OverflowError, Warning) as error:
             raise DataError(f"{path} must hold a vertex number a line ({error})") from None
         if indices.ndim != 1 or indices.size == 0 or indices.min() < 1:
             raise DataError(f"{path} must hold a vertex number a line, counted from 1")
@@ -86,10 +89,7 @@ class ShapeFolder:
         if split == "all":
             return self.names
         listed = self.root / f"{split}.txt"
-        if listed.is_file():
-            names = tuple(listed.read_text(encoding="utf-8").split())
-            return self._known(names, listed)
-        names = self._split_by_order(split)
+        names = self._listed_names(listed) if listed.is_file() else self._split_by_order(split)
         if not names:
             raise DataError(f"{self.root}: no shapes in split {split!r}; list them in {listed}, or use --split all")
         return names
@@ -111,6 +111,13 @@ class ShapeFolder:
         if not pairs:
             raise DataError(f"{own} lists no pair with both shapes in split {split!r}; use --split all or --pairs FILE")
         return pairs
+
+    def _listed_names(self, listed: Path) -> tuple[str, ...]:
+        try:
+            names = tuple(listed.read_text(encoding="utf-8").split())
+        except (OSError, UnicodeDecodeError):
+            raise DataError(f"{listed} cannot be read as text; it must hold a name a line") from None
+        return self._known(names, listed)
 
     def _split_by_order(self, split: Split) -> tuple[str, ...]:
         if (self.root / "pairs.txt").is_file():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Float
+from scipy.integrate import trapezoid
 
 # The correct-points curve runs from zero to this geodesic error, in units of sqrt(area).
 PCK_THRESHOLD = 0.1
@@ -21,7 +22,7 @@ def pck_curve(
 def area_under_pck(errors: Float[np.ndarray, " p"], *, threshold: float = PCK_THRESHOLD) -> float:
     """Area under the correct-points curve, relative to that of a perfect map: between 0 and 1."""
     thresholds, shares = pck_curve(errors, threshold=threshold)
-    return float(np.trapezoid(shares, thresholds) / threshold)
+    return float(trapezoid(shares, thresholds) / threshold)
 
 
 def least_confident_share(

@@ -86,13 +86,15 @@ class Evaluation:
         errors = self.errors
         confidences = np.concatenate([pair.confidences for pair in self.pairs])
         thresholds, shares = pck_curve(errors)
+        share = least_confident_share(errors, confidences)
         return {
             "mean_geodesic_error": 100 * float(errors.mean()),
             "median_geodesic_error": 100 * float(np.median(errors)),
             "pck_auc": area_under_pck(errors),
             "pck_threshold": PCK_THRESHOLD,
             "pck": {"thresholds": thresholds.tolist(), "shares": shares.tolist()},
-            "least_confident_fifth_error_share": least_confident_share(errors, confidences),
+            # JSON has no NaN, which stands for no error at all.
+            "least_confident_fifth_error_share": share if np.isfinite(share) else None,
             "route": self.route,
             "unmatched_points": self.unmatched_points,
             "pairs": [
@@ -142,6 +144,8 @@ class _Run:
         names = dict.fromkeys(name for pair in pairs for name in pair)
         self.shapes = {name: folder.shape(name) for name in names}
         self.truth = {name: self._common_points(name) for name in names}
+        for pair in pairs:
+            self._check_lines(*pair)
         roles = dict.fromkeys((self._variant(name, role), name, role) for s, t in pairs for name, role in _roles(s, t))
         self.to_prepare = {variant: (name, role) for variant, name, role in roles}
         self.total = len(self.to_prepare) + len(pairs)
@@ -174,6 +178,14 @@ class _Run:
             )
         return points
 
+    def _check_lines(self, source: str, target: str) -> None:
+        n_source, n_target = len(self.truth[source]), len(self.truth[target])
+        if n_source != n_target:
+            raise DataError(
+                f"{source} has {n_source} common points and {target} {n_target}; "
+                "every .vts file of a set must have the same number of lines"
+            )
+
     def _variant(self, name: str, role: Literal["source", "target"]) -> tuple[str, str, bool]:
         """What tells preparations apart: noise makes source and target of one name two different clouds."""
         cloud = self.protocol.is_cloud(role)
@@ -191,11 +203,6 @@ class _Run:
     def _match(self, pair: Pair, prepared: dict[tuple[str, str, bool], Prepared]) -> _Queries:
         source, target = pair
         self._tick(f"{source} - {target}")
-        if len(self.truth[source]) != len(self.truth[target]):
-            raise DataError(
-                f"{source} has {len(self.truth[source])} common points and {target} {len(self.truth[target])}; "
-                "every .vts file of a set must have the same number of lines"
-            )
         found = self.matcher.match_prepared(
             prepared[self._variant(source, "source")], prepared[self._variant(target, "target")]
         )

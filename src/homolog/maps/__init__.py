@@ -9,7 +9,7 @@ from homolog.maps.functional_map import (
     resolvent_mask,
 )
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
-from homolog.maps.refinement import zoom_out
+from homolog.maps.refinement import refined_point_map, zoom_out
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
 
 __all__ = [
@@ -25,6 +25,7 @@ __all__ = [
     "nearest_neighbour",
     "normalised",
     "point_map_from_functional_map",
+    "refined_point_map",
     "resolvent_mask",
     "sinkhorn_matches",
     "smoothed_positions",

@@ -14,6 +14,9 @@ from homolog.arrays import takes_arrays
 from homolog.errors import ArgumentError
 from homolog.maps.nearest import nearest_neighbour
 
+# Of a linear system that still counts as determined, as a share of the diagonal.
+_SMALLEST_PIVOT = 1e-10
+
 
 @takes_arrays
 def resolvent_mask(
@@ -58,9 +61,9 @@ def functional_map(
     gram = a @ a.mT
     systems = gram[..., None, :, :] + torch.diag_embed(regularisation * mask.double())
     factors, failed = torch.linalg.cholesky_ex(systems)
-    # By rounding, a singular matrix can have a last pivot that is a trifle above zero.
+    # By rounding, a singular matrix can have a last pivot above zero, up to some 1e-11 of its diagonal.
     pivots, diagonal = factors.diagonal(dim1=-2, dim2=-1).square(), systems.diagonal(dim1=-2, dim2=-1)
-    singular = pivots <= 10 * gram.shape[-1] * torch.finfo(torch.float64).eps * diagonal
+    singular = pivots <= _SMALLEST_PIVOT * diagonal
     if bool(failed.any() or singular.any()):
         raise ArgumentError(
             "the functional map is not determined: give at least as many independent features as eigenpairs, "

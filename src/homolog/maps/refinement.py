@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.maps.functional_map import point_map_from_functional_map
+from homolog.arrays import takes_arrays
+from homolog.maps.functional_map import functional_map_from_point_map, point_map_from_functional_map
 
 # Points of each shape that take part in the refinement; more change the map little and cost in proportion.
 _SAMPLES = 3000
@@ -39,6 +40,27 @@ def zoom_out(
         y_to_x = point_map_from_functional_map(c_xy, x, y)
         c_xy = _fitted(x[y_to_x, :size], y[:, :size])
     return c_xy
+
+
+@takes_arrays
+def refined_point_map(
+    y_to_x: Int[Tensor, " n_y"],
+    eigenvectors_x: Float[Tensor, "n_x m"],
+    eigenvectors_y: Float[Tensor, "n_y m"],
+    mass_y: Float[Tensor, " n_y"],
+    *,
+    smallest: int = 20,
+    largest: int = 100,
+    step: int = 10,
+) -> Int[Tensor, " n_y"]:
+    """Smooth a point map between complete shapes: its coarse functional map, refined by ``zoom_out``, as a point map.
+
+    Matches of single points scatter; what neighbours agree on survives in the lowest eigenfunctions.
+    """
+    coarse_x, coarse_y = eigenvectors_x[:, :smallest], eigenvectors_y[:, :smallest]
+    c_xy = functional_map_from_point_map(y_to_x, coarse_x, coarse_y, mass_y)
+    c_xy = zoom_out(c_xy, eigenvectors_x, eigenvectors_y, step=step, largest=largest)
+    return point_map_from_functional_map(c_xy, eigenvectors_x, eigenvectors_y)
 
 
 def _fitted(pulled_back: Float[Tensor, "n k"], eigenvectors_y: Float[Tensor, "n k"]) -> Float[Tensor, "k k"]:

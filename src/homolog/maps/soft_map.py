@@ -70,8 +70,13 @@ def sinkhorn_matches(
     kernel = _Kernel.build(features_y / temperature, features_x)
     column_scaling = kernel.column_log_sums().neg()
     for _ in range(iterations - 1):
-        column_scaling = kernel.balanced(column_scaling)
-    return kernel.matches(column_scaling)
+        column_scaling = kernel.balanced(_centred(column_scaling))
+    return kernel.matches(_centred(column_scaling))
+
+
+def _centred(scaling: Float[Tensor, " n_x"]) -> Float[Tensor, " n_x"]:
+    """The same up to a constant, which the rows' normalisation takes out: it grows by log(n_y / n_x) an iteration."""
+    return scaling - scaling.mean()
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, get_args
@@ -21,6 +21,7 @@ from homolog.maps import (
     nearest_neighbour,
     normalised,
     point_map_from_functional_map,
+    refined_point_map,
     resolvent_mask,
     sinkhorn_matches,
     zoom_out,
@@ -34,6 +35,7 @@ from homolog.steps import Steps
 
 Method = Literal["auto", "functional-map", "features", "axiomatic"]
 Side = Literal["source", "target"]
+AsCloud = Literal["source", "target", "both"]
 Device = Literal["auto", "cpu", "cuda"]
 
 # A function like `compute_operators`: the operators of a clean shape, from wherever they come.
@@ -52,6 +54,7 @@ class MatcherSettings:
         regularisation: weight of the resolvent mask.
         temperature: of the soft map between features.
         iterations: of Sinkhorn's algorithm.
+        refine: smooth the point maps of the features route in the lowest eigenfunctions; never with a partial shape.
         raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
             here to reproduce the published code.
         operators: what operators to compute.
@@ -63,6 +66,7 @@ class MatcherSettings:
     regularisation: float = 100.0
     temperature: float = 0.1
     iterations: int = 10
+    refine: bool = True
     raw_products: bool = False
     operators: OperatorSettings = field(default_factory=OperatorSettings)
 
@@ -209,7 +213,7 @@ class Matcher:
         source: Shape,
         target: Shape,
         *,
-        as_cloud: Literal["source", "target", "both"] | None = None,
+        as_cloud: AsCloud | None = None,
         partial: Side | None = None,
         steps: Steps | None = None,
     ) -> Correspondence:
@@ -224,8 +228,11 @@ class Matcher:
             steps: collects time and memory of the steps.
 
         Raises:
+            ArgumentError: if ``as_cloud`` or ``partial`` is no such word.
             ShapeError: if a shape cannot be used.
         """
+        _check_word("as_cloud", as_cloud, get_args(AsCloud))
+        _check_word("partial", partial, get_args(Side))
         steps = steps or Steps()
         complete: Side = "target" if partial == "source" else "source"
         shapes: dict[Side, Shape] = {"source": source, "target": target}
@@ -253,8 +260,7 @@ class Matcher:
     @torch.inference_mode()
     def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
         """Match two prepared shapes; see ``match``."""
-        if partial not in (None, *get_args(Side)):
-            raise bad_choice("partial", str(partial), get_args(Side))
+        _check_word("partial", partial, get_args(Side))
         if partial == "source":
             return self.match_prepared(target, source, partial="target").swapped()
         route = self.route(source.modality, target.modality)
@@ -278,7 +284,8 @@ class Matcher:
         """Point maps between the clean shapes, before any point is found to have no counterpart."""
         route = self.route(source.modality, target.modality)
         if route == "features":
-            return self._maps_by_features(source.features, target.features, partial=partial)
+            maps = self._maps_by_features(source.features, target.features, partial=partial)
+            return maps if partial or not self.settings.refine else _refined(maps, source.operators, target.operators)
         c_st, c_ts = self.functional_maps(source, target, partial=partial)
         phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
         target_to_source = point_map_from_functional_map(c_st, phi_s, phi_t)
@@ -331,6 +338,19 @@ class Matcher:
             target, source, temperature=self.settings.temperature, iterations=self.settings.iterations
         )
         return PointMaps(source_to_target=soft.x_to_y, target_to_source=soft.y_to_x)
+
+
+def _check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
+    if found is not None and found not in allowed:
+        raise bad_choice(name, str(found), allowed)
+
+
+def _refined(maps: PointMaps, source: Operators, target: Operators) -> PointMaps:
+    phi_s, phi_t = source.eigenvectors, target.eigenvectors
+    return PointMaps(
+        source_to_target=refined_point_map(maps.source_to_target, phi_t, phi_s, source.mass),
+        target_to_source=refined_point_map(maps.target_to_source, phi_s, phi_t, target.mass),
+    )
 
 
 def choose_device(device: Device) -> torch.device:

@@ -16,9 +16,9 @@ from homolog.shapes import Shape, rotation_about
 
 # A coarse cloud shows the pose well enough, at a fraction of the cost of the whole shape.
 _SAMPLES = 1000
-# By how much a turn must raise the mean similarity of matched features to be worth a warning. Over training pairs of two
-# benchmarks of upright people, turning one of two shapes never raised it by more than 0.013, and undoing a wrong up-axis
-# of one always did by more than 0.06. Turning both tells less: only the usual mistake, z up, can be told at all.
+# By how much a turn must raise the mean similarity of matched features to be worth a warning. Over training pairs of
+# two benchmarks of upright people, turning one of two shapes never raised it by more than 0.013, and undoing a wrong
+# up-axis of one always did by more than 0.06. Turning both tells less: only the usual mistake, z up, can be told.
 _CLEARLY_BETTER = 0.02
 _BETTER_FOR_BOTH = 0.01
 

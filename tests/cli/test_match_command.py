@@ -1,0 +1,338 @@
+"""``homolog match``."""
+
+import hashlib
+import json
+import pickle
+import re
+
+import numpy as np
+import pytest
+import torch
+
+from homolog.cli import match as match_module
+from homolog.matching import Matcher, MatcherSettings
+from homolog.shapes import Shape, read_shape, rotation_about, write_shape
+
+NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
+
+
+def maps(folder):
+    with np.load(folder / "correspondence.npz") as stored:
+        return {name: stored[name] for name in stored.files}
+
+
+def report(folder):
+    return json.loads((folder / "report.json").read_text(encoding="utf-8"))
+
+
+def test_four_files(homolog, files, tmp_path):
+    out = tmp_path / "deep" / "result"
+    ended = homolog("match", files.mesh, files.other, "-o", out)
+    assert ended.code == 0
+    assert ended.out.splitlines() == [str(out / name) for name in NAMES]
+    assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
+    assert "Matched by axiomatic" in ended.err
+    assert ended.err.count("\n") == 1
+    found = maps(out)
+    assert np.mean(files.order[found["source_to_target"]] == np.arange(162)) > 0.9
+    assert np.mean(found["target_to_source"] == files.order) > 0.9
+    for name, file in (("source.ply", files.mesh), ("target.ply", files.other)):
+        written, given = read_shape(out / name), read_shape(file)
+        np.testing.assert_array_equal(written.points, given.points)
+        np.testing.assert_array_equal(written.faces, given.faces)
+
+
+def test_the_same_as_in_python(homolog, files, tmp_path):
+    homolog("match", files.mesh, files.cloud, "-o", tmp_path, "--weights", files.weights, "--device", "cpu")
+    matcher = Matcher.from_weights(files.weights, settings=MatcherSettings(), device="cpu")
+    found = matcher.match(read_shape(files.mesh), read_shape(files.cloud))
+    for name, array in maps(tmp_path).items():
+        np.testing.assert_array_equal(array, getattr(found, name))
+
+
+def test_default_folder(homolog, files, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert homolog("match", files.mesh, files.mesh).code == 0
+    assert sorted(path.name for path in (tmp_path / "match").iterdir()) == sorted(NAMES)
+
+
+def test_quiet_is_silent(homolog, files, tmp_path):
+    ended = homolog("match", files.dirty, files.cloud, "-o", tmp_path / "out", "--quiet")
+    assert (ended.code, ended.out, ended.err) == (0, "", "")
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(NAMES)
+
+
+def test_verbose_tells_each_step(homolog, files, tmp_path):
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path, "--verbose")
+    for step in ("read source", "operators of target", "map", "write"):
+        assert f"{step} ..." in ended.err
+    assert ended.err.count(" MB") >= 10
+
+
+def test_report(homolog, files, tmp_path):
+    options = ["--weights", files.weights, "--as-cloud", "target", "--partial", "target", "--up", "z"]
+    ended = homolog("match", files.dirty, files.other, "-o", tmp_path, *options, "--target-up", "y")
+    assert ended.code == 0
+    found, arrays = report(tmp_path), maps(tmp_path)
+    for side, file in (("source", files.dirty), ("target", files.other)):
+        assert found["inputs"][side]["file"] == str(file)
+        assert found["inputs"][side]["sha256"] == hashlib.sha256(file.read_bytes()).hexdigest()
+        assert found["inputs"][side]["n_clean_points"] == 162
+    findings = {entry["rule"]: entry["count"] for entry in found["inputs"]["source"]["findings"]}
+    assert findings["duplicate points"] == 2
+    assert findings["unreferenced points"] == 1
+    assert findings["duplicate faces"] == 1
+    assert found["inputs"]["source"]["n_points"] == 165
+    assert [entry["severity"] for entry in found["inputs"]["target"]["findings"]] in ([], ["note"])
+    assert found["route"] == "features"
+    assert found["warnings"] == []
+    assert found["options"] == {
+        "method": "auto",
+        "as_cloud": "target",
+        "partial": "target",
+        "up": {"source": "z", "target": "y"},
+        "strict": False,
+    }
+    assert found["weights"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
+    assert found["weights"]["given"] == str(files.weights)
+    assert (found["weights"]["name"], found["weights"]["licence"]) == ("untrained", "none")
+    assert found["settings"]["method"] == "auto"
+    assert found["settings"]["operators"]["n_eigenpairs"] == 128
+    steps = [step["name"] for step in found["steps"]]
+    assert steps[:2] == ["read source", "read target"]
+    assert steps[-2:] == ["map", "check orientation"]
+    assert len(steps) == 10
+    for step in found["steps"]:
+        assert 0 <= step["seconds"] < 600
+        assert 10 < step["peak_mb"] < 1e6
+    assert {"python", "homolog", "torch", "numpy", "scipy", "robust-laplacian"} <= set(found["versions"])
+    assert found["versions"]["torch"] == torch.__version__
+    matched = found["matched"]
+    assert matched["source_points"] == 165
+    assert matched["source_points_without_counterpart"] == np.sum(arrays["source_to_target"] < 0) >= 1
+    assert matched["target_points_without_counterpart"] == np.sum(arrays["target_to_source"] < 0) == 0
+    assert matched["source_mean_confidence"] == pytest.approx(arrays["source_confidence"].mean())
+    assert matched["target_mean_confidence"] == pytest.approx(arrays["target_confidence"].mean())
+
+
+def test_report_without_weights(homolog, files, tmp_path):
+    homolog("match", files.mesh, files.cloud, "-o", tmp_path, "--no-cache")
+    assert report(tmp_path)["weights"] is None
+    assert report(tmp_path)["route"] == "axiomatic"
+    assert report(tmp_path)["inputs"]["target"]["modality"] == "cloud"
+    assert report(tmp_path)["device"] in ("cpu", "cuda")
+
+
+@pytest.mark.parametrize(
+    ("options", "route"),
+    [
+        ([], "functional-map"),
+        (["--as-cloud", "both"], "features"),
+        (["--method", "features"], "features"),
+        (["--method", "axiomatic"], "axiomatic"),
+    ],
+)
+def test_routes(homolog, files, tmp_path, options, route):
+    homolog("match", files.mesh, files.other, "-o", tmp_path, "--weights", files.weights, *options)
+    assert report(tmp_path)["route"] == route
+
+
+@pytest.mark.parametrize(("up", "turn"), [("z", rotation_about(0, 90)), ("x", rotation_about(2, -90))])
+def test_up(homolog, files, tmp_path, up, turn):
+    """A turned source matches like the upright one if told so, and comes back as it was given."""
+    turned = Shape(files.upright.points @ turn.T, files.upright.faces)
+    write_shape(tmp_path / "turned.off", turned)
+    highest = files.upright.points[:, 1].argmax()
+    assert turned.points[highest, "xyz".index(up)] == files.upright.points[highest, 1]
+    turned_file, features = tmp_path / "turned.off", ["--weights", files.weights, "--method", "features"]
+    for name, *arguments in (
+        ("plain", files.mesh, files.other),
+        ("told", turned_file, files.other, "--source-up", up),
+        ("told both", turned_file, files.other, "--up", up, "--target-up", "y"),
+        ("swapped", files.other, turned_file, "--target-up", up),
+        ("untold", turned_file, files.other),
+    ):
+        assert homolog("match", *arguments, *features, "-o", tmp_path / name).code == 0
+    plain, told, untold, swapped = (maps(tmp_path / name) for name in ("plain", "told", "untold", "swapped"))
+    np.testing.assert_array_equal(told["source_to_target"], plain["source_to_target"])
+    np.testing.assert_array_equal(maps(tmp_path / "told both")["source_to_target"], plain["source_to_target"])
+    assert np.mean(swapped["target_to_source"] == plain["source_to_target"]) > 0.9
+    assert np.mean(untold["source_to_target"] == plain["source_to_target"]) < 0.5
+    np.testing.assert_array_equal(read_shape(tmp_path / "told" / "source.ply").points, turned.points)
+
+
+def test_warnings_are_shown_and_kept(homolog, files, tmp_path, monkeypatch):
+    monkeypatch.setattr(Matcher, "orientation_warnings", lambda *args: ("it lies on its side",))
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path)
+    assert ended.code == 0
+    assert "Warning: it lies on its side\n" in ended.err
+    assert report(tmp_path)["warnings"] == ["it lies on its side"]
+    assert homolog("match", files.mesh, files.other, "-o", tmp_path, "-q").err == ""
+    strict = homolog("match", files.mesh, files.other, "-o", tmp_path / "strict", "--strict")
+    assert strict.is_one_line_of_complaint()
+    assert "it lies on its side (--strict)" in strict.err
+    assert not (tmp_path / "strict").exists()
+
+
+def test_strict_stops_at_a_repair(homolog, files, tmp_path):
+    for pair in ((files.dirty, files.mesh), (files.mesh, files.dirty)):
+        ended = homolog("match", *pair, "-o", tmp_path / "out", "--strict")
+        assert ended.is_one_line_of_complaint()
+        assert "dirty.ply" in ended.err
+        assert "duplicate points" in ended.err
+        assert "--strict" in ended.err
+        assert not (tmp_path / "out").exists()
+
+
+def test_strict_lets_clean_shapes_pass(homolog, files, tmp_path):
+    assert homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--strict").code == 0
+
+
+class _Trap:
+    """Runs code when unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
+@pytest.fixture
+def trap(tmp_path):
+    """Where code hidden in weights would leave its mark."""
+    mark = tmp_path / "mark"
+    pickle.loads(pickle.dumps(_Trap(mark))).close()
+    assert mark.exists()
+    mark.unlink()
+    (tmp_path / "evil.pth").write_bytes(pickle.dumps(_Trap(mark)))
+    torch.save({"networks": {"feature_extractor": _Trap(mark)}}, tmp_path / "zipped.pth")
+    (tmp_path / "evil.safetensors").write_bytes(pickle.dumps(_Trap(mark)))
+    return mark
+
+
+@pytest.mark.parametrize("name", ["evil.pth", "zipped.pth", "evil.safetensors"])
+def test_weights_never_run_code(homolog, files, tmp_path, trap, name):
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--weights", tmp_path / name)
+    assert ended.is_one_line_of_complaint()
+    assert name in ended.err
+    assert not trap.exists()
+    assert not (tmp_path / "out").exists()
+
+
+def cut_short(files, tmp_path):
+    path = tmp_path / "short.safetensors"
+    path.write_bytes(files.weights.read_bytes()[:1000])
+    return path
+
+
+def unused(tmp_path):
+    (tmp_path / "mesh.docx").write_text("hello")
+    return tmp_path / "mesh.docx"
+
+
+def on_a_line(tmp_path):
+    np.savetxt(tmp_path / "line.xyz", np.outer(np.arange(9.0), [1, 2, 3]))
+    return tmp_path / "line.xyz"
+
+
+def below(tmp_path, name):
+    (tmp_path / name).mkdir()
+    return tmp_path / name
+
+
+def emptied(tmp_path):
+    (tmp_path / "empty.obj").touch()
+    return tmp_path / "empty.obj"
+
+
+MISTAKES = {
+    "missing file": (lambda f, t: [t / "gone.ply", f.mesh], "gone.ply does not exist"),
+    "missing target": (lambda f, t: [f.mesh, t / "gone.ply"], "gone.ply does not exist"),
+    "folder": (lambda f, t: [f.mesh, below(t, "a.ply")], "a.ply is a folder"),
+    "empty": (lambda f, t: [f.mesh, emptied(t)], "empty.obj is empty"),
+    "rubbish": (lambda f, t: [f.rubbish, f.mesh], "rubbish.ply could not be read"),
+    "unknown suffix": (lambda f, t: [unused(t), f.mesh], "has the suffix '.docx'"),
+    "unusable": (lambda f, t: [f.mesh, on_a_line(t)], "line.xyz cannot be used"),
+    "no such weights": (lambda f, t: [f.mesh, f.mesh, "--weights", "gone.pth"], "there are no weights 'gone.pth'"),
+    "weights in part": (lambda f, t: [f.mesh, f.mesh, "--weights", cut_short(f, t)], "short.safetensors"),
+    "mesh as weights": (lambda f, t: [f.mesh, f.mesh, "--weights", f.mesh], "mesh.off"),
+    "features need weights": (lambda f, t: [f.mesh, f.mesh, "--method", "features"], "needs weights"),
+    "maps need weights": (lambda f, t: [f.mesh, f.mesh, "--method", "functional-map"], "needs weights"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line(homolog, files, tmp_path, mistake):
+    arguments, said = MISTAKES[mistake]
+    ended = homolog("match", *arguments(files, tmp_path), "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint(), ended
+    assert said in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_no_cuda(homolog, files, tmp_path, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    ended = homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out", "--device", "cuda")
+    assert ended.is_one_line_of_complaint()
+    assert "no CUDA device" in ended.err
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_out_is_a_file(homolog, files, tmp_path, monkeypatch, below):
+    """Found before any work is done."""
+    out = tmp_path / "out"
+    out.write_text("precious")
+    monkeypatch.setattr(match_module, "read_shape", None)
+    ended = homolog("match", files.mesh, files.other, "-o", out / "below" if below else out)
+    assert ended.is_one_line_of_complaint()
+    assert "cannot be made a folder" in ended.err
+    assert out.read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["match", "--colour"],
+        ["mach"],
+        ["match"],
+        ["match", "a.off"],
+        ["match", "a.off", "b.off", "--method", "feature"],
+        ["match", "a.off", "b.off", "--as-cloud", "all"],
+        ["match", "a.off", "b.off", "--partial", "both"],
+        ["match", "a.off", "b.off", "--device", "tpu"],
+        ["match", "a.off", "b.off", "--up", "w"],
+        ["--nonsense"],
+    ],
+)
+def test_unknown_words(homolog, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    ended = homolog(*arguments)
+    assert ended.code == 2
+    assert re.search("Usage: .*homolog", ended.err)
+    assert "Traceback" not in ended.err
+    assert ended.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_too_little_memory(homolog, files, tmp_path, monkeypatch):
+    def greedy(*args, **kwargs):
+        raise MemoryError
+
+    monkeypatch.setattr(Matcher, "match", greedy)
+    ended = homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint()
+    assert "not enough memory" in ended.err
+
+
+def test_cache_is_used_and_can_be_left_alone(homolog, files, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOMOLOG_CACHE", str(tmp_path / "cache"))
+    homolog("match", files.mesh, files.other, "-o", tmp_path / "first", "--no-cache")
+    assert not (tmp_path / "cache").exists()
+    homolog("match", files.mesh, files.other, "-o", tmp_path / "second")
+    assert len(list((tmp_path / "cache").glob("*.safetensors"))) == 2
+    homolog("match", files.mesh, files.other, "-o", tmp_path / "third")
+    first, second, third = (maps(tmp_path / name) for name in ("first", "second", "third"))
+    for name, array in first.items():
+        np.testing.assert_array_equal(second[name], array)
+        np.testing.assert_array_equal(third[name], array)

@@ -1,0 +1,251 @@
+"""``homolog evaluate``, ``info``, ``doctor``, ``demo``, and help."""
+
+import hashlib
+import json
+import os
+import re
+
+import numpy as np
+import pytest
+
+from homolog.cli import demo as demo_module
+from homolog.matching import Matcher
+from homolog.shapes import Shape, write_shape
+
+COMMANDS = ["match", "evaluate", "info", "doctor", "demo"]
+
+
+@pytest.fixture
+def data(tmp_path, make):
+    """Two relabelled copies of one blob with ground truth for 50 points."""
+    blob, root = make.blob(2), tmp_path / "data"
+    (root / "off").mkdir(parents=True)
+    (root / "corres").mkdir()
+    for seed, name in enumerate(("one", "two")):
+        order = np.random.default_rng(seed).permutation(blob.n_points)
+        write_shape(root / "off" / f"{name}.off", make.relabelled(blob, order))
+        (root / "corres" / f"{name}.vts").write_text("\n".join(map(str, np.argsort(order)[:50] + 1)))
+    return root
+
+
+def strictly(text):
+    """JSON without NaN and the like, which other languages refuse."""
+
+    def refuse(word):
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def test_evaluate(homolog, data, tmp_path):
+    ended = homolog("evaluate", data, "--json", tmp_path / "score.json")
+    assert ended.code == 0
+    assert ended.err == ""
+    assert "mean geodesic error x100" in ended.out
+    found = strictly((tmp_path / "score.json").read_text())
+    promised = ["mean_geodesic_error", "median_geodesic_error", "pck_auc", "pck_threshold", "pck", "pairs", "seconds"]
+    for key in [*promised, "protocol", "weights", "versions", "command", "data", "settings", "device", "route"]:
+        assert key in found
+    assert found["mean_geodesic_error"] < 1
+    assert found["pck_auc"] > 0.9
+    assert len(found["pairs"]) == 4
+    assert [pair["points"] for pair in found["pairs"]] == [50] * 4
+    assert len(found["pck"]["thresholds"]) == len(found["pck"]["shares"])
+    assert found["protocol"] == {"modality": "mesh", "split": "test", "pairs_file": None, "noise": 0.0, "seed": 0}
+    assert found["weights"] is None
+    assert found["command"] == ["homolog", "evaluate", str(data), "--json", str(tmp_path / "score.json")]
+    assert found["versions"]["homolog"]
+    assert f"{found['mean_geodesic_error']:.2f}" in ended.out
+
+
+def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
+    (tmp_path / "pairs.txt").write_text("two,one\n")
+    options = ["--modality", "cloud", "--noise", "0.01", "--seed", "3", "--pairs", tmp_path / "pairs.txt", "--quiet"]
+    for name in ("first", "second"):
+        ended = homolog("evaluate", data, "-q", "--weights", files.weights, *options, "--json", tmp_path / name)
+        assert (ended.code, ended.out, ended.err) == (0, "", "")
+    first, second = (strictly((tmp_path / name).read_text()) for name in ("first", "second"))
+    assert first["weights"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
+    assert first["protocol"]["noise"] == 0.01
+    assert first["protocol"]["seed"] == 3
+    assert [(pair["source"], pair["target"]) for pair in first["pairs"]] == [("two", "one")]
+    assert first["route"] == "features"
+    assert first["mean_geodesic_error"] == second["mean_geodesic_error"] > 0
+
+
+def with_long_truth(data):
+    (data / "corres" / "one.vts").write_text("163\n" * 50)
+    return data
+
+
+def with_split(data, text):
+    (data / "test.txt").write_text(text)
+    return data
+
+
+def without_faces(data):
+    (data / "off" / "one.off").write_text("OFF\n5 0 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n1 1 1\n")
+    (data / "corres" / "one.vts").write_text("5\n" * 50)
+    return data
+
+
+MISTAKES = {
+    "no folder": (lambda d, t: [t / "gone"], "no shapes"),
+    "noise on meshes": (lambda d, t: [d, "--noise", "0.01"], "noise is for clouds"),
+    "weights": (lambda d, t: [d, "--weights", "gone.pth"], "there are no weights"),
+    "method": (lambda d, t: [d, "--method", "features"], "needs weights"),
+    "empty split": (lambda d, t: [d, "--split", "train"], "no shapes in split 'train'"),
+    "blank split": (lambda d, t: [with_split(d, "\n")], "no shapes in split 'test'"),
+    "unknown name": (lambda d, t: [with_split(d, "three")], "names 'three'"),
+    "no pairs": (lambda d, t: [d, "--pairs", t / "gone.txt"], "no such list of pairs"),
+    "truth": (lambda d, t: [with_long_truth(d)], "names vertex 163"),
+    "no faces": (lambda d, t: [without_faces(d)], "one.off has no faces"),
+    "json folder": (lambda d, t: [d, "--json", t / "gone" / "score.json"], "cannot be written"),
+    "json is folder": (lambda d, t: [d, "--json", t], "cannot be written"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line(homolog, data, tmp_path, mistake):
+    arguments, said = MISTAKES[mistake]
+    given = arguments(data, tmp_path)
+    place = [] if "--json" in given else ["--json", tmp_path / "score.json"]
+    ended = homolog("evaluate", *given, *place)
+    assert ended.is_one_line_of_complaint(), ended
+    assert said in ended.err
+    assert not (tmp_path / "score.json").exists()
+
+
+def test_a_place_for_the_score_is_asked_for_first(homolog, data, tmp_path, monkeypatch):
+    monkeypatch.setattr(Matcher, "prepare", None)
+    assert homolog("evaluate", data, "--json", tmp_path / "gone" / "x.json").is_one_line_of_complaint()
+
+
+def test_negative_noise(homolog, data):
+    ended = homolog("evaluate", data, "--modality", "cloud", "--noise", "-1")
+    assert ended.code == 2
+    assert "--noise" in ended.err
+
+
+# ---- info
+
+
+def test_info(homolog, files):
+    ended = homolog("info", files.mesh, files.dirty, files.cloud)
+    assert (ended.code, ended.err) == (0, "")
+    for words in ("mesh.off", "162", "165, 162 after repair", "2 duplicate points", "cloud.xyz", "surface area"):
+        assert words in ended.out
+
+
+def test_info_as_json(homolog, files, tmp_path):
+    ended = homolog("info", "--json", files.mesh, tmp_path / "gone.ply", files.dirty)
+    assert ended.code == 2
+    assert ended.err.count("\n") == 1
+    mesh, gone, dirty = strictly(ended.out)
+    assert mesh["file"] == str(files.mesh)
+    assert (mesh["n_points"], mesh["n_faces"], mesh["usable"], mesh["format"]) == (162, 320, True, "OFF")
+    assert "does not exist" in gone["error"]
+    assert dirty["n_clean_points"] == 162
+
+
+def test_info_on_bad_files_shows_the_good_ones(homolog, files, tmp_path):
+    ended = homolog("info", files.rubbish, files.mesh, tmp_path / "gone.obj")
+    assert ended.code == 2
+    assert "mesh.off" in ended.out
+    lines = ended.err.splitlines()
+    assert len(lines) == 2
+    assert "rubbish.ply" in lines[0]
+    assert "gone.obj" in lines[1]
+    assert all(line.startswith("Error: ") for line in lines)
+
+
+def test_info_on_unusable_shapes(homolog, tmp_path):
+    write_shape(tmp_path / "line.xyz", Shape(np.outer(np.arange(9.0), [1, 2, 3])))
+    ended = homolog("info", tmp_path / "line.xyz")
+    assert ended.code == 2
+    assert "unusable" in ended.out
+    assert "points on one line" in ended.out
+
+
+def test_info_writes_nothing(homolog, files, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    homolog("info", files.mesh)
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- doctor, demo, help
+
+
+def test_doctor(homolog, tmp_path, monkeypatch):
+    assert os.environ["HOMOLOG_CACHE"] in homolog("doctor").out
+    monkeypatch.setenv("HOMOLOG_CACHE", str(tmp_path / "elsewhere"))
+    monkeypatch.setenv("HOMOLOG_CACHE_GB", "3")
+    ended = homolog("doctor")
+    assert (ended.code, ended.err) == (0, "")
+    assert f"{tmp_path / 'elsewhere'} (HOMOLOG_CACHE): 0 shapes, 0 MB of at most 3072" in ended.out
+    for word in ("homolog", "torch", "numpy", "python", "CUDA devices", "extra 'vtk'", "working memory"):
+        assert word in ended.out
+    assert not (tmp_path / "elsewhere").exists()
+
+
+def test_doctor_says_what_is_wrong_with_the_cache(homolog, monkeypatch):
+    monkeypatch.setenv("HOMOLOG_CACHE_GB", "much")
+    ended = homolog("doctor")
+    assert ended.code == 2
+    assert ended.err.count("\n") == 1
+    assert "HOMOLOG_CACHE_GB is 'much'" in ended.err
+
+
+def test_demo(homolog, tmp_path):
+    ended = homolog("demo", "-o", tmp_path / "demo")
+    assert ended.code == 0, ended
+    row = next(line for line in ended.out.splitlines() if "mean geodesic error" in line)
+    assert 0 < float(row.split()[-2]) < 5
+    assert "left and right" in ended.out
+    assert "mixed up" not in ended.out
+    names = {"correspondence.npz", "source.ply", "target.ply", "report.json"}
+    assert {path.name for path in (tmp_path / "demo").iterdir()} == names
+    assert str(tmp_path / "demo" / "report.json") in ended.out
+
+
+def test_demo_fails_if_the_maps_are_bad(homolog, tmp_path, monkeypatch):
+    """Every point to one: the error is far above the bound, and left and right are mixed up."""
+
+    class Bad(demo_module.Job):
+        def run(self, steps, **options):
+            from homolog.matching import Correspondence
+
+            self.shapes = {side: demo_module.ShapeFolder.open(demo_module._DATA).shape(name) for side, name in SIDES}
+            n, m = (self.shapes[side].n_points for side, _ in SIDES)
+            return Correspondence(np.zeros(n, int), np.zeros(m, int), np.zeros(n), np.zeros(m), "axiomatic")
+
+    monkeypatch.setattr(demo_module, "Job", Bad)
+    ended = homolog("demo", "-o", tmp_path / "demo", "--quiet")
+    assert ended.code == 1
+    assert ended.out == ""
+    assert "something is wrong" in ended.err
+
+
+SIDES = (("source", "amber"), ("target", "boris"))
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_shows_an_example(homolog, command):
+    ended = homolog(command, "--help")
+    assert (ended.code, ended.err) == (0, "")
+    assert re.search(f"Usage: .*homolog {command}", ended.out)
+    assert "Example" in ended.out
+    assert ended.out.count(f"homolog {command}") >= 2
+
+
+def test_help_names_every_command(homolog):
+    ended = homolog("--help")
+    assert ended.code == 0
+    for command in COMMANDS:
+        assert f" {command} " in ended.out
+
+
+def test_no_arguments_show_the_help(homolog):
+    ended = homolog()
+    assert re.search("Usage: .*homolog", ended.out + ended.err)
+    assert ended.code in (0, 2)

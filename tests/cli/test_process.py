@@ -1,0 +1,105 @@
+"""``homolog`` as a process of its own: exit codes, streams, signals."""
+
+import json
+import pickle
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+START = [sys.executable, "-m", "homolog"]
+
+# A command that stops amid writing the maps, says so, and waits to be interrupted.
+STUCK = """
+import sys, time
+import numpy as np
+
+def half(path, **arrays):
+    with open(path, "wb") as file:
+        file.write(b"half")
+    print("writing", flush=True)
+    time.sleep(120)
+
+np.savez_compressed = half
+from homolog.cli.main import main
+main()
+"""
+
+# A command that stops while operators are computed.
+STUCK_EARLY = """
+import time
+from homolog.matching import Matcher
+
+def forever(*args, **kwargs):
+    print("working", flush=True)
+    while True:
+        time.sleep(0.1)
+
+Matcher.operators = forever
+from homolog.cli.main import main
+main()
+"""
+
+
+def run(*arguments):
+    command = [*START, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_match_from_files_to_files(files, tmp_path):
+    ended = run("match", files.mesh, files.dirty, "-o", tmp_path / "out")
+    assert ended.returncode == 0, ended.stderr
+    paths = [tmp_path / "out" / name for name in ("correspondence.npz", "source.ply", "target.ply", "report.json")]
+    assert ended.stdout.splitlines() == list(map(str, paths))
+    assert ended.stderr.startswith("Matched by axiomatic")
+    with np.load(paths[0]) as stored:
+        found = stored["source_to_target"]
+        assert np.mean(found == np.arange(162)) > 0.9
+        assert stored["target_to_source"][-1] == -1
+    report = json.loads(paths[3].read_text())
+    assert report["inputs"]["target"]["n_points"] == 165
+
+
+def test_a_mistake_is_one_line_even_if_libraries_talk(files, tmp_path):
+    """PyTorch warns about such a pickle on its own account."""
+    (tmp_path / "odd.pth").write_bytes(pickle.dumps({"networks": 1}, protocol=4))
+    ended = run("match", files.mesh, files.mesh, "--weights", tmp_path / "odd.pth", "-o", tmp_path / "out")
+    assert ended.returncode == 2
+    assert ended.stdout == ""
+    assert ended.stderr.startswith("Error: ")
+    assert ended.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_unknown_command():
+    ended = run("mach")
+    assert ended.returncode == 2
+    assert "Usage:" in ended.stderr
+    assert "homolog" in ended.stderr
+    assert ended.stdout == ""
+
+
+def interrupted(program, number, arguments):
+    """Start a program, wait for it to say that it is in the middle, and signal it."""
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            said = process.stdout.readline()
+            process.send_signal(number)
+            out, err = process.communicate(timeout=120)
+        finally:
+            process.kill()
+    return process.returncode, said + out, err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("program", "said"), [(STUCK, "writing\n"), (STUCK_EARLY, "working\n")])
+def test_interrupts_leave_nothing_half_written(files, tmp_path, number, program, said):
+    out = tmp_path / "out"
+    code, shown, complaint = interrupted(program, number, ["match", files.mesh, files.other, "-o", out])
+    assert (code, shown) == (130, said)
+    assert complaint == "Interrupted; nothing was left half-written.\n"
+    assert not out.exists() or list(out.iterdir()) == []

@@ -1,0 +1,430 @@
+"""The protocol against a direct computation, with matchers that answer what they are told."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import dijkstra
+
+from homolog.datasets import ShapeFolder
+from homolog.errors import ArgumentError, DataError
+from homolog.evaluation import Protocol, evaluate, geodesic_errors
+from homolog.geometry import compute_operators
+from homolog.matching import Correspondence, Matcher, MatcherSettings
+from homolog.shapes import Shape, write_shape
+
+BASE_POINTS = 162
+COMMON = {"a": 90, "b": 90, "c": 90, "d": 31, "e": 31}
+
+
+@dataclass(frozen=True)
+class Family:
+    """Differently deformed, scaled and ordered copies of one mesh, on disk, with common points."""
+
+    folder: ShapeFolder
+    shapes: dict[str, Shape]
+    order: dict[str, np.ndarray]
+    """Per shape, which point of the base each vertex is."""
+
+    def vertex(self, name):
+        """Per base point, its vertex on a shape."""
+        return np.argsort(self.order[name])
+
+    def truth(self, source, target):
+        """Per target vertex, the true source vertex."""
+        return self.vertex(source)[self.order[target]]
+
+
+@pytest.fixture(scope="module")
+def family(tmp_path_factory, make):
+    root = tmp_path_factory.mktemp("family")
+    (root / "off").mkdir()
+    (root / "corres").mkdir()
+    base, rng = make.blob(2), np.random.default_rng(0)
+    asked = {count: rng.permutation(BASE_POINTS)[:count] for count in set(COMMON.values())}
+    shapes, orders = {}, {}
+    for number, (name, count) in enumerate(COMMON.items()):
+        order = rng.permutation(BASE_POINTS)
+        stretch = rng.uniform(0.5, 2, 3) * 10.0**number
+        shape = Shape(base.points * stretch + 10.0**number, base.faces)
+        shapes[name] = Shape(*_arrays(make.relabelled(shape, order)), name=f"{name}.off")
+        orders[name] = order
+        write_shape(root / "off" / f"{name}.off", shapes[name])
+        lines = np.argsort(order)[asked[count]] + 1
+        (root / "corres" / f"{name}.vts").write_text("".join(f"{line}\n" for line in lines))
+    (root / "pairs.txt").write_text("a,b\nb,a\na,a\nc,b\na,c\nd,e\ne,d\ne,e\n")
+    return Family(ShapeFolder.open(root), shapes, orders)
+
+
+def _arrays(shape):
+    return shape.points, shape.faces
+
+
+def brute_force(shape, truth, mapped):
+    """Dijkstra between all points, on edges taken from the faces one by one; over the root of the area."""
+    n = shape.n_points
+    graph = np.zeros((n, n))
+    area = 0.0
+    for i, j, k in shape.faces:
+        a, b, c = shape.points[[i, j, k]]
+        area += np.linalg.norm(np.cross(b - a, c - a)) / 2
+        for p, q in ((i, j), (j, k), (k, i)):
+            graph[p, q] = graph[q, p] = np.linalg.norm(shape.points[p] - shape.points[q])
+    return dijkstra(graph)[truth, mapped] / np.sqrt(area)
+
+
+@dataclass
+class Ready:
+    """What the stub prepares: the shape it was given."""
+
+    name: str
+    modality: str
+
+
+class Stub:
+    """Answers by a function of source and target name: per target vertex a source vertex. Forth is nonsense."""
+
+    def __init__(self, answer, confidence=None):
+        self.answer, self.confidence = answer, confidence
+        self.prepared, self.matched = [], []
+
+    def prepare(self, shape, *, as_cloud=False, length=None):
+        self.prepared.append((shape, as_cloud, length))
+        return Ready(shape.name.removesuffix(".off"), "cloud" if as_cloud else "mesh")
+
+    def route(self, source, target):
+        return f"{source}, {target}"
+
+    def match_prepared(self, source, target):
+        self.matched.append((source.name, target.name))
+        back = np.asarray(self.answer(source.name, target.name))
+        confidence = np.ones(len(back)) if self.confidence is None else self.confidence(source.name, target.name)
+        nonsense = np.zeros(BASE_POINTS, int)
+        return Correspondence(nonsense, back, np.zeros(BASE_POINTS), confidence, "features")
+
+
+ALL = Protocol(split="all")
+TINY = Protocol(split="all", modality="cloud", noise=0.01)
+
+
+def test_a_perfect_map_has_no_error(family):
+    found = evaluate(Stub(family.truth), family.folder, ALL)
+    assert np.all(found.errors == 0)
+    figures = found.to_dict()
+    assert figures["mean_geodesic_error"] == figures["median_geodesic_error"] == 0
+    assert figures["pck_auc"] == 1
+    assert figures["unmatched_points"] == 0
+    assert figures["least_confident_fifth_error_share"] is None
+
+
+def test_the_map_measured_is_target_to_source(family):
+    """A matcher whose maps are the truth the wrong way round fares badly."""
+    wrong = evaluate(Stub(lambda s, t: family.truth(t, s)), family.folder, ALL)
+    assert wrong.to_dict()["mean_geodesic_error"] > 30
+
+
+@pytest.fixture(scope="module")
+def shifted(family):
+    """Maps that are off by known vertices, differently for every pair and way."""
+
+    def answer(source, target):
+        seed = 100 * ord(source) + ord(target)
+        away = np.random.default_rng(seed).permutation(BASE_POINTS)
+        truth = family.truth(source, target)
+        return np.where(np.arange(BASE_POINTS) % 3 == 0, truth, away)
+
+    return answer
+
+
+def expected_errors(family, answer, pairs):
+    errors = []
+    for source, target in pairs:
+        truth, asked = family.folder.common_points(source), family.folder.common_points(target)
+        errors.append(brute_force(family.shapes[source], truth, answer(source, target)[asked]))
+    return errors
+
+
+def test_errors_are_graph_distances_on_the_source(family, shifted):
+    stub = Stub(shifted)
+    found = evaluate(stub, family.folder, ALL)
+    pairs = family.folder.pairs("all")
+    assert len(pairs) == 8
+    assert stub.matched == list(pairs)
+    assert [pair.pair for pair in found.pairs] == list(pairs)
+    for pair, expected in zip(found.pairs, expected_errors(family, shifted, pairs), strict=True):
+        assert len(expected) == COMMON[pair.pair[0]]
+        np.testing.assert_allclose(pair.errors, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_figures_pool_all_points_of_all_pairs(family, shifted):
+    figures = evaluate(Stub(shifted), family.folder, ALL).to_dict()
+    parts = expected_errors(family, shifted, family.folder.pairs("all"))
+    errors = np.concatenate(parts)
+    assert {len(part) for part in parts} == {90, 31}
+    mean_of_means = np.mean([part.mean() for part in parts])
+    assert abs(errors.mean() - mean_of_means) > 1e-3  # these would pass for one another otherwise
+    assert figures["mean_geodesic_error"] == pytest.approx(100 * errors.mean())
+    assert figures["median_geodesic_error"] == pytest.approx(100 * np.median(errors))
+    thresholds = np.array(figures["pck"]["thresholds"])
+    shares = np.array([np.mean(errors <= threshold) for threshold in thresholds])
+    np.testing.assert_allclose(figures["pck"]["shares"], shares)
+    assert figures["pck_threshold"] == thresholds[-1] == 0.1
+    assert figures["pck_auc"] == pytest.approx(np.sum((shares[1:] + shares[:-1]) / 2 * np.diff(thresholds)) / 0.1)
+    assert [(entry["source"], entry["target"]) for entry in figures["pairs"]] == list(family.folder.pairs("all"))
+    for entry, part in zip(figures["pairs"], parts, strict=True):
+        assert entry["points"] == len(part)
+        assert entry["mean_geodesic_error"] == pytest.approx(100 * part.mean())
+    assert set(figures["seconds"]) == {"prepare", "match", "measure", "total"}
+    assert figures["seconds"]["total"] >= max(figures["seconds"][key] for key in ("prepare", "match", "measure"))
+
+
+def test_confidences_are_those_of_the_points_measured(family, shifted):
+    def unsure_when_wrong(source, target):
+        return (shifted(source, target) == family.truth(source, target)).astype(float)
+
+    found = evaluate(Stub(shifted, unsure_when_wrong), family.folder, ALL)
+    for pair in found.pairs:
+        np.testing.assert_array_equal(pair.confidences == 1, pair.errors == 0)
+    sure_when_wrong = evaluate(Stub(shifted, lambda s, t: -unsure_when_wrong(s, t)), family.folder, ALL)
+    shares = [each.to_dict()["least_confident_fifth_error_share"] for each in (found, sure_when_wrong)]
+    assert shares[0] > 0.2
+    assert shares[1] == 0
+
+
+def test_points_without_a_match_are_counted_and_left_out(family, shifted):
+    def with_gaps(source, target):
+        return np.where(np.arange(BASE_POINTS) % 4 == 1, -1, shifted(source, target))
+
+    found = evaluate(Stub(with_gaps), family.folder, ALL)
+    unmatched = 0
+    for pair, expected in zip(found.pairs, expected_errors(family, shifted, family.folder.pairs("all")), strict=True):
+        left = family.folder.common_points(pair.pair[1]) % 4 != 1
+        np.testing.assert_allclose(pair.errors, expected[left])
+        assert len(pair.confidences) == len(pair.errors)
+        unmatched += np.sum(~left)
+    assert found.unmatched_points == found.to_dict()["unmatched_points"] == unmatched > 0
+
+
+def test_clouds_are_measured_on_the_mesh(family, shifted):
+    plain = evaluate(Stub(shifted), family.folder, ALL)
+    for modality, noise in (("cloud", 0.0), ("cloud", 0.02), ("mesh-to-cloud", 0.02), ("cloud-to-mesh", 0.0)):
+        found = evaluate(Stub(shifted), family.folder, Protocol(modality=modality, split="all", noise=noise))
+        np.testing.assert_array_equal(found.errors, plain.errors)
+
+
+def unit(shape):
+    corners = shape.points[shape.faces]
+    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    return (shape.points - shape.points.mean(axis=0)) / np.sqrt(areas.sum())
+
+
+@pytest.mark.parametrize(
+    ("modality", "noise", "expected"),
+    [
+        ("mesh", 0.0, {(name, False): 1 for name in COMMON}),
+        ("cloud", 0.0, {(name, True): 1 for name in COMMON}),
+        # By the list of pairs, d is a source and a target; so is every other one.
+        ("cloud", 0.01, {("a", True): 2, ("b", True): 2, ("c", True): 2, ("d", True): 2, ("e", True): 2}),
+        ("mesh-to-cloud", 0.0, {(name, cloud): 1 for name in COMMON for cloud in (False, True)}),
+        ("cloud-to-mesh", 0.01, {(name, cloud): 1 for name in COMMON for cloud in (False, True)}),
+    ],
+)
+def test_every_shape_is_prepared_once_per_role_that_differs(family, modality, noise, expected):
+    stub = Stub(family.truth)
+    found = evaluate(stub, family.folder, Protocol(modality=modality, split="all", noise=noise))
+    counts = {}
+    for shape, as_cloud, length in stub.prepared:
+        name = shape.name.removesuffix(".off")
+        counts[name, as_cloud] = counts.get((name, as_cloud), 0) + 1
+        assert length == 1.0
+        np.testing.assert_array_equal(shape.faces, family.shapes[name].faces)
+        if not (as_cloud and noise):
+            np.testing.assert_allclose(shape.points, unit(family.shapes[name]), atol=1e-9)
+    assert counts == expected
+    source, _, target = modality.partition("-to-")
+    assert found.route == f"{source}, {target or source}"
+
+
+def noise_of(family, protocol):
+    """The noise on each prepared cloud, in units of sqrt(area); two of each name: as source and as target."""
+    stub = Stub(family.truth)
+    evaluate(stub, family.folder, protocol)
+    return {
+        (shape.name, number): shape.points - unit(family.shapes[shape.name.removesuffix(".off")])
+        for number, (shape, as_cloud, _) in enumerate(stub.prepared)
+        if as_cloud
+    }
+
+
+def test_noise_has_its_size_in_units_of_the_normalised_shape(family):
+    for sigma in (0.01, 0.05):
+        noise = noise_of(family, Protocol(modality="cloud", split="all", noise=sigma))
+        assert len(noise) == 10
+        for added in noise.values():
+            assert added.std() == pytest.approx(sigma, rel=0.12)
+            np.testing.assert_allclose(added.std(axis=0), sigma, rtol=0.25)
+            assert abs(added.mean()) < 0.2 * sigma
+
+
+def test_noise_is_independent_between_shapes_and_roles(family):
+    noise = list(noise_of(family, TINY).values())
+    for i in range(len(noise)):
+        for j in range(i):
+            correlation = np.corrcoef(noise[i].ravel(), noise[j].ravel())[0, 1]
+            assert abs(correlation) < 0.2
+
+
+def test_noise_follows_the_seed(family):
+    first, second = noise_of(family, TINY), noise_of(family, TINY)
+    other = noise_of(family, Protocol(split="all", modality="cloud", noise=0.01, seed=1))
+    for key, added in first.items():
+        np.testing.assert_array_equal(added, second[key])
+        assert abs(np.corrcoef(added.ravel(), other[key].ravel())[0, 1]) < 0.2
+
+
+def test_noise_does_not_depend_on_what_else_is_evaluated(family, tmp_path):
+    (tmp_path / "one.txt").write_text("c,b\n")
+    alone = noise_of(family, Protocol(modality="cloud", noise=0.01, pairs_file=str(tmp_path / "one.txt")))
+    together = list(noise_of(family, TINY).values())
+    assert len(alone) == 2
+    for added in alone.values():
+        assert any(np.array_equal(added, other) for other in together)
+
+
+def test_meshes_get_no_noise(family):
+    stub = Stub(family.truth)
+    evaluate(stub, family.folder, Protocol(modality="mesh-to-cloud", split="all", noise=0.05))
+    for shape, as_cloud, _ in stub.prepared:
+        moved = np.abs(shape.points - unit(family.shapes[shape.name.removesuffix(".off")])).max()
+        assert (moved > 0.05) if as_cloud else (moved < 1e-9)
+
+
+def test_progress_counts_to_its_total(family):
+    told = []
+    evaluate(Stub(family.truth), family.folder, TINY, progress=lambda *state: told.append(state))
+    assert [done for done, _, _ in told] == list(range(len(told)))
+    assert {total for _, total, _ in told} == {len(told)} == {10 + 8}
+    assert told[-1][2] == "e - e"
+
+
+def test_pairs_file(family, tmp_path):
+    (tmp_path / "mine.txt").write_text("c,a\n")
+    stub = Stub(family.truth)
+    found = evaluate(stub, family.folder, Protocol(pairs_file=str(tmp_path / "mine.txt")))
+    assert stub.matched == [("c", "a")]
+    assert sorted(shape.name for shape, *_ in stub.prepared) == ["a.off", "c.off"]
+    assert len(found.errors) == 90
+
+
+@pytest.mark.parametrize("modality", ["mesh", "cloud", "mesh-to-cloud"])
+def test_the_real_matcher_takes_the_same_road(make, tmp_path, modality):
+    """Relabelled copies of one blob: the axiomatic route finds nearly every point."""
+    blob = make.blob(3)
+    (tmp_path / "off").mkdir()
+    (tmp_path / "corres").mkdir()
+    for seed, name in enumerate(("one", "two")):
+        order = np.random.default_rng(seed).permutation(blob.n_points)
+        copy = make.relabelled(blob, order)
+        write_shape(tmp_path / "off" / f"{name}.off", Shape(copy.points * (1 + 9 * seed), copy.faces))
+        (tmp_path / "corres" / f"{name}.vts").write_text("\n".join(map(str, np.argsort(order) + 1)))
+    matcher = Matcher(settings=MatcherSettings(method="axiomatic"), device="cpu", operators=compute_operators)
+    figures = evaluate(matcher, ShapeFolder.open(tmp_path), Protocol(modality=modality)).to_dict()
+    assert figures["route"] == "axiomatic"
+    assert len(figures["pairs"]) == 4
+    assert figures["mean_geodesic_error"] < 0.5
+    assert figures["pck_auc"] > 0.98
+
+
+# ---- geodesic errors
+
+
+def test_geodesic_errors_match_brute_force(make):
+    blob = make.blob(2)
+    rng = np.random.default_rng(0)
+    truth, mapped = rng.integers(0, BASE_POINTS, (2, 300))
+    np.testing.assert_allclose(geodesic_errors(blob, truth, mapped), brute_force(blob, truth, mapped), rtol=1e-9)
+    larger = Shape(blob.points * 50 + 7, blob.faces)
+    np.testing.assert_allclose(geodesic_errors(larger, truth, mapped), brute_force(blob, truth, mapped), rtol=1e-9)
+
+
+def test_between_pieces_the_straight_distance_counts(make):
+    ball = make.sphere(1)
+    both = make.joined([ball, Shape(ball.points + np.array([10, 0, 0]), ball.faces)])
+    area = 2 * brute_area(ball)
+    truth, mapped = np.array([0, 5, 3]), np.array([42, 47, 3])
+    np.testing.assert_allclose(geodesic_errors(both, truth, mapped), np.array([10, 10, 0]) / np.sqrt(area))
+
+
+def brute_area(shape):
+    a, b, c = (shape.points[shape.faces[:, corner]] for corner in range(3))
+    return np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+
+
+def test_geodesic_errors_need_a_surface(make):
+    with pytest.raises(DataError, match="cloudy has no faces"):
+        geodesic_errors(Shape(make.sphere(1).points, name="cloudy"), np.array([0]), np.array([1]))
+
+
+# ---- what can be wrong
+
+
+def copied(family, tmp_path):
+    root = tmp_path / "copy"
+    for path in family.folder.root.rglob("*.*"):
+        target = root / path.relative_to(family.folder.root)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(path.read_bytes())
+    return root
+
+
+def never(*args):
+    raise AssertionError("a shape was matched")
+
+
+def test_ground_truth_beyond_the_shape(family, tmp_path):
+    root = copied(family, tmp_path)
+    (root / "corres" / "b.vts").write_text("1\n" * 89 + "163\n")
+    with pytest.raises(DataError, match=r"b\.vts names vertex 163, but the shape has 162"):
+        evaluate(Stub(never), ShapeFolder.open(root), ALL)
+    (root / "corres" / "b.vts").write_text("1\n" * 89 + "162\n")
+    evaluate(Stub(family.truth), ShapeFolder.open(root), ALL)
+
+
+def test_unequal_numbers_of_lines(family, tmp_path):
+    root = copied(family, tmp_path)
+    (root / "corres" / "b.vts").write_text("1\n" * 89)
+    stub = Stub(never)
+    with pytest.raises(DataError, match=r"a has 90 common points and b 89; every \.vts"):
+        evaluate(stub, ShapeFolder.open(root), ALL)
+    assert stub.prepared == []
+
+
+def test_a_shape_that_cannot_be_read(family, tmp_path):
+    root = copied(family, tmp_path)
+    (root / "off" / "c.off").write_text("OFF\n1 2")
+    with pytest.raises(ValueError, match=r"c\.off"):
+        evaluate(Stub(never), ShapeFolder.open(root), ALL)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"modality": "clouds"}, "modality is 'clouds'.*did you mean 'cloud'"),
+        ({"modality": "cloud", "noise": -0.1}, "noise is -0.1"),
+        ({"modality": "cloud", "noise": float("nan")}, "noise is nan"),
+        ({"modality": "cloud", "noise": float("inf")}, "noise is inf"),
+        ({"noise": 0.01}, "noise is for clouds, but modality is 'mesh'"),
+    ],
+)
+def test_protocols_that_make_no_sense(settings, said):
+    with pytest.raises(ArgumentError, match=said):
+        Protocol(**settings)
+
+
+@pytest.mark.parametrize(
+    ("modality", "source", "target"),
+    [("mesh", False, False), ("cloud", True, True), ("mesh-to-cloud", False, True), ("cloud-to-mesh", True, False)],
+)
+def test_who_is_a_cloud(modality, source, target):
+    protocol = Protocol(modality=modality)
+    assert (protocol.is_cloud("source"), protocol.is_cloud("target")) == (source, target)

@@ -1,0 +1,213 @@
+"""The matcher's settings, routes, steps and complaints."""
+
+import numpy as np
+import pytest
+import torch
+
+from homolog.errors import ArgumentError, HomologError, ShapeError, WeightsError
+from homolog.geometry import compute_operators, unit_frame
+from homolog.matching import Matcher, MatcherSettings, choose_device
+from homolog.matching import matcher as matcher_module
+from homolog.network import WeightsInfo
+from homolog.shapes import Shape
+from homolog.steps import Steps
+
+PAIRS = [("mesh", "mesh"), ("cloud", "cloud"), ("mesh", "cloud"), ("cloud", "mesh")]
+
+
+@pytest.mark.parametrize(("source", "target"), PAIRS)
+def test_route_per_modality(build, source, target):
+    with_clouds = "cloud" in (source, target)
+    assert build("auto").route(source, target) == ("features" if with_clouds else "functional-map")
+    assert build("auto", with_network=False).route(source, target) == "axiomatic"
+    for method in ("functional-map", "features", "axiomatic"):
+        assert build(method).route(source, target) == method
+
+
+@pytest.mark.parametrize("as_cloud", ["source", "target", "both"])
+@pytest.mark.parametrize("method", ["auto", "axiomatic"])
+def test_as_cloud_leaves_the_faces_out_and_keeps_their_scale(build, blobs, as_cloud, method):
+    seen = {}
+
+    def spy(shape, *, settings, length):
+        seen[shape.name] = shape, length
+        return compute_operators(shape, settings=settings, length=length)
+
+    found = build(method, operators=spy).match(blobs.source, blobs.target, as_cloud=as_cloud)
+    for side, given in (("source", blobs.source), ("target", blobs.target)):
+        used, length = seen[side]
+        np.testing.assert_array_equal(used.points, given.points)
+        if as_cloud in (side, "both"):
+            assert used.faces is None
+            assert length == pytest.approx(unit_frame(given).length, rel=1e-12)
+        else:
+            np.testing.assert_array_equal(used.faces, given.faces)
+    assert found.route == ("features" if method == "auto" else "axiomatic")
+    assert len(found.source_to_target) == blobs.source.n_points
+
+
+def test_as_cloud_of_a_cloud_is_the_cloud(build, blobs):
+    source, target = blobs.of("cc")
+    plain, found = (build("features").match(source, target, as_cloud=choice) for choice in (None, "both"))
+    np.testing.assert_array_equal(found.source_to_target, plain.source_to_target)
+
+
+def test_prepared_shapes_can_be_matched_again(build, blobs):
+    matcher = build("functional-map")
+    source, target = matcher.prepare(blobs.source), matcher.prepare(blobs.target)
+    assert (source.modality, target.modality) == ("mesh", "mesh")
+    assert source.features.shape == (480, 64)
+    assert matcher.prepare(blobs.source, as_cloud=True).modality == "cloud"
+    plain = matcher.match(blobs.source, blobs.target)
+    for _ in range(2):
+        found = matcher.match_prepared(source, target)
+        np.testing.assert_array_equal(found.source_to_target, plain.source_to_target)
+        np.testing.assert_array_equal(found.target_confidence, plain.target_confidence)
+
+
+def test_functional_maps_have_the_size_asked_for(build, blobs, network):
+    def size(partial=False, **settings):
+        matcher = Matcher(network, WeightsInfo(map_eigenpairs=40), settings=MatcherSettings(**settings), device="cpu")
+        prepared = [matcher.prepare(shape) for shape in (blobs.source, blobs.target)]
+        c_st, c_ts = matcher.functional_maps(*prepared, partial=partial)
+        assert c_st.shape == c_ts.shape == c_ts.mT.shape
+        return c_st.shape[0]
+
+    assert size() == 40
+    assert size(map_eigenpairs=25) == 25
+    assert size(map_eigenpairs=25, partial=True, partial_eigenpairs=30) == 30
+
+
+def test_a_functional_map_takes_functions_from_source_to_target(build, blobs):
+    """Direction: ``c_st`` carries the source's coordinates to those of the target's true counterparts."""
+    matcher = build("functional-map")
+    source, target = (matcher.prepare(shape).operators for shape in (blobs.source, blobs.target))
+    c_st, _ = matcher.functional_maps(matcher.prepare(blobs.source), matcher.prepare(blobs.target))
+    heights = torch.from_numpy(blobs.source.points[:, 1].astype(np.float32))
+    carried = target.truncated(40).eigenvectors @ c_st @ source.truncated(40).coefficients(heights[:, None])
+    expected = heights[torch.from_numpy(blobs.target_to_source)]
+    assert torch.corrcoef(torch.stack([carried[:, 0], expected]))[0, 1] > 0.9
+
+
+def test_raw_products_skip_the_normalisation(build, blobs, network):
+    """Between two clouds with features stretched point by point, only normalised ones give the same map."""
+    source, target = (build("features").prepare(shape) for shape in blobs.of("cc"))
+    by_length = {}
+    for raw in (False, True):
+        settings = MatcherSettings(method="features", raw_products=raw)
+        matcher = Matcher(network, WeightsInfo(upright=False), settings=settings, device="cpu")
+        stretch = torch.linspace(0.5, 2, len(source.features))[:, None]
+        stretched = type(source)(source.repaired, source.operators, source.features * stretch)
+        plain, found = (matcher.match_prepared(each, target) for each in (source, stretched))
+        by_length[raw] = np.mean(plain.target_to_source == found.target_to_source)
+    assert by_length[False] > 0.99
+    assert by_length[True] < 0.9
+
+
+def test_steps_are_measured_in_order(build, blobs):
+    heard = []
+    steps = Steps(listener=heard.append)
+    build("features").match(blobs.source, blobs.target, steps=steps)
+    names = [step.name for step in steps.finished]
+    assert names == heard
+    assert set(names) == {
+        *(f"{what} {side}" for what in ("repair", "operators of", "features of") for side in ("source", "target")),
+        "map",
+        "check orientation",
+    }
+    assert len(names) == 8
+    assert names[-2:] == ["map", "check orientation"]
+    assert all(step.seconds > 0 and step.peak_mb > 10 for step in steps.finished)
+
+
+def test_weights_from_a_file(build, blobs, weights):
+    matcher = Matcher.from_weights(weights, device="cpu")
+    assert matcher.info.map_eigenpairs == 40
+    assert not matcher.info.upright
+    assert not matcher.network.training
+    plain, found = build("auto").match(*blobs.of("mm")), matcher.match(*blobs.of("mm"))
+    np.testing.assert_array_equal(found.source_to_target, plain.source_to_target)
+
+
+@pytest.mark.parametrize("method", ["auto", "functional-map", "features"])
+def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method):
+    asked = []
+
+    def one_warning(features, source, target, *, lengths):
+        asked.append((source.name, target.name, lengths))
+        return ["it lies on its side"]
+
+    monkeypatch.setattr(matcher_module, "orientation_warnings", one_warning)
+    found = build(method, info=WeightsInfo(upright=True, map_eigenpairs=40)).match(blobs.source, blobs.target)
+    assert found.warnings == ("it lies on its side",)
+    assert asked == [("source", "target", (unit_frame(blobs.source).length, unit_frame(blobs.target).length))]
+
+
+def test_orientation_does_not_matter_to_all(build, blobs, monkeypatch):
+    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
+    assert build("auto").match(blobs.source, blobs.target).warnings == ()
+    for upright in (WeightsInfo(upright=True), WeightsInfo(upright=False)):
+        assert build("axiomatic", info=upright).match(blobs.source, blobs.target).warnings == ()
+    assert build("auto", with_network=False).match(blobs.source, blobs.target).warnings == ()
+
+
+@pytest.mark.parametrize("method", ["functional-map", "features"])
+def test_methods_that_need_weights(method):
+    with pytest.raises(ArgumentError, match=rf"method '{method}' needs weights.*axiomatic"):
+        Matcher(settings=MatcherSettings(method=method))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda m, s: MatcherSettings(method="feature"), ["method is 'feature'", "did you mean 'features'?"]),
+        (lambda m, s: MatcherSettings(method="funtional-map"), ["did you mean 'functional-map'?"]),
+        (lambda m, s: Matcher(device="cude"), ["device is 'cude'", "did you mean 'cuda'?"]),
+        (lambda m, s: choose_device("gpu9"), ["device is 'gpu9'", "auto, cpu, cuda"]),
+        (lambda m, s: m.match(s, s, partial="sorce"), ["partial is 'sorce'", "did you mean 'source'?"]),
+        (lambda m, s: m.match(s, s, partial=""), ["partial is ''", "source, target"]),
+        (lambda m, s: m.match(s, s, as_cloud="sorce"), ["as_cloud is 'sorce'", "did you mean 'source'?"]),
+        (
+            lambda m, s: m.match_prepared(m.prepare(s), m.prepare(s), partial="targt"),
+            ["partial is 'targt'", "did you mean 'target'?"],
+        ),
+    ],
+)
+def test_words_that_are_not_choices(build, blobs, call, words):
+    with pytest.raises(ArgumentError) as caught:
+        call(build("axiomatic", with_network=False), blobs.source)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert all(word in message for word in words)
+    assert isinstance(caught.value, HomologError)
+    assert isinstance(caught.value, ValueError)
+
+
+def test_bad_choices_are_found_before_any_work(blobs, build):
+    def never(*args, **kwargs):
+        raise AssertionError("operators were computed")
+
+    for wrong in ({"partial": "sorce"}, {"as_cloud": "all"}):
+        with pytest.raises(ArgumentError):
+            build("axiomatic", operators=never).match(blobs.source, blobs.target, **wrong)
+
+
+def test_device_words(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert choose_device("auto") == choose_device("cpu") == torch.device("cpu")
+    with pytest.raises(ArgumentError, match="finds no CUDA device"):
+        choose_device("cuda")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert choose_device("auto") == choose_device("cuda") == torch.device("cuda")
+
+
+def test_unusable_shapes_are_named(build, blobs):
+    line = Shape(np.outer(np.arange(10.0), [1, 2, 3]), name="stick.xyz")
+    for pair in ((line, blobs.source), (blobs.source, line)):
+        with pytest.raises(ShapeError, match=r"stick\.xyz cannot be used"):
+            build("axiomatic").match(*pair)
+
+
+def test_weights_that_are_not_there():
+    with pytest.raises(WeightsError, match="no such weight file"):
+        Matcher.from_weights("nowhere.safetensors")

@@ -1,0 +1,153 @@
+"""Matching a part to the whole: one scale, and no counterpart where there is none."""
+
+from dataclasses import dataclass
+
+import fast_simplification
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import KDTree
+
+from homolog.geometry import compute_operators, unit_frame
+from homolog.maps import covered
+from homolog.matching import Matcher, PointMaps
+from homolog.shapes import Shape, repair
+
+KINDS = [("mesh", None), ("cloud", "both")]
+
+
+@dataclass(frozen=True)
+class Cut:
+    """A whole body, the part above a plane with its points in another order, and the truth between them."""
+
+    whole: Shape
+    part: Shape
+    part_to_whole: np.ndarray
+    kept: np.ndarray
+
+    @property
+    def whole_to_part(self):
+        """For points cut away, the nearest one left: a matcher always answers something."""
+        return KDTree(self.part.points).query(self.whole.points)[1]
+
+
+@pytest.fixture(scope="module")
+def body(demo):
+    points, faces = fast_simplification.simplify(
+        demo.amber.points.astype(np.float32), demo.amber.faces.astype(np.int32), target_count=2400
+    )
+    return repair(Shape(points, faces, name="body")).shape
+
+
+@pytest.fixture(scope="module", params=[0.35, 0.6])
+def cut(body, request):
+    """Cut level: knees and chest, as shares of the height."""
+    height = body.points[:, 1]
+    level = height.min() + request.param * np.ptp(height)
+    faces = body.faces[(height[body.faces] > level).all(axis=1)]
+    inside = np.random.default_rng(0).permutation(np.unique(faces))
+    place = np.full(body.n_points, -1)
+    place[inside] = np.arange(len(inside))
+    return Cut(body, Shape(body.points[inside], place[faces], name="part"), inside, place >= 0)
+
+
+class Told(Matcher):
+    """Is told the true maps from the whole (its source) to the part (its target)."""
+
+    truth: Cut
+
+    def point_maps(self, source, target, *, partial=False):
+        assert partial
+        assert len(source.operators.points) == self.truth.whole.n_points
+        return PointMaps(torch.from_numpy(self.truth.whole_to_part), torch.from_numpy(self.truth.part_to_whole))
+
+
+def f1(found, truth):
+    return 2 * np.sum(found & truth) / (np.sum(found) + np.sum(truth))
+
+
+@pytest.mark.parametrize(("kind", "as_cloud"), KINDS)
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_points_without_counterpart(build, cut, side, kind, as_cloud):
+    matcher = build("features", kind=Told)
+    matcher.truth = cut
+    shapes = (cut.whole, cut.part) if side == "target" else (cut.part, cut.whole)
+    found = matcher.match(*shapes, partial=side, as_cloud=as_cloud)
+    found = found if side == "target" else found.swapped()
+    matched = found.source_to_target >= 0
+    assert f1(matched, cut.kept) >= 0.9
+    np.testing.assert_array_equal(found.source_to_target[matched], cut.whole_to_part[matched])
+    assert np.all(found.source_confidence[~matched] == 0)
+    assert found.source_confidence[matched & cut.kept].mean() > 0.8
+    np.testing.assert_array_equal(found.target_to_source, cut.part_to_whole)
+    assert found.target_confidence.mean() > 0.8
+
+
+def test_covered_itself(cut):
+    """The same without a matcher, on operators."""
+    length = unit_frame(cut.whole).length
+    whole, part = compute_operators(cut.whole), compute_operators(cut.part, length=length)
+    found = covered(whole, part, torch.from_numpy(cut.part_to_whole)).numpy()
+    assert f1(found, cut.kept) >= 0.9
+    assert f1(~found, ~cut.kept) >= 0.8
+
+
+def lengths_of(build, method, **options):
+    """The inner units of the source's and the target's operators in one match."""
+    lengths = {}
+
+    def spy(shape, **settings):
+        operators = compute_operators(shape, **settings)
+        lengths[shape.name] = operators.length
+        return operators
+
+    build(method, operators=spy).match(*options.pop("shapes"), **options)
+    return lengths
+
+
+@pytest.mark.parametrize(("kind", "as_cloud"), KINDS)
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_one_scale_the_whole_one(build, cut, side, kind, as_cloud):
+    shapes = (cut.whole, cut.part) if side == "target" else (cut.part, cut.whole)
+    lengths = lengths_of(build, "features", shapes=shapes, partial=side, as_cloud=as_cloud)
+    assert lengths["part"] == lengths["body"] == unit_frame(cut.whole).length
+
+
+def test_each_its_own_scale_where_neither_is_partial(build, cut):
+    lengths = lengths_of(build, "features", shapes=(cut.whole, cut.part))
+    assert lengths == {"body": unit_frame(cut.whole).length, "part": unit_frame(cut.part).length}
+    assert lengths["part"] < 0.95 * lengths["body"]
+
+
+@pytest.mark.parametrize("method", ["functional-map", "features", "axiomatic"])
+@pytest.mark.parametrize("as_cloud", [None, "both", "source", "target"])
+def test_every_method_on_parts(build, blobs, method, as_cloud):
+    """The part always has counterparts; the whole has -1 with confidence 0; the other way round is the mirror image."""
+    height = blobs.target.points[:, 1]
+    faces = blobs.target.faces[(height[blobs.target.faces] > -0.5).all(axis=1)]
+    part = repair(Shape(blobs.target.points, faces)).shape
+    found = build(method).match(blobs.source, part, partial="target", as_cloud=as_cloud)
+    missing = found.source_to_target < 0
+    assert 0 < missing.sum() < blobs.source.n_points
+    assert np.all((found.source_confidence == 0) == missing)
+    assert found.source_to_target.min() == -1
+    assert found.source_to_target.max() < part.n_points
+    assert found.target_to_source.min() >= 0
+    assert found.target_to_source.max() < blobs.source.n_points
+    for confidence in (found.source_confidence, found.target_confidence):
+        assert np.isfinite(confidence).all()
+        assert confidence.min() >= 0
+        assert confidence.max() <= 1
+    mirrored = {"source": "target", "target": "source"}.get(as_cloud, as_cloud)
+    back = build(method).match(part, blobs.source, partial="source", as_cloud=mirrored)
+    np.testing.assert_array_equal(back.source_to_target, found.target_to_source)
+    np.testing.assert_array_equal(back.target_to_source, found.source_to_target)
+    np.testing.assert_array_equal(back.source_confidence, found.target_confidence)
+    np.testing.assert_array_equal(back.target_confidence, found.source_confidence)
+
+
+@pytest.mark.parametrize("method", ["functional-map", "features", "axiomatic"])
+def test_whole_pairs_have_no_missing_points(build, blobs, method):
+    found = build(method).match(blobs.source, blobs.target)
+    assert found.source_to_target.min() >= 0
+    assert found.target_to_source.min() >= 0

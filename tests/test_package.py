@@ -1,0 +1,148 @@
+"""The package as a whole: what it exports, what it imports, and who may import whom."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import homolog
+
+ROOT = Path(homolog.__file__).parent
+MODULES = sorted(path for path in ROOT.rglob("*.py"))
+
+# Floor by floor, what each part may import of homolog. `errors`, `memory` and the like are the ground.
+GROUND = {"errors", "memory", "arrays", "files", "steps", "versions"}
+FLOORS = {
+    "errors": set(),
+    "memory": {"errors"},
+    "arrays": set(),
+    "files": {"errors"},
+    "steps": set(),
+    "versions": set(),
+    "shapes": GROUND,
+    "geometry": GROUND | {"shapes"},
+    "network": GROUND | {"shapes", "geometry"},
+    "maps": GROUND | {"shapes", "geometry"},
+    "matching": GROUND | {"shapes", "geometry", "network", "maps"},
+    "datasets": GROUND | {"shapes"},
+    "evaluation": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets"},
+    "cli": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
+    "__main__": {"cli"},
+    "__init__": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
+}
+HEAVY = ["pyvista", "vtkmodules", "matplotlib", "anny", "pypcd4", "fast_simplification", "tensorboard", "lightning"]
+
+
+def parsed(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def part_of(path):
+    """The floor that a file belongs to: a package, or a module beside the packages."""
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def imported_parts(path):
+    """Which parts of homolog a file imports, anywhere in it."""
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} has a relative import, which this test does not follow"
+            module = node.module or ""
+            names = [f"homolog.{alias.name}" for alias in node.names] if module == "homolog" else [module]
+        else:
+            continue
+        for name in names:
+            if name.split(".")[0] == "homolog":
+                yield name.split(".")[1] if "." in name else "__init__"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_point_downward(path):
+    part = part_of(path)
+    assert part in FLOORS, f"say in FLOORS what {part} may import"
+    beyond = set(imported_parts(path)) - FLOORS[part] - {part}
+    assert not beyond, f"{path} must not import {sorted(beyond)}"
+
+
+def test_floors_have_an_order():
+    """The table itself must not allow a circle."""
+    left = dict(FLOORS)
+    while left:
+        lowest = [part for part, below in left.items() if not below & set(left)]
+        assert lowest, f"these import one another: {sorted(left)}"
+        for part in lowest:
+            del left[part]
+
+
+def test_every_floor_is_there():
+    assert {part_of(path) for path in MODULES} == set(FLOORS)
+
+
+def test_exports():
+    assert homolog.__all__ == sorted(homolog.__all__)
+    assert len(set(homolog.__all__)) == len(homolog.__all__)
+    for name in homolog.__all__:
+        assert getattr(homolog, name) is not None
+    for name in ("Matcher", "Shape", "read_shape", "Correspondence", "HomologError"):
+        assert name in homolog.__all__
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if path.name == "__init__.py"], ids=part_of)
+def test_packages_export_what_they_import(path):
+    """``__all__`` names exactly what a package takes from its modules."""
+    tree = parsed(path)
+    imported = {
+        alias.asname or alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    listed = [
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and node.targets[0].id == "__all__"
+    ]
+    assert set(listed[0] if listed else []) == imported
+
+
+def test_star_import():
+    names = {}
+    exec("from homolog import *", names)
+    assert set(homolog.__all__) <= set(names)
+
+
+def test_import_takes_no_extra_and_no_output():
+    """What is heavy or optional is imported where it is used."""
+    program = f"import sys, homolog, homolog.cli.main; print([name for name in {HEAVY!r} if name in sys.modules])"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "[]\n", "")
+
+
+def test_typed():
+    assert (ROOT / "py.typed").is_file()
+
+
+def undocumented(nodes, where):
+    """Public classes and functions without a docstring, methods included."""
+    for node in nodes:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            if ast.get_docstring(node) is None:
+                yield f"{where}.{node.name}"
+            if isinstance(node, ast.ClassDef):
+                yield from undocumented(node.body, f"{where}.{node.name}")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_everything_public_has_a_docstring(path):
+    tree = parsed(path)
+    if path.name != "__main__.py":
+        assert ast.get_docstring(tree)
+    assert list(undocumented(tree.body, path.stem)) == []
+
+
+def test_version_is_that_of_the_package():
+    from homolog.versions import version_of, versions
+
+    assert versions()["homolog"] == version_of("homolog") is not None
+    assert version_of("no-such-package-as-this") is None
