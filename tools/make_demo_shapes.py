@@ -1,5 +1,4 @@
-"""
-Make the two demo shapes that ship with Homolog, and their ground truth.
+"""Make the two demo shapes that ship with Homolog, and their ground truth.
 
 Run from the root of the checkout::
 

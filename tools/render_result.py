@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import pyvista
 
@@ -18,7 +19,8 @@ _SIZE = (1600, 900)
 
 def render(result: Path, picture: Path) -> None:
     """Draw ``source.ply`` and ``target.ply`` of a result folder from the front, with soft shading."""
-    plotter = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=list(_SIZE), border=False)
+    # pyvista's own annotations mislead the type checker here.
+    plotter: Any = pyvista.Plotter(off_screen=True, shape=(1, 2), window_size=list(_SIZE), border=False)
     for column, side in enumerate(("source", "target")):
         plotter.subplot(0, column)
         shape = pyvista.read(result / f"{side}.ply")
