@@ -7,6 +7,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+# Small shapes on a busy machine: threads would wait for each other most of the time. To be set before numpy loads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 import scipy.sparse as sparse
@@ -22,6 +26,7 @@ from homolog.shapes import Shape, read_shape
 # The same examples on every run, and no failure because a machine is slow.
 settings.register_profile("homolog", derandomize=True, deadline=None)
 settings.load_profile("homolog")
+torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -42,10 +42,15 @@ def test_four_files(homolog, files, tmp_path):
         np.testing.assert_array_equal(written.faces, given.faces)
 
 
-def test_the_same_as_in_python(homolog, files, tmp_path):
-    homolog("match", files.mesh, files.cloud, "-o", tmp_path, "--weights", files.weights, "--device", "cpu")
-    matcher = Matcher.from_weights(files.weights, settings=MatcherSettings(), device="cpu")
-    found = matcher.match(read_shape(files.mesh), read_shape(files.cloud))
+@pytest.mark.parametrize(
+    "options", [{}, {"as_cloud": "both"}, {"as_cloud": "source"}, {"partial": "target"}, {"partial": "source"}]
+)
+def test_the_same_as_in_python(homolog, files, tmp_path, options):
+    words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value)]
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path, "--weights", files.weights, *words)
+    assert ended.code == 0
+    matcher = Matcher.from_weights(files.weights, settings=MatcherSettings())
+    found = matcher.match(read_shape(files.mesh), read_shape(files.other), **options)
     for name, array in maps(tmp_path).items():
         np.testing.assert_array_equal(array, getattr(found, name))
 

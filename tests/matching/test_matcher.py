@@ -93,15 +93,16 @@ def test_raw_products_skip_the_normalisation(build, blobs, network):
     """Between two clouds with features stretched point by point, only normalised ones give the same map."""
     source, target = (build("features").prepare(shape) for shape in blobs.of("cc"))
     by_length = {}
+    shuffled = torch.randperm(len(source.features), generator=torch.Generator().manual_seed(0))
     for raw in (False, True):
         settings = MatcherSettings(method="features", raw_products=raw)
         matcher = Matcher(network, WeightsInfo(upright=False), settings=settings, device="cpu")
-        stretch = torch.linspace(0.5, 2, len(source.features))[:, None]
+        stretch = torch.logspace(-1, 0.5, len(source.features))[shuffled, None]
         stretched = type(source)(source.repaired, source.operators, source.features * stretch)
-        plain, found = (matcher.match_prepared(each, target) for each in (source, stretched))
-        by_length[raw] = np.mean(plain.target_to_source == found.target_to_source)
+        plain, found = (matcher.point_maps(each, target, partial=True) for each in (source, stretched))
+        by_length[raw] = (plain.target_to_source == found.target_to_source).float().mean()
     assert by_length[False] > 0.99
-    assert by_length[True] < 0.9
+    assert by_length[True] < 0.8
 
 
 def test_steps_are_measured_in_order(build, blobs):

@@ -28,7 +28,7 @@ from homolog.maps import (
 )
 from homolog.matching.axiomatic import AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION, axiomatic_descriptors
 from homolog.matching.correspondence import Correspondence, Route
-from homolog.matching.orientation import orientation_warnings
+from homolog.matching.orientation import axiomatic_warnings, orientation_warnings
 from homolog.network import DiffusionNet, WeightsInfo, load_weights
 from homolog.shapes import Modality, Repaired, Shape, repair
 from homolog.steps import Steps
@@ -250,9 +250,10 @@ class Matcher:
 
     @torch.inference_mode()
     def orientation_warnings(self, source: Prepared, target: Prepared) -> tuple[str, ...]:
-        """What to tell the user if the shapes do not stand as the weights expect; see ``WeightsInfo.upright``."""
-        route = self.route(source.modality, target.modality)
-        if self.network is None or route == "axiomatic" or not self.info.upright:
+        """What to tell the user if the shapes do not stand alike, or not as the weights expect."""
+        if self.network is None or self.route(source.modality, target.modality) == "axiomatic":
+            return tuple(axiomatic_warnings(source.operators, target.operators))
+        if not self.info.upright:
             return ()
         lengths = source.operators.length, target.operators.length
         return tuple(orientation_warnings(self.network, source.repaired.shape, target.repaired.shape, lengths=lengths))
