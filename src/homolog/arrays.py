@@ -30,10 +30,11 @@ def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _to_tensor(value: Any) -> Any:
-    # Copied where read-only: torch has no read-only tensors.
-    return (
-        torch.from_numpy(value if value.flags.writeable else value.copy()) if isinstance(value, np.ndarray) else value
-    )
+    if not isinstance(value, np.ndarray):
+        return value
+    # Copied where torch has no such tensors: read-only ones, and ones with negative strides.
+    shared = value.flags.writeable and min(value.strides, default=0) >= 0
+    return torch.from_numpy(value if shared else value.copy())
 
 
 def _to_numpy(value: Any) -> Any:

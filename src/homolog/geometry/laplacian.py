@@ -21,6 +21,8 @@ CLOUD_NEIGHBOURS = 30
 
 # A point's mass is at least this share of the mean mass: a point between slivers would otherwise have none.
 _SMALLEST_MASS = 1e-6
+# For the cotangent Laplacian, a triangle's area is at least this share of the mean area.
+_SMALLEST_AREA = 1e-8
 
 
 def mesh_laplacian(
@@ -65,7 +67,8 @@ def _cotangent_laplacian(
     n = len(points)
     corners = points[faces]
     doubled_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    doubled_area = np.maximum(doubled_area, np.finfo(float).tiny)
+    # The cotangents of slivers are bounded, so that they stay finite.
+    doubled_area = np.maximum(doubled_area, _SMALLEST_AREA * doubled_area.mean())
     weights = sparse.csr_matrix((n, n))
     for corner in range(3):
         a, b = (corner + 1) % 3, (corner + 2) % 3

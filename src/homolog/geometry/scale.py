@@ -76,9 +76,10 @@ def cloud_area(points: Float[np.ndarray, "n 3"]) -> float:
     radius = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if radius == 0:
         return 0.0
-    stride = max(1, len(points) // _COUNTED_POINTS)
+    # Every so many-th point in the order of its coordinates: the order in the file must not matter.
+    centres = points[np.lexsort(points.T)][:: max(1, len(points) // _COUNTED_POINTS)]
     tree = KDTree(points)
-    small, large = (_area_by_counts(tree, points[::stride], share * radius) for share in _BALLS)
+    small, large = (_area_by_counts(tree, centres, share * radius) for share in _BALLS)
     exponent = _BALLS[1] ** 2 / (_BALLS[1] ** 2 - _BALLS[0] ** 2)
     return float(_BALL_BIAS * large**exponent / small ** (exponent - 1))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -57,7 +57,7 @@ class MatcherSettings:
         refine: smooth the point maps of the features route in the lowest eigenfunctions; never with a partial shape.
         raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
             here to reproduce the published code.
-        operators: what operators to compute.
+        operators: what operators to compute; by default those that the weights were trained with.
     """
 
     method: Method = "auto"
@@ -68,7 +68,7 @@ class MatcherSettings:
     iterations: int = 10
     refine: bool = True
     raw_products: bool = False
-    operators: OperatorSettings = field(default_factory=OperatorSettings)
+    operators: OperatorSettings | None = None
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
@@ -198,7 +198,8 @@ class Matcher:
         if as_cloud:
             length = length or unit_frame(shape).length
             shape = shape.as_cloud()
-        return self._operators(shape, settings=self.settings.operators, length=length).to(self.device)
+        settings = self.settings.operators or OperatorSettings(self.info.n_eigenpairs, self.info.laplacian)
+        return self._operators(shape, settings=settings, length=length).to(self.device)
 
     @torch.inference_mode()
     def features(self, operators: Operators) -> Float[Tensor, "n d"]:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from homolog.errors import WeightsError
 from homolog.files import atomic_path, sha256
+from homolog.geometry import LaplacianKind
 from homolog.network.diffusion_net import DiffusionNet, NetworkSettings
 
 _FORMAT = "homolog-weights-1"
@@ -30,6 +31,7 @@ class WeightsInfo:
         licence: the terms of the weights.
         upright: whether shapes must stand as those trained on did: +y up, facing +z.
         n_eigenpairs: eigenpairs of the operators that the network was trained with.
+        laplacian: the Laplacian of meshes that it was trained with.
         map_eigenpairs: eigenpairs of the functional map that it was trained with.
         sha256: hash of the file; empty before it is saved.
     """
@@ -38,6 +40,7 @@ class WeightsInfo:
     licence: str = "unknown"
     upright: bool = True
     n_eigenpairs: int = 128
+    laplacian: LaplacianKind = "robust"
     map_eigenpairs: int = 80
     sha256: str = field(default="", compare=False)
 
@@ -101,7 +104,7 @@ def _read_published(path: Path) -> _Contents:
         blocks=sum(name.endswith(".times") for name in tensors),
         gradient_product="published",
     )
-    info = WeightsInfo(name=path.stem, licence="as its authors state", sha256=sha256(path))
+    info = WeightsInfo(name=path.stem, licence="as its authors state", laplacian="cotangent", sha256=sha256(path))
     return settings, info, tensors
 
 
