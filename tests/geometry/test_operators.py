@@ -8,7 +8,7 @@ import torch
 
 from homolog.errors import ArgumentError, ShapeError
 from homolog.geometry import Operators, OperatorSettings, compute_operators, mesh_laplacian
-from homolog.geometry.operators import frame_of
+from homolog.geometry.scale import Frame
 from homolog.shapes import Shape
 
 SETTINGS = OperatorSettings(n_eigenpairs=20)
@@ -142,7 +142,7 @@ def test_moving_to_a_device_keeps_all_and_the_frame_can_be_read_back(blob: Shape
     moved = operators.to("cpu")
     assert (moved.length, moved.method) == (operators.length, operators.method)
     torch.testing.assert_close(moved.points, operators.points, atol=0, rtol=0)
-    frame = frame_of(moved)
+    frame = Frame(centre=moved.centre.numpy(), length=moved.length)
     np.testing.assert_allclose(frame.inside(blob.points), operators.points, atol=1e-6)
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
-from homolog.geometry.scale import Frame, unit_frame
+from homolog.geometry.scale import unit_frame
 from homolog.geometry.spectrum import lowest_eigenpairs
 from homolog.geometry.tangent import (
     cloud_normals,
@@ -143,11 +143,6 @@ def _cloud_gradient(points: Float[np.ndarray, "n 3"], n_neighbours: int) -> tupl
     frames = tangent_frames(cloud_normals(points, neighbours))
     starts = np.repeat(np.arange(len(points)), neighbours.shape[1])
     return gradient_matrices(points, frames, starts, neighbours.ravel())
-
-
-def frame_of(operators: Operators) -> Frame:
-    """Where the operators' inner coordinates lie in the file's."""
-    return Frame(centre=operators.centre.cpu().numpy(), length=operators.length)
 
 
 def _single(array: np.ndarray) -> Tensor:
