@@ -102,7 +102,8 @@ def test_report(homolog, files, tmp_path):
     assert found["weights"]["given"] == str(files.weights)
     assert (found["weights"]["name"], found["weights"]["licence"]) == ("untrained", "none")
     assert found["settings"]["method"] == "auto"
-    assert found["settings"]["operators"]["n_eigenpairs"] == 128
+    assert found["weights"]["n_eigenpairs"] == 128
+    assert found["weights"]["map_eigenpairs"] == 20
     steps = [step["name"] for step in found["steps"]]
     assert steps[:2] == ["read source", "read target"]
     assert steps[-2:] == ["map", "check orientation"]

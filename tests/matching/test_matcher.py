@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from homolog.errors import ArgumentError, HomologError, ShapeError, WeightsError
-from homolog.geometry import compute_operators, unit_frame
+from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.matching import Matcher, MatcherSettings, choose_device
 from homolog.matching import matcher as matcher_module
 from homolog.network import WeightsInfo
@@ -144,12 +144,25 @@ def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method
     assert asked == [("source", "target", (unit_frame(blobs.source).length, unit_frame(blobs.target).length))]
 
 
-def test_orientation_does_not_matter_to_all(build, blobs, monkeypatch):
+def test_orientation_does_not_matter_to_all_weights(build, blobs, monkeypatch):
     monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
-    assert build("auto").match(blobs.source, blobs.target).warnings == ()
-    for upright in (WeightsInfo(upright=True), WeightsInfo(upright=False)):
-        assert build("axiomatic", info=upright).match(blobs.source, blobs.target).warnings == ()
-    assert build("auto", with_network=False).match(blobs.source, blobs.target).warnings == ()
+    for method in ("auto", "functional-map", "features"):
+        assert build(method).match(blobs.source, blobs.target).warnings == ()
+
+
+def test_the_axiomatic_route_warns_by_its_own_lights(build, blobs, monkeypatch):
+    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["the network's view"])
+    monkeypatch.setattr(matcher_module, "axiomatic_warnings", lambda source, target: [f"{len(source.points)} turned"])
+    for matcher in (build("axiomatic", info=WeightsInfo(upright=True)), build("auto", with_network=False)):
+        assert matcher.match(blobs.source, blobs.target).warnings == ("480 turned",)
+
+
+@pytest.mark.parametrize("given", [None, OperatorSettings(n_eigenpairs=50)])
+def test_operators_are_those_the_weights_were_trained_with(blobs, network, given):
+    """Unless the settings say otherwise."""
+    info = WeightsInfo(n_eigenpairs=60, upright=False)
+    matcher = Matcher(network, info, settings=MatcherSettings(operators=given), device="cpu")
+    assert matcher.prepare(blobs.source).operators.n_eigenpairs == (50 if given else 60)
 
 
 @pytest.mark.parametrize("method", ["functional-map", "features"])
