@@ -8,21 +8,26 @@ Meshes and point clouds, whole or partial, in any mix::
     matcher = homolog.Matcher.from_weights("weights.safetensors")
     found = matcher.match(source, target)
     found.source_to_target  # for each source point the index of its target point
+
+What is named here is loaded when it is first used, so that the command line answers at once.
 """
 
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 # Idle threads that spin make small matrix products many times slower on a machine with other work. OpenMP reads this
 # once, when PyTorch is first imported; whoever has chosen otherwise, or imported PyTorch before, is left alone.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from homolog.errors import HomologError
-from homolog.geometry import OperatorCache, Operators, compute_operators
-from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches
-from homolog.matching import Correspondence, Matcher, MatcherSettings
-from homolog.memory import get_working_memory, set_working_memory, working_memory
-from homolog.network import load_weights
-from homolog.shapes import Report, Shape, check, read_shape, repair, write_shape
+if TYPE_CHECKING:
+    from homolog.errors import HomologError
+    from homolog.geometry import OperatorCache, Operators, compute_operators
+    from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches
+    from homolog.matching import Correspondence, Matcher, MatcherSettings
+    from homolog.memory import get_working_memory, set_working_memory, working_memory
+    from homolog.network import load_weights
+    from homolog.shapes import Report, Shape, check, read_shape, repair, write_shape
 
 __all__ = [
     "Correspondence",
@@ -47,3 +52,15 @@ __all__ = [
     "working_memory",
     "write_shape",
 ]
+
+_HOMES = ("errors", "memory", "shapes", "geometry", "maps", "network", "matching")
+
+
+def __getattr__(name: str) -> Any:
+    """Find a public name in the package that it comes from."""
+    if name in __all__:
+        for home in _HOMES:
+            module = import_module(f"homolog.{home}")
+            if hasattr(module, name):
+                return getattr(module, name)
+    raise AttributeError(f"module 'homolog' has no attribute {name!r}")

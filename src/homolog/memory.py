@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
 
 from homolog.errors import bad_value
 
 _MEBIBYTE = 2**20
-_working_memory: ContextVar[float] = ContextVar("working_memory", default=1024.0)
+_bound = 1024.0
 
 # Rows are worked on in tiles of about this size even where more would fit: a tile then stays in the processor's cache
 # between the product that makes it and the reductions that read it.
@@ -27,17 +26,18 @@ def set_working_memory(mebibytes: float) -> None:
     """
     if not mebibytes > 0:
         raise bad_value("working memory", mebibytes, "a positive number of mebibytes")
-    _working_memory.set(float(mebibytes))
+    global _bound
+    _bound = float(mebibytes)
 
 
 def get_working_memory() -> float:
     """The bound in mebibytes; see ``set_working_memory``."""
-    return _working_memory.get()
+    return _bound
 
 
 @contextmanager
 def working_memory(mebibytes: float) -> Iterator[None]:
-    """Set the bound within a ``with`` block."""
+    """Set the bound within a ``with`` block, for the whole process."""
     before = get_working_memory()
     set_working_memory(mebibytes)
     try:

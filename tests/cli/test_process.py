@@ -76,8 +76,9 @@ def test_a_mistake_is_one_line_even_if_libraries_talk(files, tmp_path):
 def test_unknown_command():
     ended = run("mach")
     assert ended.returncode == 2
-    assert "Usage:" in ended.stderr
-    assert "homolog" in ended.stderr
+    assert ended.stderr.startswith("Error: ")
+    assert ended.stderr.count("\n") == 1
+    assert "did you mean" in ended.stderr.lower()
     assert ended.stdout == ""
 
 

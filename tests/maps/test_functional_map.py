@@ -215,7 +215,7 @@ def test_zoom_out_between_different_bodies_improves_the_map(demo, demo_operators
     truth = torch.from_numpy(amber_of_boris)[known]
     # The least-squares map of the known points, in few functions.
     start = torch.linalg.lstsq(boris.eigenvectors[known, :10], amber.eigenvectors[truth, :10]).solution
-    refined = zoom_out(start, amber.eigenvectors, boris.eigenvectors)
+    refined = zoom_out(start, amber.eigenvectors, boris.eigenvectors, step=5)
     errors = []
     for c_xy in (start, refined):
         y_to_x = point_map_from_functional_map(c_xy, amber.eigenvectors, boris.eigenvectors)

@@ -1,4 +1,4 @@
-"""The ``homolog`` command: its subcommands, and how it ends."""
+"""How the ``homolog`` command begins and ends."""
 
 from __future__ import annotations
 
@@ -7,26 +7,9 @@ import signal
 import sys
 import warnings
 from types import FrameType
+from typing import NoReturn
 
-import typer
-
-from homolog.cli.demo import demo
-from homolog.cli.doctor import doctor
-from homolog.cli.evaluate import evaluate
-from homolog.cli.info import info
-from homolog.cli.match import match
 from homolog.errors import HomologError
-
-app = typer.Typer(
-    name="homolog",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    help="Find dense correspondences between non-rigid 3D shapes: meshes and point clouds, whole or partial.",
-)
-for command in (match, evaluate, info, doctor, demo):
-    app.command()(command)
 
 
 class _Interrupted(BaseException):
@@ -42,20 +25,30 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     try:
-        app()
+        # Only now, as loading PyTorch takes seconds in which Ctrl-C must work, too.
+        from homolog.cli.app import app
+
+        status = app(standalone_mode=False)
     except HomologError as error:
         _end(f"Error: {error}", 2)
     except _Interrupted:
         _end("Interrupted; nothing was left half-written.", 130)
     except MemoryError:
         _end("Error: not enough memory; use smaller shapes, or close other programs", 2)
+    except Exception as error:
+        # Mistakes in options are exceptions of the command-line library, which keeps their class to itself.
+        if not hasattr(error, "format_message"):
+            raise
+        complaint = error.format_message().replace("Value error, ", "").rstrip(".") or "a command is missing"
+        _end(f"Error: {complaint}; see homolog --help", 2)
+    sys.exit(status if isinstance(status, int) else 0)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     raise _Interrupted
 
 
-def _end(message: str, code: int) -> None:
+def _end(message: str, code: int) -> NoReturn:
     sys.stdout.flush()
     print(message, file=sys.stderr)
     sys.exit(code)

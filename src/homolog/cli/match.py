@@ -70,7 +70,7 @@ def match(
       homolog match a.ply b.xyz -o result --method axiomatic
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_folder(output)
+    check_folder(output, inputs=(source, target))
     ups: dict[Side, Up] = {"source": source_up or up, "target": target_up or up}
     with progress_bar(quiet=quiet) as progress:
         steps = Steps(listener=_counted(progress, verbose=verbose))

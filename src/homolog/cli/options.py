@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +13,7 @@ import typer
 
 from homolog.errors import ArgumentError
 from homolog.geometry import OperatorCache, compute_operators
-from homolog.matching import Device, Matcher, MatcherSettings, Method
+from homolog.matching import RESULT_FILES, Device, Matcher, MatcherSettings, Method
 from homolog.network import find_weights, load_weights
 
 Weights = Annotated[
@@ -58,12 +60,20 @@ def set_verbosity(*, quiet: bool, verbose: bool) -> None:
     logging.getLogger("homolog").setLevel(level)
 
 
-def check_folder(output: Path) -> None:
-    """Refuse a result folder that cannot be made, before any work is done for it."""
+def check_folder(output: Path, *, inputs: Iterable[Path] = ()) -> None:
+    """Refuse a result folder that cannot be made, or whose files would replace an input, before any work is done."""
     place = output.expanduser()
     nearest = next(path for path in (place, *place.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise ArgumentError(f"{output} cannot be made a folder, {nearest} is a file; give another -o")
+    if not os.access(nearest, os.W_OK):
+        raise ArgumentError(f"{output} cannot be written to: {nearest} is read-only; give another -o")
+    given = {path.expanduser().resolve() for path in inputs}
+    for name in RESULT_FILES:
+        if (place / name).resolve() in given:
+            raise ArgumentError(f"{place / name} is an input and would be replaced by the result; give another -o")
+        if (place / name).is_dir():
+            raise ArgumentError(f"{place / name} is a folder, where a result file belongs; give another -o")
 
 
 def check_file(output: Path) -> None:

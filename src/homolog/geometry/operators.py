@@ -24,6 +24,9 @@ from homolog.geometry.tangent import (
 )
 from homolog.shapes import Shape
 
+# Components with less than this share of the mass are debris.
+_SMALLEST_COMPONENT = 0.01
+
 # A sparse matrix of shape (n, n) in torch's compressed-row layout.
 SparseMatrix = Tensor
 
@@ -78,6 +81,18 @@ class Operators:
             eigenvalues=self.eigenvalues[:n_eigenpairs],
             eigenvectors=self.eigenvectors[:, :n_eigenpairs].contiguous(),
         )
+
+    def without_debris(self) -> Operators:
+        """The same operators without the eigenfunctions that are constant on a small component and zero elsewhere.
+
+        Every component adds one, at eigenvalue zero, where they would crowd out the shape's own.
+        """
+        # A function that is constant on a component of mass m, and of unit norm, has the value 1 / sqrt(m) there.
+        share = 1 / self.eigenvectors.abs().amax(dim=0).square() / self.mass.sum()
+        kept = (self.eigenvalues > 1e-6 * self.eigenvalues[-1]) | (share >= _SMALLEST_COMPONENT)
+        if int(kept.sum()) in (self.n_eigenpairs, 0, 1):
+            return self
+        return replace(self, eigenvalues=self.eigenvalues[kept], eigenvectors=self.eigenvectors[:, kept].contiguous())
 
     def coefficients(self, functions: Float[Tensor, "n c"]) -> Float[Tensor, "k c"]:
         """Spectral coefficients Phi^T M f of functions on the shape."""

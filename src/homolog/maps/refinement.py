@@ -18,7 +18,7 @@ def zoom_out(
     eigenvectors_x: Float[Tensor, "n_x m"],
     eigenvectors_y: Float[Tensor, "n_y m"],
     *,
-    step: int = 5,
+    step: int = 20,
     largest: int | None = None,
 ) -> Float[Tensor, "m m"]:
     """Refine a functional map by alternating with its point map, in a growing basis.
@@ -65,8 +65,10 @@ def refined_point_map(
 
 def _fitted(pulled_back: Float[Tensor, "n k"], eigenvectors_y: Float[Tensor, "n k"]) -> Float[Tensor, "k k"]:
     """The least-squares C with Phi_y C = Pi Phi_x on the samples; sampled eigenvectors stay nearly orthogonal."""
-    gram, right = eigenvectors_y.T @ eigenvectors_y, eigenvectors_y.T @ pulled_back
-    solution: Tensor = torch.linalg.solve(gram.double(), right.double()).to(pulled_back.dtype)
+    gram, right = (eigenvectors_y.T @ eigenvectors_y).double(), (eigenvectors_y.T @ pulled_back).double()
+    # An eigenvector that is zero on all samples must not make the system singular.
+    ridge = 1e-6 * gram.diagonal().mean() * torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
+    solution: Tensor = torch.linalg.solve(gram + ridge, right).to(pulled_back.dtype)
     return solution
 
 

@@ -2,9 +2,10 @@
 
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.matcher import Device, Matcher, MatcherSettings, Method, PointMaps, Prepared, Side, choose_device
-from homolog.matching.output import matched_colours, position_colours, write_result
+from homolog.matching.output import RESULT_FILES, matched_colours, position_colours, write_result
 
 __all__ = [
+    "RESULT_FILES",
     "Correspondence",
     "Device",
     "Matcher",

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.errors import ArgumentError, bad_choice
+from homolog.errors import ArgumentError, ShapeError, bad_choice
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
     confidence,
@@ -38,6 +38,12 @@ Side = Literal["source", "target"]
 AsCloud = Literal["source", "target", "both"]
 Device = Literal["auto", "cpu", "cuda"]
 
+# Size to which functional maps from a network's features are refined.
+_REFINED_EIGENPAIRS = 120
+
+# Mean confidence below which the user is warned. Good matches of bodies have 0.7 to 0.9, hopeless ones under 0.2.
+_DOUBTFUL = 0.35
+
 # A function like `compute_operators`: the operators of a clean shape, from wherever they come.
 OperatorSource = Callable[..., Operators]
 
@@ -54,7 +60,8 @@ class MatcherSettings:
         regularisation: weight of the resolvent mask.
         temperature: of the soft map between features.
         iterations: of Sinkhorn's algorithm.
-        refine: smooth the point maps of the features route in the lowest eigenfunctions; never with a partial shape.
+        refine: refine the maps that the network gives by ZoomOut: functional maps in a growing basis, point maps of
+            the features route by way of their functional map; never with a partial shape.
         raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
             here to reproduce the published code.
         operators: what operators to compute; by default those that the weights were trained with.
@@ -184,7 +191,7 @@ class Matcher:
         """
         steps = steps or Steps()
         with steps.step(f"repair {label}"):
-            repaired = repair(shape)
+            repaired, as_cloud = _repaired(shape, as_cloud=as_cloud)
         with steps.step(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, length=length)
         with steps.step(f"features of {label}"):
@@ -199,7 +206,7 @@ class Matcher:
             length = length or unit_frame(shape).length
             shape = shape.as_cloud()
         settings = self.settings.operators or OperatorSettings(self.info.n_eigenpairs, self.info.laplacian)
-        return self._operators(shape, settings=settings, length=length).to(self.device)
+        return self._operators(shape, settings=settings, length=length).without_debris().to(self.device)
 
     @torch.inference_mode()
     def features(self, operators: Operators) -> Float[Tensor, "n d"]:
@@ -247,7 +254,8 @@ class Matcher:
         with steps.step("map"):
             found = self.match_prepared(prepared["source"], prepared["target"], partial=partial)
         with steps.step("check orientation"):
-            return replace(found, warnings=self.orientation_warnings(prepared["source"], prepared["target"]))
+            warnings = self.orientation_warnings(prepared["source"], prepared["target"])
+        return replace(found, warnings=(*warnings, *_doubts(found)))
 
     @torch.inference_mode()
     def orientation_warnings(self, source: Prepared, target: Prepared) -> tuple[str, ...]:
@@ -306,9 +314,10 @@ class Matcher:
         """The functional maps from source to target and back."""
         route = self.route(source.modality, target.modality)
         if route == "axiomatic":
-            return self._refined_maps(source, target)
+            return self._axiomatic_maps(source, target)
         size = self.settings.partial_eigenpairs if partial else self.settings.map_eigenpairs or self.info.map_eigenpairs
-        return self._solved_maps(source, target, size, self.settings.regularisation)
+        maps = self._solved_maps(source, target, size, self.settings.regularisation)
+        return maps if partial or not self.settings.refine else _zoomed_out(maps, source, target, _REFINED_EIGENPAIRS)
 
     def _solved_maps(
         self, source: Prepared, target: Prepared, size: int, regularisation: float
@@ -321,12 +330,17 @@ class Matcher:
             functional_map(b, a, mask.mT, regularisation=regularisation),
         )
 
-    def _refined_maps(
+    def _axiomatic_maps(
         self, source: Prepared, target: Prepared
     ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
-        c_st, c_ts = self._solved_maps(source, target, AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION)
-        phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
-        return zoom_out(c_st, phi_s, phi_t, step=10), zoom_out(c_ts, phi_t, phi_s, step=10)
+        try:
+            maps = self._solved_maps(source, target, AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION)
+        except ArgumentError:
+            raise ShapeError(
+                f"{source.repaired.shape.name} or {target.repaired.shape.name} falls into too many pieces for the "
+                "axiomatic method; keep the largest piece, use it as a cloud, or give weights"
+            ) from None
+        return _zoomed_out(maps, source, target, None)
 
     def _maps_by_features(
         self, source: Float[Tensor, "n_s d"], target: Float[Tensor, "n_t d"], *, partial: bool
@@ -345,6 +359,32 @@ class Matcher:
 def _check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
     if found is not None and found not in allowed:
         raise bad_choice(name, str(found), allowed)
+
+
+def _doubts(found: Correspondence) -> tuple[str, ...]:
+    """A warning if the maps contradict themselves nearly everywhere."""
+    mean = float(found.target_confidence.mean())
+    if mean >= _DOUBTFUL:
+        return ()
+    return (f"the match is doubtful: its mean confidence is {mean:.2f}; are the shapes of one kind, and dense enough?",)
+
+
+def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
+    """A repaired shape, and whether its faces are still to be dropped: unusable faces do not matter to a cloud."""
+    if not as_cloud:
+        return repair(shape), False
+    try:
+        return repair(shape), True
+    except ShapeError:
+        return repair(shape.as_cloud()), False
+
+
+def _zoomed_out(
+    maps: tuple[Tensor, Tensor], source: Prepared, target: Prepared, largest: int | None
+) -> tuple[Float[Tensor, "m m"], Float[Tensor, "m m"]]:
+    """Functional maps both ways, refined."""
+    phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
+    return zoom_out(maps[0], phi_s, phi_t, largest=largest), zoom_out(maps[1], phi_t, phi_s, largest=largest)
 
 
 def _refined(maps: PointMaps, source: Operators, target: Operators) -> PointMaps:

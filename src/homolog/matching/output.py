@@ -14,6 +14,8 @@ from homolog.files import atomic_path
 from homolog.matching.correspondence import Correspondence
 from homolog.shapes import Shape, write_shape
 
+RESULT_FILES = ("correspondence.npz", "source.ply", "target.ply", "report.json")
+
 # What has no counterpart, or cannot be coloured, is grey.
 _NO_COLOUR = (160, 160, 160)
 
@@ -34,7 +36,7 @@ def write_result(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArgumentError(f"{folder} cannot be made a folder ({error.strerror}); give another -o") from None
-    paths = [folder / name for name in ("correspondence.npz", "source.ply", "target.ply", "report.json")]
+    paths = [folder / name for name in RESULT_FILES]
     source_colours, target_colours = matched_colours(source, correspondence)
     correspondence.save(paths[0])
     write_shape(paths[1], source, colours=source_colours)

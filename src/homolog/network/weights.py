@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -94,7 +95,10 @@ def _read_own(path: Path) -> _Contents:
 
 
 def _read_published(path: Path) -> _Contents:
-    checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    try:
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+    except UnpicklingError:
+        raise ValueError("it holds something other than numbers, or is damaged") from None
     published = checkpoint["networks"]["feature_extractor"]
     tensors = {_own_name(name): tensor for name, tensor in published.items()}
     settings = NetworkSettings(
