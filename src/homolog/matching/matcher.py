@@ -297,6 +297,8 @@ class Matcher:
             maps = self._maps_by_features(source.features, target.features, partial=partial)
             return maps if partial or not self.settings.refine else _refined(maps, source.operators, target.operators)
         c_st, c_ts = self.functional_maps(source, target, partial=partial)
+        if route == "functional-map" and self.settings.refine and not partial:
+            c_st, c_ts = _zoomed_out((c_st, c_ts), source, target, _REFINED_EIGENPAIRS)
         phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
         target_to_source = point_map_from_functional_map(c_st, phi_s, phi_t)
         if partial:
@@ -311,13 +313,12 @@ class Matcher:
     def functional_maps(
         self, source: Prepared, target: Prepared, *, partial: bool = False
     ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
-        """The functional maps from source to target and back."""
+        """The functional maps from source to target and back; those of a network before their refinement."""
         route = self.route(source.modality, target.modality)
         if route == "axiomatic":
             return self._axiomatic_maps(source, target)
         size = self.settings.partial_eigenpairs if partial else self.settings.map_eigenpairs or self.info.map_eigenpairs
-        maps = self._solved_maps(source, target, size, self.settings.regularisation)
-        return maps if partial or not self.settings.refine else _zoomed_out(maps, source, target, _REFINED_EIGENPAIRS)
+        return self._solved_maps(source, target, size, self.settings.regularisation)
 
     def _solved_maps(
         self, source: Prepared, target: Prepared, size: int, regularisation: float
