@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from homolog.cli.match import Job
+from homolog.cli.match import Job, counted
 from homolog.cli.options import Quiet, build_matcher, check_folder, described
 from homolog.cli.progress import progress_bar
 from homolog.datasets import ShapeFolder
@@ -24,7 +24,6 @@ _SOURCE, _TARGET = "amber", "boris"
 _LARGEST_ERROR = 5.0
 # Points this far from the middle, as a share of the body's width, are clearly left or right.
 _LATERAL = 0.1
-_STEPS = 11
 
 
 def demo(
@@ -45,8 +44,7 @@ def demo(
     files: dict[Side, Path] = {"source": _DATA / "off" / f"{_SOURCE}.off", "target": _DATA / "off" / f"{_TARGET}.off"}
     job = Job(files, {"source": "y", "target": "y"}, build_matcher(None, "auto", "auto", no_cache=True))
     with progress_bar(quiet=quiet) as progress:
-        count = iter(range(_STEPS))
-        steps = Steps(listener=lambda name: progress(next(count), _STEPS, name))
+        steps = Steps(listener=counted(progress))
         found = job.run(steps)
         with steps.step("write"):
             paths = job.write(output, found, steps, described(job.matcher, None))

@@ -26,7 +26,7 @@ from homolog.errors import ShapeError
 from homolog.files import sha256
 from homolog.matching import Correspondence, Matcher, Side, write_result
 from homolog.shapes import Shape, Up, check, read_shape, stand_upright
-from homolog.steps import Steps
+from homolog.steps import Listener, Steps
 from homolog.versions import versions
 
 # read, repair, operators and features for each shape, the map, the check of the orientation, and writing.
@@ -73,7 +73,7 @@ def match(
     check_folder(output, inputs=(source, target))
     ups: dict[Side, Up] = {"source": source_up or up, "target": target_up or up}
     with progress_bar(quiet=quiet) as progress:
-        steps = Steps(listener=_counted(progress, verbose=verbose))
+        steps = Steps(listener=counted(progress, verbose=verbose))
         job = Job({"source": source, "target": target}, ups, build_matcher(weights, method, device, no_cache=no_cache))
         found = job.run(steps, as_cloud=as_cloud, partial=partial, strict=strict)
         options = {"method": method, "as_cloud": as_cloud, "partial": partial, "up": ups, "strict": strict}
@@ -153,7 +153,8 @@ def _matched(found: Correspondence) -> dict[str, Any]:
     }
 
 
-def _counted(progress: Report, *, verbose: bool) -> Any:
+def counted(progress: Report, *, verbose: bool = False) -> Listener:
+    """A listener for the steps of a job that moves the progress bar on, and prints their names if ``verbose``."""
     console = Console(stderr=True, highlight=False)
     count = 0
 
