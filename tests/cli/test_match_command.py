@@ -31,6 +31,7 @@ def test_four_files(homolog, files, tmp_path):
     assert ended.out.splitlines() == [str(out / name) for name in NAMES]
     assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
     assert "Matched by axiomatic" in ended.err
+    assert "source 162 points, all matched, mean confidence" in ended.err
     assert ended.err.count("\n") == 1
     found = maps(out)
     assert np.mean(files.order[found["source_to_target"]] == np.arange(162)) > 0.9

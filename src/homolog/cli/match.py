@@ -182,13 +182,15 @@ def _summary(found: Correspondence, steps: Steps, paths: list[Path], *, verbose:
         for step in steps.finished:
             console.print(f"{step.name:<24} {step.seconds:8.2f} s   peak {step.peak_mb:7.0f} MB")
     seconds = sum(step.seconds for step in steps.finished)
-    matched = _matched(found)
-    console.print(
-        f"Matched by {found.route} in {seconds:.1f} s: "
-        f"{matched['source_points']} source points ({matched['source_points_without_counterpart']} without, "
-        f"mean confidence {matched['source_mean_confidence']:.2f}), "
-        f"{matched['target_points']} target points ({matched['target_points_without_counterpart']}, "
-        f"{matched['target_mean_confidence']:.2f})."
-    )
+    sides = "; ".join(_side_summary(side, _matched(found)) for side in ("source", "target"))
+    console.print(f"Matched by {found.route} in {seconds:.1f} s: {sides}.")
     for path in paths:
         typer.echo(path)
+
+
+def _side_summary(side: str, matched: dict[str, Any]) -> str:
+    without = matched[f"{side}_points_without_counterpart"]
+    found = f"{without} without a counterpart" if without else "all matched"
+    return (
+        f"{side} {matched[f'{side}_points']} points, {found}, mean confidence {matched[f'{side}_mean_confidence']:.2f}"
+    )
