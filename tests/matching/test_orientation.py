@@ -51,10 +51,10 @@ def test_facing_another_way_is_no_reason_to_doubt_the_up_axis(demo_operators, de
     assert axiomatic_warnings(turned(source, 1, degrees), target) == []
 
 
-def test_a_symmetric_shape_fits_itself(make):
-    """Signatures do not determine what is odd about a symmetry."""
+def test_signatures_say_nothing_of_the_axes_of_a_symmetric_shape(make):
+    """What is odd about a symmetry they leave to rounding; it must not be taken for agreement."""
     operators = compute_operators(make.sphere(2), settings=OperatorSettings(n_eigenpairs=60))
-    assert torch.isfinite(axis_agreement(operators, operators)).all()
+    assert axis_agreement(operators, operators).abs().max() < 0.01
 
 
 def test_both_lying_alike_need_no_warning_here(demo_operators):
