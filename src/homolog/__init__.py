@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from homolog.matching import Correspondence, Matcher, MatcherSettings
     from homolog.memory import get_working_memory, set_working_memory, working_memory
     from homolog.network import load_weights
-    from homolog.shapes import Report, Shape, check, read_shape, repair, write_shape
+    from homolog.shapes import Report, Shape, check, read_shape, repair, stand_upright, write_shape
 
 __all__ = [
     "Correspondence",
@@ -54,6 +54,7 @@ __all__ = [
     "resolvent_mask",
     "set_working_memory",
     "sinkhorn_matches",
+    "stand_upright",
     "working_memory",
     "write_shape",
 ]

@@ -91,7 +91,7 @@ class ShapeFolder:
         listed = self.root / f"{split}.txt"
         names = self._listed_names(listed) if listed.is_file() else self._split_by_order(split)
         if not names:
-            raise DataError(f"{self.root}: no shapes in split {split!r}; list them in {listed}, or use --split all")
+            raise DataError(f"{self.root}: no shapes in split {split!r}; list them in {listed}, or use split 'all'")
         return names
 
     def pairs(self, split: Split, *, listed: str | Path | None = None) -> tuple[Pair, ...]:
@@ -109,7 +109,9 @@ class ShapeFolder:
             return tuple((source, target) for source in names for target in names)
         pairs = tuple(pair for pair in self._read_pairs(own) if set(pair) <= set(names))
         if not pairs:
-            raise DataError(f"{own} lists no pair with both shapes in split {split!r}; use --split all or --pairs FILE")
+            raise DataError(
+                f"{own} lists no pair with both shapes in split {split!r}; use split 'all', or another list of pairs"
+            )
         return pairs
 
     def _listed_names(self, listed: Path) -> tuple[str, ...]:
