@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
-# Memory in large pages where the system has them: fresh memory otherwise costs as much as a matrix product that fills it.
+# Memory in large pages where the system has them: fresh memory costs as much as the matrix product that fills it.
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
 if TYPE_CHECKING:
