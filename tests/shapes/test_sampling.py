@@ -41,7 +41,9 @@ def test_samples_of_a_body_cover_it_evenly(demo) -> None:
     points = demo.amber.points
     found = farthest_points(points, 200, seed=0)
     drawn = np.random.default_rng(0).choice(len(points), 200, replace=False)
-    covering = [np.linalg.norm(points[:, None] - points[None, kept], axis=2).min(axis=1).max() for kept in (found, drawn)]
+    covering = [
+        np.linalg.norm(points[:, None] - points[None, kept], axis=2).min(axis=1).max() for kept in (found, drawn)
+    ]
     assert covering[0] < 0.5 * covering[1]
 
 
