@@ -17,6 +17,9 @@ import scipy.sparse as sparse
 import torch
 import trimesh
 from hypothesis import settings
+from torch import Tensor
+from torch.multiprocessing.reductions import StorageWeakRef
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import homolog
 from homolog.geometry import Operators, OperatorSettings, compute_operators
@@ -104,6 +107,52 @@ class Makers:
 def make() -> Makers:
     """Makers of small shapes."""
     return Makers()
+
+
+class LargeTensors(TorchDispatchMode):
+    """Within a ``with`` block, how many tensors of at least so many bytes live at once, at most; views count once."""
+
+    def __init__(self, n_bytes: float) -> None:
+        super().__init__()
+        self.n_bytes, self.most_alive = n_bytes, 0
+        self._alive: dict[int, StorageWeakRef] = {}
+
+    def __torch_dispatch__(self, operation, types, args=(), kwargs=None):
+        results = operation(*args, **(kwargs or {}))
+        for result in results if isinstance(results, tuple | list) else [results]:
+            if isinstance(result, Tensor) and result.layout == torch.strided:
+                self._see(result.untyped_storage())
+        return results
+
+    def _see(self, storage: torch.UntypedStorage) -> None:
+        if storage.nbytes() >= self.n_bytes:
+            self._alive = {key: seen for key, seen in self._alive.items() if not seen.expired()}
+            seen = StorageWeakRef(storage)
+            self._alive[seen.cdata] = seen
+            self.most_alive = max(self.most_alive, len(self._alive))
+
+
+@pytest.fixture
+def large_tensors() -> Callable[[float], LargeTensors]:
+    """``with large_tensors(n_bytes) as seen: ...``, then ``seen.most_alive``."""
+    return LargeTensors
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> Callable[[type, str], list[str]]:
+    """``calls(Class, "method")`` is a list to which each call of the method adds its name."""
+
+    def count(owner: type, name: str) -> list[str]:
+        method, seen = getattr(owner, name), []
+
+        def counted(*args, **kwargs):
+            seen.append(name)
+            return method(*args, **kwargs)
+
+        monkeypatch.setattr(owner, name, counted)
+        return seen
+
+    return count
 
 
 @dataclass(frozen=True)

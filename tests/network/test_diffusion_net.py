@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -12,8 +14,8 @@ from torch import Tensor
 from homolog.errors import ArgumentError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.geometry.operators import compressed_rows
-from homolog.network import DiffusionNet, NetworkSettings, heat_decay, load_weights
-from homolog.network.diffusion_net import DiffusionBlock
+from homolog.network import DiffusionNet, NetworkSettings, diffusion_net, heat_decay, load_weights
+from homolog.network.diffusion_net import DiffusionBlock, _kept
 
 SMALL = NetworkSettings(width=16, out_channels=8, blocks=2, dropout=0.5)
 WANTED = OperatorSettings(n_eigenpairs=24)
@@ -54,8 +56,8 @@ def in_double(operators: Operators) -> Operators:
     return Operators(**{k: v.double() if isinstance(v, Tensor) else v for k, v in values.items()})
 
 
-def slow_block(block: DiffusionBlock, hidden: Tensor, operators: Operators) -> Tensor:
-    """Equations of the paper, channel by channel and with complex numbers."""
+def slow_block(block: DiffusionBlock, hidden: Tensor, operators: Operators, kept: Sequence[Tensor] = ()) -> Tensor:
+    """Equations of the paper, channel by channel and with complex numbers; of half the activations, what is kept."""
     phi, mass = operators.eigenvectors.double(), operators.mass.double()
     hidden = hidden.double()
     diffused = torch.zeros_like(hidden)
@@ -69,7 +71,9 @@ def slow_block(block: DiffusionBlock, hidden: Tensor, operators: Operators) -> T
     features = torch.tanh((gradient.conj() * mixed).real)
     out = torch.cat([hidden, diffused, features], dim=1)
     for i, layer in enumerate(block.perceptron):
-        out = (torch.relu(out) if i else out) @ layer.weight.double().T + layer.bias.double()
+        out = torch.relu(out) if i else out
+        out = 2 * kept[i - 1] * out if i and kept else out
+        out = out @ layer.weight.double().T + layer.bias.double()
     return hidden + out
 
 
@@ -169,6 +173,99 @@ def test_gradients_of_a_block_are_right(product: str, make) -> None:
 
     inputs = [torch.randn(12, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), *parameters.values()]
     assert torch.autograd.gradcheck(run, [value.requires_grad_() for value in inputs], eps=1e-6, atol=1e-6)
+
+
+def keep(monkeypatch: pytest.MonkeyPatch, masks: Sequence[Tensor]) -> None:
+    """Have the first and the second hidden layer of every pass keep these."""
+    turns = itertools.cycle(masks)
+    monkeypatch.setattr(diffusion_net, "_kept", lambda like, dropped, generator: next(turns))
+
+
+def masks_like(*shape: int) -> list[Tensor]:
+    return [torch.rand(*shape, generator=torch.Generator().manual_seed(i)) < 0.5 for i in (7, 8)]
+
+
+def test_a_block_with_dropout_equals_the_paper_s_equations(operators: Operators, monkeypatch) -> None:
+    block = network_of().blocks[0].train()
+    hidden = torch.randn(operators.n_points, 16, generator=torch.Generator().manual_seed(1))
+    masks = masks_like(operators.n_points, 16)
+    keep(monkeypatch, masks)
+    found, expected = block(hidden, operators.basis).double(), slow_block(block, hidden, operators, masks)
+    torch.testing.assert_close(found, expected, atol=1e-3, rtol=1e-3)
+    assert (found - slow_block(block, hidden, operators)).abs().max() > 0.01
+
+
+@pytest.mark.parametrize("product", ["equivariant", "published"])
+def test_gradients_of_a_block_with_dropout_are_right(product: str, make, monkeypatch) -> None:
+    operators = in_double(compute_operators(make.sphere(0), settings=OperatorSettings(n_eigenpairs=5)))
+    torch.manual_seed(0)
+    block = DiffusionBlock(NetworkSettings(width=4, dropout=0.4, gradient_product=product)).double().train()
+    parameters = {name: value.detach().clone() for name, value in block.named_parameters()}
+    parameters["times"] = torch.tensor([0.02, 0.1, 0.3, 0.01], dtype=torch.float64)
+    names, masks = list(parameters), masks_like(12, 4)
+    keep(monkeypatch, masks)
+
+    def run(hidden: Tensor, *values: Tensor) -> Tensor:
+        return torch.func.functional_call(block, dict(zip(names, values, strict=True)), (hidden, operators.basis))
+
+    inputs = [torch.randn(12, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), *parameters.values()]
+    assert torch.autograd.gradcheck(run, [value.requires_grad_() for value in inputs], eps=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("dropped", [1, 77, 128, 255])
+def test_dropout_keeps_its_share_of_every_point_and_channel_independently(dropped: int) -> None:
+    kept = _kept(torch.empty(50_000, 16), dropped, torch.Generator().manual_seed(0)).double()
+    share = 1 - dropped / 256
+    deviation = (share * (1 - share)) ** 0.5
+    assert abs(kept.mean() - share) < 5 * deviation / kept.numel() ** 0.5
+    # Each drawn number makes eight entries of a row: none is special, and none knows of another.
+    assert (kept.mean(dim=0) - share).abs().max() < 5 * deviation / 50_000**0.5
+    correlation = torch.corrcoef(kept.T) - torch.eye(16)
+    assert correlation.abs().max() < 6 / 50_000**0.5
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 9])
+def test_dropout_has_an_entry_for_each_activation(n: int) -> None:
+    assert _kept(torch.empty(n, 3), 128, None).shape == (n, 3)
+    assert _kept(torch.empty(n, 3), 0, None).all()
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.5, 0.75, 0.999])
+def test_what_dropout_keeps_grows_by_as_much_as_is_dropped(share: float, operators: Operators, monkeypatch) -> None:
+    seen: list[int] = []
+
+    def counted(like: Tensor, dropped: int, generator: torch.Generator | None) -> Tensor:
+        seen.append(dropped)
+        return _kept(like, dropped, generator)
+
+    monkeypatch.setattr(diffusion_net, "_kept", counted)
+    block = DiffusionBlock(NetworkSettings(width=16, dropout=share)).train()
+    with torch.no_grad():
+        # The hidden layers are one wherever they are kept, and the output what is left of the second.
+        for layer, weight in zip(block.perceptron, (0.0, 0.0, 1.0), strict=True):
+            layer.weight.copy_(weight * torch.eye(*layer.weight.shape))
+            layer.bias.fill_(1 - weight)
+        out = block(torch.zeros(operators.n_points, 16), operators.basis, torch.Generator().manual_seed(0))
+    grown = out.max()
+    assert torch.isclose(out, grown).logical_or(out == 0).all()
+    assert grown.item() == pytest.approx(1 / (1 - seen[0] / 256)) and seen[0] == seen[1]
+    assert abs(seen[0] / 256 - share) <= 1 / 256
+    assert abs(out.mean() - 1) < 5 * ((grown - 1) / out.numel()) ** 0.5
+
+
+def test_dropout_follows_its_generator_alone(operators: Operators) -> None:
+    network = network_of().train()
+    passes = []
+    for seed, other in ((3, 0), (3, 1), (4, 1)):
+        torch.manual_seed(other)
+        passes.append(network(operators.points, operators, generator=torch.Generator().manual_seed(seed)))
+    assert torch.equal(passes[0], passes[1]) and not torch.equal(passes[1], passes[2])
+
+
+@pytest.mark.parametrize("dropout", [-0.1, 1.0, 50, float("nan")])
+def test_a_share_that_cannot_be_dropped_is_refused(dropout: float) -> None:
+    with pytest.raises(ArgumentError, match=r"^dropout is"):
+        DiffusionNet(replace(SMALL, dropout=dropout))
 
 
 def test_an_unknown_gradient_product_is_refused() -> None:

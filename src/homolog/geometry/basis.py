@@ -17,6 +17,8 @@ _RIDGE = 1e-4
 class Basis:
     """Eigenvectors, their gradients, and the way from functions to spectral coefficients.
 
+    One made in torch's inference mode can be trained with all the same.
+
     Args:
         points: centred and scaled positions (n, 3), the network's input.
         mass: lumped mass (n,).
@@ -42,6 +44,7 @@ class Basis:
         """The eigenvectors at the points."""
         return self.synthesis[:, 0]
 
+    @torch.inference_mode(False)
     def sampled(self, kept: Int[Tensor, " s"]) -> Basis:
         """The same eigenvectors and gradients at some of the points only, in the given order.
 
@@ -50,11 +53,12 @@ class Basis:
         eigenvectors and leave no part of the shape empty.
         """
         nearest = KDTree(self.points[kept].cpu().numpy()).query(self.points.cpu().numpy())[1]
-        owner = torch.from_numpy(nearest).to(kept.device)
+        owner = torch.from_numpy(nearest).to(self.mass.device)
         mass = torch.zeros_like(self.mass[kept]).index_add_(0, owner, self.mass)
         synthesis = self.synthesis[kept]
         return Basis(self.points[kept], mass, self.eigenvalues, synthesis, _least_squares(synthesis[:, 0], mass))
 
+    @torch.inference_mode(False)
     def to(self, device: torch.device | str) -> Basis:
         """The same basis on another device."""
         return Basis(

@@ -78,9 +78,9 @@ class Operators:
         with torch.inference_mode(False):
             gradients = (self.gradient_x @ self.eigenvectors, self.gradient_y @ self.eigenvectors)
             return Basis(
-                self.points,
-                self.mass,
-                self.eigenvalues,
+                self.points.clone(),
+                self.mass.clone(),
+                self.eigenvalues.clone(),
                 torch.stack([self.eigenvectors, *gradients], dim=1),
                 (self.mass[:, None] * self.eigenvectors).T.contiguous(),
             )

@@ -112,12 +112,15 @@ def partial_alignment_loss(
     *,
     temperature: float = TEMPERATURE,
 ) -> Float[Tensor, ""]:
-    """The same for y a part of x: the soft map is a softmax over the complete shape, as not all of it has a partner."""
-    return (
-        (eigenvectors_y @ c_xy.detach() - _softly_carried(features_y / temperature, features_x, eigenvectors_x))
-        .square()
-        .sum()
-    )
+    """The same for y a part of x: the soft map is a softmax over the complete shape, as not all of it has a partner.
+
+    Raises:
+        ArgumentError: if the temperature is not positive.
+    """
+    if not temperature > 0:
+        raise bad_value("temperature", temperature, "positive")
+    carried = _softly_carried(features_y / temperature, features_x, eigenvectors_x)
+    return (eigenvectors_y @ c_xy.detach() - carried).square().sum()
 
 
 @takes_arrays

@@ -26,6 +26,8 @@ ITERATIONS = 10
 
 # Up to this size of logits, sums of exponentials and products of two scalings stay within float32.
 _LARGEST_PLAIN_LOGIT = 25.0
+# And up to this size of scalings: between shapes of different size f grows, and g falls, by log(n_y / n_x) each time.
+_LARGEST_PLAIN_SCALING = 50.0
 # How far scalings may move from those absorbed into a kernel before what has underflowed there could matter.
 _LARGEST_SHIFT = 20.0
 
@@ -58,14 +60,15 @@ class Kernel:
             near: the scalings that it will be used with; by default the first ones, which make its columns sum to one.
         """
         logits = cls(left, right)
-        if float(left.norm(dim=1).max() * right.norm(dim=0).max()) <= _LARGEST_PLAIN_LOGIT:
+        small = float(left.norm(dim=1).max() * right.norm(dim=0).max()) <= _LARGEST_PLAIN_LOGIT
+        if small and (near is None or logits.covers(*near)):
             return logits._kept_whole()
         nothing = left.new_zeros(len(left))
         return logits.with_absorbed(*(near or (nothing, logits.exact_columns(nothing))))
 
     def with_absorbed(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> Kernel:
-        """The kernel of the same features with these scalings absorbed."""
-        return Kernel(self.left, self.right, (f, g))._kept_whole()
+        """The kernel of the same features with these scalings absorbed, in the memory of this one: use it no more."""
+        return Kernel(self.left, self.right, (f, g))._kept_whole(self.whole)
 
     def tiles(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
         """Row tiles of K; each is to be used before the next is asked for."""
@@ -79,10 +82,9 @@ class Kernel:
 
     def covers(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> bool:
         """Whether nothing that matters for these scalings has underflowed in K."""
-        if self.absorbed is None:
-            return True
-        shifts = (f - self.absorbed[0]).abs().amax(), (g - self.absorbed[1]).abs().amax()
-        return all(bool(shift <= _LARGEST_SHIFT) for shift in shifts)
+        a, b = self.absorbed or (0.0, 0.0)
+        largest = _LARGEST_SHIFT if self.absorbed else _LARGEST_PLAIN_SCALING
+        return all(bool(shift.abs().amax() <= largest) for shift in (f - a, g - b))
 
     def iterate(self, g: Float[Tensor, " n_x"]) -> _Scalings:
         """The row scalings under the columns' g, and the columns' next: one sweep over K."""
@@ -124,11 +126,11 @@ class Kernel:
             logits.add_(self.absorbed[0][rows, None]).add_(self.absorbed[1])
         return logits.exp_()
 
-    def _kept_whole(self) -> Kernel:
+    def _kept_whole(self, memory: Float[Tensor, "n_y n_x"] | None = None) -> Kernel:
         n_y, n_x = len(self.left), self.right.shape[1]
         if not fits(n_y * n_x * self.left.element_size()):
             return self
-        whole = self.left.new_empty(n_y, n_x)
+        whole = self.left.new_empty(n_y, n_x) if memory is None else memory
         for rows in self._slices():
             self._exponentials(rows, out=whole[rows])
         return Kernel(self.left, self.right, self.absorbed, whole)

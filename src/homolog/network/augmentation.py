@@ -37,27 +37,27 @@ class AugmentationSettings:
     def __post_init__(self) -> None:
         if self.turn not in get_args(Turn):
             raise bad_choice("turn", self.turn, get_args(Turn))
-        if not 0 < self.least_scale <= self.most_scale:
-            raise bad_value("least_scale", self.least_scale, f"above 0 and at most most_scale, {self.most_scale:g}")
-        for name in ("degrees", "jitter", "largest_jitter"):
+        for name in ("degrees", "most_scale", "jitter", "largest_jitter"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise bad_value(name, getattr(self, name), "a finite number of at least 0")
+        if not 0 < self.least_scale <= self.most_scale:
+            raise bad_value("least_scale", self.least_scale, f"above 0 and at most most_scale, {self.most_scale:g}")
 
 
 def augmented(
-    points: Float[Tensor, "n 3"], settings: AugmentationSettings, generator: torch.Generator
+    points: Float[Tensor, "n 3"], settings: AugmentationSettings, generator: torch.Generator | None = None
 ) -> Float[Tensor, "n 3"]:
-    """Positions turned, stretched and jittered at random."""
+    """Positions turned, stretched and jittered at random, by torch's own generator if none is given."""
     moved = points @ _turn(settings, generator).T.to(points)
     low, high = settings.least_scale, settings.most_scale
     moved = moved * (low + (high - low) * _uniform(3, generator)).to(points)
     if not settings.jitter:
         return moved
-    noise = torch.randn(points.shape, generator=generator, device=generator.device).to(points)
+    noise = torch.randn(points.shape, generator=generator, device=_device(generator)).to(points)
     return moved + (settings.jitter * noise).clamp_(-settings.largest_jitter, settings.largest_jitter)
 
 
-def _turn(settings: AugmentationSettings, generator: torch.Generator) -> Float[Tensor, "3 3"]:
+def _turn(settings: AugmentationSettings, generator: torch.Generator | None) -> Float[Tensor, "3 3"]:
     turned = torch.eye(3)
     for axis in {"none": (), "vertical": (1,), "any": (0, 1, 2)}[settings.turn]:
         angle = torch.deg2rad(settings.degrees * (2 * _uniform(1, generator)[0] - 1))
@@ -69,5 +69,9 @@ def _turn(settings: AugmentationSettings, generator: torch.Generator) -> Float[T
     return turned
 
 
-def _uniform(count: int, generator: torch.Generator) -> Float[Tensor, " c"]:
-    return torch.rand(count, generator=generator, device=generator.device).cpu()
+def _uniform(count: int, generator: torch.Generator | None) -> Float[Tensor, " c"]:
+    return torch.rand(count, generator=generator, device=_device(generator)).cpu()
+
+
+def _device(generator: torch.Generator | None) -> torch.device:
+    return torch.device("cpu") if generator is None else generator.device

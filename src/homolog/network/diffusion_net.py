@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from homolog.errors import bad_choice
+from homolog.errors import bad_choice, bad_value
 from homolog.geometry import Basis, Operators
 from homolog.network.block import Dropout, diffusion_block
 
@@ -34,7 +34,7 @@ class NetworkSettings:
         out_channels: channels of the features.
         width: channels inside.
         blocks: number of diffusion blocks.
-        dropout: share of hidden activations dropped in training.
+        dropout: share of hidden activations dropped in training, below one; rounded to 1/256.
         gradient_product: ``"equivariant"``, or ``"published"`` for the weights that the paper's authors released.
     """
 
@@ -54,6 +54,8 @@ class DiffusionNet(nn.Module):
         self.settings = settings = settings or NetworkSettings()
         if settings.gradient_product not in get_args(GradientProduct):
             raise bad_choice("gradient_product", settings.gradient_product, get_args(GradientProduct))
+        if not 0 <= settings.dropout < 1:
+            raise bad_value("dropout", settings.dropout, "at least 0 and below 1")
         self.first = nn.Linear(settings.in_channels, settings.width)
         self.blocks = nn.ModuleList(DiffusionBlock(settings) for _ in range(settings.blocks))
         self.last = nn.Linear(settings.width, settings.out_channels)
@@ -90,7 +92,8 @@ class DiffusionBlock(nn.Module):
         self.real = nn.Linear(width, width, bias=False)
         self.imaginary = nn.Linear(width, width, bias=False)
         self.perceptron = nn.ModuleList([nn.Linear(3 * width, width), nn.Linear(width, width), nn.Linear(width, width)])
-        self.dropout = settings.dropout
+        # Of every 256 activations, at least one is kept.
+        self.dropped = min(round(256 * settings.dropout), 255)
         self.gradient_product = settings.gradient_product
 
     def forward(
@@ -98,10 +101,9 @@ class DiffusionBlock(nn.Module):
     ) -> Float[Tensor, "n w"]:
         """The block's output, of the same shape as its input."""
         dropout = None
-        if self.training and self.dropout:
-            dropout = Dropout(
-                _kept(hidden, self.dropout, generator), _kept(hidden, self.dropout, generator), 1 / (1 - self.dropout)
-            )
+        if self.training and self.dropped:
+            kept = _kept(hidden, self.dropped, generator), _kept(hidden, self.dropped, generator)
+            dropout = Dropout(*kept, growth=256 / (256 - self.dropped))
         decay = heat_decay(basis.eigenvalues, self.times)
         return diffusion_block(hidden, basis, decay, self._mixing(), list(self.perceptron.parameters()), dropout)
 
@@ -117,8 +119,8 @@ def heat_decay(eigenvalues: Float[Tensor, " k"], times: Float[Tensor, " c"]) -> 
     return torch.exp(-eigenvalues[:, None] * times.clamp(min=_SHORTEST_TIME))
 
 
-def _kept(like: Float[Tensor, "n w"], dropped: float, generator: torch.Generator | None) -> Bool[Tensor, "n w"]:
-    """What dropout keeps. The share is rounded to 1/256: eight bytes from each drawn number, as drawing is slow."""
+def _kept(like: Float[Tensor, "n w"], dropped: int, generator: torch.Generator | None) -> Bool[Tensor, "n w"]:
+    """What dropout keeps if it drops so many of 256: eight bytes come from each drawn number, as drawing is slow."""
     words = torch.empty(like.numel() // 8 + 1, dtype=torch.int64, device=like.device)
     words.random_(-(2**63), None, generator=generator)
-    return (words.view(torch.uint8)[: like.numel()] >= round(256 * dropped)).view(like.shape)
+    return (words.view(torch.uint8)[: like.numel()] >= dropped).view(like.shape)

@@ -48,6 +48,7 @@ def farthest_points(points: Float[np.ndarray, "n 3"], count: int, *, seed: int) 
     distance = np.full(len(points), np.inf)
     axes = np.ascontiguousarray(points.T)
     for i in range(1, count):
+        distance[chosen[i - 1]] = -1  # not even another point in the same place brings it back
         x, y, z = axes - axes[:, chosen[i - 1], None]
         np.minimum(distance, x * x + y * y + z * z, out=distance)
         chosen[i] = distance.argmax()

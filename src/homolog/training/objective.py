@@ -133,13 +133,13 @@ def pair_losses(
         y: another; a part of one like x if ``partial``, at the same scale.
         settings: weights and sizes.
         augmentation: how to vary the input of each pass; None to leave it.
-        generator: of all that is random, dropout included.
+        generator: of all that is random, dropout included; torch's own by default.
         partial: use the losses for a part of a shape.
     """
 
     def features(basis: Basis) -> Float[Tensor, "n d"]:
         inputs = basis.points
-        if augmentation is not None and generator is not None:
+        if augmentation is not None:
             inputs = augmented(inputs, augmentation, generator)
         found: Tensor = network(inputs, basis, generator=generator)
         return found
