@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from homolog.errors import ShapeError, bad_value
-from homolog.geometry.lanczos import BlockLanczos
+from homolog.geometry.lanczos import BlockLanczos, Inverse
 
 _log = logging.getLogger(__name__)
 
@@ -25,9 +26,9 @@ _DENSE_LIMIT = 6000
 # Largest accepted |S u - lambda u|, as a share of the largest eigenvalue asked for.
 _TOLERANCE = 1e-6
 _BLOCKS = (8, 32)
-# The share of the wanted eigenvalues that lies below the shift. Both ends of the wanted part of the spectrum are near
-# such a shift, the upper end, beyond which the unwanted ones begin, a little nearer: it takes a third fewer solves than a
-# shift at zero.
+_ONE_THREAD_POINTS = 15_000
+# The share of the wanted eigenvalues that lies below the shift. The upper end of the wanted part of the spectrum, where
+# the unwanted ones begin, must be nearer than the lower: it takes a third fewer solves than a shift at zero.
 _SHARE_BELOW = 0.62
 _MOST_COMPONENTS = 200
 
@@ -132,8 +133,7 @@ class _Problem:
 
     def spectrum(self, pairs: _Pairs, method: str) -> Spectrum:
         values, vectors = pairs[0].numpy(), pairs[1].numpy() / self.root_mass[:, None]
-        largest = np.maximum(vectors.max(axis=0), -vectors.min(axis=0)) > vectors.max(axis=0)
-        vectors *= np.where(largest, -1.0, 1.0)
+        vectors *= np.where(vectors.max(axis=0) < -vectors.min(axis=0), -1.0, 1.0)
         return Spectrum(np.maximum(values, 0.0), vectors, self.residual(pairs), method)
 
 
@@ -148,15 +148,24 @@ def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
         shift, factors = _shifted(problem, k)
     except RuntimeError:  # the shift hit an eigenvalue
         return None
+    # SuperLU solves in one thread, and lets others run meanwhile; but where the factors are small, its many small BLAS
+    # calls get in each other's way.
+    threads = min(torch.get_num_threads(), block) if problem.size > _ONE_THREAD_POINTS else 1
+    with ThreadPoolExecutor(threads) as pool:
 
-    def inverse(rows: Tensor) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(factors.solve(rows.numpy().T).T))
+        def inverse(rows: Tensor) -> Tensor:
+            parts = [part.numpy().T for part in rows.chunk(threads)]
+            return torch.cat([torch.from_numpy(solved.T) for solved in pool.map(factors.solve, parts)])
 
+        return _iterate(problem, inverse, shift, k, block)
+
+
+def _iterate(problem: _Problem, inverse: Inverse, shift: float, k: int, block: int) -> _Pairs | None:
     wanted = k + 1  # one more, to know where the next eigenvalue begins
     krylov = BlockLanczos(
         inverse, problem.kernel, block=block, capacity=min(4 * wanted + 12 * block, problem.size - len(problem.kernel))
     )
-    check_at = 2 * wanted + 2 * block
+    check_at = 2.0 * wanted + 2 * block
     while krylov.grow():
         if krylov.size >= check_at:
             check_at = krylov.size + wanted / 16
@@ -189,8 +198,7 @@ def _converged(problem: _Problem, krylov: BlockLanczos, shift: float, wanted: in
     residuals = errors[order] / inverse_values[order].square()
     if (residuals > 0.1 * _TOLERANCE * problem.scale(values)).any():
         return None
-    refined = krylov.refined(inverse_values[order], vectors[:, order])
-    return values, torch.cat([problem.kernel.T, refined], dim=1)[:, :wanted]
+    return values, krylov.refined(inverse_values[order], vectors[:, order])[:, :wanted]
 
 
 def _complete(problem: _Problem, pairs: _Pairs, k: int) -> _Pairs | None:
@@ -218,11 +226,14 @@ def _last_resort(problem: _Problem, k: int) -> Spectrum:
     start = np.random.default_rng(0).standard_normal(problem.size)
     shift = -1e-2 / float(problem.root_mass @ problem.root_mass)
     try:
-        values, vectors = sparse_linalg.eigsh(problem.matrix, k, sigma=shift, v0=start)
+        values, vectors = sparse_linalg.eigsh(problem.matrix, k + 1, sigma=shift, v0=start)
     except (sparse_linalg.ArpackError, RuntimeError) as error:
         raise ShapeError(f"the eigenvalues of the Laplacian did not converge ({error}); remesh the shape") from None
     order = np.argsort(values)
     pairs = (torch.from_numpy(values[order]), torch.from_numpy(vectors[:, order]))
     if problem.residual(pairs) > 100 * _TOLERANCE:
         raise ShapeError("the eigenvalues of the Laplacian are too inaccurate; remesh the shape")
-    return problem.spectrum(pairs, "ARPACK, after block Lanczos failed")
+    if _complete(problem, pairs, k) is None:
+        _log.warning("some of the lowest eigenpairs of the Laplacian were missed; remesh the shape")
+        return problem.spectrum((pairs[0][:k], pairs[1][:, :k]), "ARPACK, incomplete, after block Lanczos failed")
+    return problem.spectrum((pairs[0][:k], pairs[1][:, :k]), "ARPACK, after block Lanczos failed")
