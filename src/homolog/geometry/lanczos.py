@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+import scipy.linalg
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -21,54 +23,68 @@ class BlockLanczos:
         inverse: takes rows (b, n) to (S - shift)^-1 applied to each.
         kernel: orthonormal rows (c, n) to stay away from.
         block: vectors per step; also the highest multiplicity that is found for certain.
-        capacity: the most vectors to hold.
+        capacity: the most vectors to hold, besides the kernel.
     """
 
     def __init__(self, inverse: Inverse, kernel: Float[Tensor, "c n"], *, block: int, capacity: int) -> None:
-        self._inverse, self._kernel, self._block = inverse, kernel, block
-        # Rows hold the vectors, so that blocks are contiguous. There is always one block more than was multiplied.
-        self._rows = torch.empty(capacity, kernel.shape[1], dtype=torch.float64)
-        self._projected = torch.zeros(capacity, capacity, dtype=torch.float64)
+        self._inverse, self._block, self._first = inverse, block, len(kernel)
+        # Rows hold the vectors, so that blocks are contiguous: the kernel, what has been multiplied, one block more.
+        # NumPy's memory comes in huge pages, PyTorch's does not, and first touching it takes a tenth of the time.
+        self._rows = torch.from_numpy(np.empty((len(kernel) + capacity, kernel.shape[1])))
+        self._rows[: self._first] = kernel
+        self._projected = torch.zeros(len(self._rows), len(self._rows), dtype=torch.float64)
+        self._filled = self._first
         start = torch.randn(block, kernel.shape[1], generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-        self._rows[:block], self._coupling = _orthonormal_rows(self._away_from_kernel(start))
-        self._filled = block
+        self._take_out(start, 0)
+        self._append(start)
 
     @property
     def size(self) -> int:
         """Vectors in the part of the basis that the operator has been projected onto."""
-        return self._filled - self._block
+        return self._filled - self._block - self._first
 
     def grow(self) -> bool:
         """Apply the operator to the newest block; False, with nothing done, when there is no room for the result."""
-        block, filled = self._block, self._filled
-        if filled + block > len(self._rows):
+        if self._filled + self._block > len(self._rows):
             return False
-        image = self._away_from_kernel(self._inverse(self._rows[filled - block : filled]))
+        image = self._inverse(self._rows[self._filled - self._block : self._filled])
         # The three-term recurrence takes out the large part; a single pass against everything then suffices.
-        self._take_out(image, max(0, filled - 2 * block))
-        self._take_out(image, 0)
-        self._rows[filled : filled + block], self._coupling = _orthonormal_rows(image)
-        self._filled = filled + block
+        near = max(0, self._filled - 2 * self._block)
+        overlaps = self._projected[self._filled - self._block : self._filled]
+        overlaps[:, near : self._filled] = self._take_out(image, near)
+        overlaps[:, : self._filled] += self._take_out(image, 0)
+        self._append(image)
         return True
 
     def ritz_pairs(self) -> tuple[Float[Tensor, " m"], Float[Tensor, "m m"], Float[Tensor, " m"]]:
         """Ritz values theta of the inverted operator, their vectors in the basis (columns), and |A v - theta v|."""
-        upper = torch.triu(self._projected[: self.size, : self.size])
-        values, vectors = torch.linalg.eigh(upper + torch.triu(upper, 1).T)
+        basis = slice(self._first, self._filled - self._block)
+        # Block tridiagonal with triangles beside the diagonal: a band, but for rounding. LAPACK's solver for bands is
+        # twice as fast as PyTorch's dense one, and has one thread: NumPy's stall where a core has other work.
+        projected = self._projected[basis, basis].numpy()
+        band = [np.pad(np.diagonal(projected, -below), (0, below)) for below in range(self._block + 1)]
+        values, vectors = map(torch.from_numpy, scipy.linalg.eig_banded(band, lower=True))
         return values, vectors, (self._coupling @ vectors[-self._block :]).norm(dim=0)
 
-    def lift(self, vectors: Float[Tensor, "m j"]) -> Float[Tensor, "n j"]:
-        """Vectors in the basis as vectors in the whole space."""
-        return self._rows[: self.size].T @ vectors
+    def refined(self, values: Float[Tensor, " j"], vectors: Float[Tensor, "m j"]) -> Float[Tensor, "n c+j"]:
+        """The kernel, then Ritz vectors in the whole space after one more step of the power method, A v / theta.
 
-    def _take_out(self, image: Float[Tensor, "b n"], first: int) -> None:
+        It costs no application of the operator, since A v lies in the span of the basis and its newest block.
+        """
+        weights = torch.eye(self._filled, self._first + len(values), dtype=torch.float64)
+        weights[self._first : -self._block, self._first :] = vectors
+        weights[-self._block :, self._first :] = self._coupling @ vectors[-self._block :] / values
+        return self._rows[: self._filled].T @ weights
+
+    def _take_out(self, image: Float[Tensor, "b n"], first: int) -> Float[Tensor, "b m"]:
         basis = self._rows[first : self._filled]
-        overlap = basis @ image.T
-        image -= overlap.T @ basis
-        self._projected[first : self._filled, self._filled - self._block : self._filled] += overlap
+        overlap = image @ basis.T
+        image.addmm_(overlap, basis, alpha=-1)
+        return overlap
 
-    def _away_from_kernel(self, rows: Float[Tensor, "b n"]) -> Float[Tensor, "b n"]:
-        return rows - (rows @ self._kernel.T) @ self._kernel
+    def _append(self, image: Float[Tensor, "b n"]) -> None:
+        self._rows[self._filled : self._filled + self._block], self._coupling = _orthonormal_rows(image)
+        self._filled += self._block
 
 
 def _orthonormal_rows(rows: Float[Tensor, "b n"]) -> tuple[Float[Tensor, "b n"], Float[Tensor, "b b"]]:

@@ -85,5 +85,5 @@ def cloud_area(points: Float[np.ndarray, "n 3"]) -> float:
 
 
 def _area_by_counts(tree: KDTree, centres: Float[np.ndarray, "c 3"], radius: float) -> float:
-    counts = tree.query_ball_point(centres, radius, return_length=True)
+    counts = tree.query_ball_point(centres, radius, return_length=True, workers=-1)
     return float(np.mean(tree.n * np.pi * radius**2 / counts))
