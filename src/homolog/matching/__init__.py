@@ -1,7 +1,17 @@
 """Matcher (operators -> features -> map, the route per modality) and Correspondence (the result)."""
 
 from homolog.matching.correspondence import Correspondence, Route
-from homolog.matching.matcher import Device, Matcher, MatcherSettings, Method, PointMaps, Prepared, Side, choose_device
+from homolog.matching.matcher import (
+    Device,
+    Matcher,
+    MatcherSettings,
+    Method,
+    OperatorSource,
+    PointMaps,
+    Prepared,
+    Side,
+    choose_device,
+)
 from homolog.matching.output import RESULT_FILES, matched_colours, position_colours, write_result
 
 __all__ = [
@@ -11,6 +21,7 @@ __all__ = [
     "Matcher",
     "MatcherSettings",
     "Method",
+    "OperatorSource",
     "PointMaps",
     "Prepared",
     "Route",
