@@ -16,9 +16,12 @@ import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-# Idle threads that spin make small matrix products many times slower on a machine with other work. OpenMP reads this
-# once, when PyTorch is first imported; whoever has chosen otherwise, or imported PyTorch before, is left alone.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+# Idle threads that spin for long make small matrix products many times slower on a machine with other work; ones that
+# sleep at once make them half as fast on an idle machine. OpenMP reads this once, when PyTorch is first imported;
+# whoever has chosen otherwise, or imported PyTorch before, is left alone. The second is for GNU's OpenMP, some 10 us.
+if "OMP_WAIT_POLICY" not in os.environ:
+    os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
+    os.environ.setdefault("GOMP_SPINCOUNT", "10000")
 
 if TYPE_CHECKING:
     from homolog.errors import HomologError

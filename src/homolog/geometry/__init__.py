@@ -1,5 +1,6 @@
 """Laplacian, gradient, spectrum, geodesics, and Operators: all of a shape's operators, computed once, cached."""
 
+from homolog.geometry.basis import Basis
 from homolog.geometry.cache import OperatorCache, cache_folder
 from homolog.geometry.geodesics import edge_graph, pair_distances
 from homolog.geometry.laplacian import LaplacianKind, cloud_laplacian, mesh_laplacian
@@ -8,6 +9,7 @@ from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
 from homolog.geometry.spectrum import Spectrum, lowest_eigenpairs
 
 __all__ = [
+    "Basis",
     "Frame",
     "LaplacianKind",
     "OperatorCache",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sparse
@@ -11,6 +12,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.geometry.basis import Basis
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.scale import unit_frame
 from homolog.geometry.spectrum import lowest_eigenpairs
@@ -68,6 +70,20 @@ class Operators:
     def n_eigenpairs(self) -> int:
         """Number of eigenpairs k."""
         return len(self.eigenvalues)
+
+    @cached_property
+    def basis(self) -> Basis:
+        """The eigenbasis with its gradients, at all points; made once."""
+        # A tensor made in inference mode could never be trained with.
+        with torch.inference_mode(False):
+            gradients = (self.gradient_x @ self.eigenvectors, self.gradient_y @ self.eigenvectors)
+            return Basis(
+                self.points,
+                self.mass,
+                self.eigenvalues,
+                torch.stack([self.eigenvectors, *gradients], dim=1),
+                (self.mass[:, None] * self.eigenvectors).T.contiguous(),
+            )
 
     def to(self, device: torch.device | str) -> Operators:
         """The same operators on another device."""

@@ -1,6 +1,6 @@
 """DiffusionNet, and its weights on disk."""
 
-from homolog.network.diffusion_net import DiffusionNet, GradientProduct, NetworkSettings, diffuse
+from homolog.network.diffusion_net import DiffusionNet, GradientProduct, NetworkSettings, heat_decay
 from homolog.network.weights import WeightsInfo, find_weights, load_weights, save_weights, shipped_weights
 
 __all__ = [
@@ -8,8 +8,8 @@ __all__ = [
     "GradientProduct",
     "NetworkSettings",
     "WeightsInfo",
-    "diffuse",
     "find_weights",
+    "heat_decay",
     "load_weights",
     "save_weights",
     "shipped_weights",

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from homolog.errors import bad_choice
-from homolog.geometry import Operators
+from homolog.geometry import Basis, Operators
+from homolog.network.block import Dropout, diffusion_block
 
 # How the components of a gradient are multiplied with a complex matrix A = A_re + i A_im:
 # "equivariant": as complex numbers, so that a turn of the tangent frames changes nothing (the paper's equation 8);
@@ -57,11 +58,24 @@ class DiffusionNet(nn.Module):
         self.blocks = nn.ModuleList(DiffusionBlock(settings) for _ in range(settings.blocks))
         self.last = nn.Linear(settings.width, settings.out_channels)
 
-    def forward(self, inputs: Float[Tensor, "n i"], operators: Operators) -> Float[Tensor, "n o"]:
-        """Features (n, out_channels) of the inputs (n, in_channels), a function of these and the operators alone."""
+    def forward(
+        self,
+        inputs: Float[Tensor, "n i"],
+        operators: Operators | Basis,
+        *,
+        generator: torch.Generator | None = None,
+    ) -> Float[Tensor, "n o"]:
+        """Features (n, out_channels) of the inputs (n, in_channels), a function of these and the operators alone.
+
+        Args:
+            inputs: channels per point.
+            operators: of the shape, or their basis at the points of the inputs.
+            generator: of what dropout drops in training.
+        """
+        basis = operators if isinstance(operators, Basis) else operators.basis
         hidden = self.first(inputs)
         for block in self.blocks:
-            hidden = block(hidden, operators)
+            hidden = block(hidden, basis, generator)
         features: Tensor = self.last(hidden)
         return features
 
@@ -76,29 +90,36 @@ class DiffusionBlock(nn.Module):
         self.real = nn.Linear(width, width, bias=False)
         self.imaginary = nn.Linear(width, width, bias=False)
         self.perceptron = nn.ModuleList([nn.Linear(3 * width, width), nn.Linear(width, width), nn.Linear(width, width)])
-        self.dropout = nn.Dropout(settings.dropout)
+        self.dropout = settings.dropout
         self.gradient_product = settings.gradient_product
 
-    def forward(self, hidden: Float[Tensor, "n w"], operators: Operators) -> Float[Tensor, "n w"]:
+    def forward(
+        self, hidden: Float[Tensor, "n w"], basis: Basis, generator: torch.Generator | None = None
+    ) -> Float[Tensor, "n w"]:
         """The block's output, of the same shape as its input."""
-        diffused = diffuse(hidden, self.times, operators)
-        gradients = self._gradient_features(diffused, operators)
-        activation = self.perceptron[0](torch.cat([hidden, diffused, gradients], dim=-1))
-        for layer in self.perceptron[1:]:
-            activation = layer(self.dropout(torch.relu(activation)))
-        output: Tensor = hidden + activation
-        return output
+        dropout = None
+        if self.training and self.dropout:
+            dropout = Dropout(
+                _kept(hidden, self.dropout, generator), _kept(hidden, self.dropout, generator), 1 / (1 - self.dropout)
+            )
+        layers = tuple((layer.weight, layer.bias) for layer in self.perceptron)
+        decay = heat_decay(basis.eigenvalues, self.times)
+        return diffusion_block(hidden, basis, decay, self._mixing(), layers, dropout)
 
-    def _gradient_features(self, diffused: Float[Tensor, "n w"], operators: Operators) -> Float[Tensor, "n w"]:
-        """Tanh of the inner products between each channel's gradient and learned combinations of all channels'."""
-        x, y = operators.gradient_x @ diffused, operators.gradient_y @ diffused
-        real_x, imaginary_y = self.real(x), self.imaginary(y)
-        published = self.gradient_product == "published"
-        along_y = real_x + imaginary_y if published else self.real(y) + self.imaginary(x)
-        return torch.tanh(x * (real_x - imaginary_y) + y * along_y)
+    def _mixing(self) -> Float[Tensor, "2 w 2w"]:
+        """What takes gradients (x, y) to those multiplied with the complex matrix A, both components side by side."""
+        real, imaginary = self.real.weight.T, self.imaginary.weight.T
+        to_y = [real, imaginary] if self.gradient_product == "published" else [imaginary, real]
+        return torch.stack([torch.cat([real, to_y[0]], dim=1), torch.cat([-imaginary, to_y[1]], dim=1)])
 
 
-def diffuse(functions: Float[Tensor, "n c"], times: Float[Tensor, " c"], operators: Operators) -> Float[Tensor, "n c"]:
-    """Heat diffusion of functions on a shape, each for its own time, in the operators' eigenbasis."""
-    decay = torch.exp(-operators.eigenvalues[:, None] * times.clamp(min=_SHORTEST_TIME))
-    return operators.eigenvectors @ (decay * operators.coefficients(functions))
+def heat_decay(eigenvalues: Float[Tensor, " k"], times: Float[Tensor, " c"]) -> Float[Tensor, "k c"]:
+    """By what heat diffusion multiplies the coefficients of functions, each for its own time."""
+    return torch.exp(-eigenvalues[:, None] * times.clamp(min=_SHORTEST_TIME))
+
+
+def _kept(like: Float[Tensor, "n w"], dropped: float, generator: torch.Generator | None) -> Bool[Tensor, "n w"]:
+    """What dropout keeps. The share is rounded to 1/256: eight bytes from each drawn number, as drawing is slow."""
+    words = torch.empty(like.numel() // 8 + 1, dtype=torch.int64, device=like.device)
+    words.random_(-(2**63), None, generator=generator)
+    return (words.view(torch.uint8)[: like.numel()] >= round(256 * dropped)).view(like.shape)

@@ -4,7 +4,7 @@ from homolog.shapes.checking import Finding, Report, check
 from homolog.shapes.orientation import Up, rotation_about, stand_upright
 from homolog.shapes.reading import READABLE, read_shape
 from homolog.shapes.repairing import Repaired, repair
-from homolog.shapes.sampling import add_noise
+from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import Modality, Shape
 from homolog.shapes.writing import WRITABLE, write_shape
 
@@ -19,6 +19,7 @@ __all__ = [
     "Up",
     "add_noise",
     "check",
+    "farthest_points",
     "read_shape",
     "repair",
     "rotation_about",

@@ -1,0 +1,75 @@
+"""A shape's eigenbasis, at all of its points or at some of them: what the network computes with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+from torch import Tensor
+
+# Keeps the least-squares analysis of samples bounded where they cannot tell two eigenvectors apart.
+_RIDGE = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """Eigenvectors, their gradients, and the way from functions to spectral coefficients.
+
+    Args:
+        points: centred and scaled positions (n, 3), the network's input.
+        mass: lumped mass (n,).
+        eigenvalues: the k lowest (k,).
+        synthesis: per point the eigenvectors, and the two components of their gradients in its tangent frame (n, 3, k):
+            what takes coefficients to a function and its gradient.
+        analysis: what takes a function's values to its coefficients (k, n).
+    """
+
+    points: Float[Tensor, "n 3"]
+    mass: Float[Tensor, " n"]
+    eigenvalues: Float[Tensor, " k"]
+    synthesis: Float[Tensor, "n 3 k"]
+    analysis: Float[Tensor, "k n"]
+
+    @property
+    def n_points(self) -> int:
+        """Number of points n."""
+        return len(self.points)
+
+    @property
+    def eigenvectors(self) -> Float[Tensor, "n k"]:
+        """The eigenvectors at the points."""
+        return self.synthesis[:, 0]
+
+    def sampled(self, kept: Int[Tensor, " s"]) -> Basis:
+        """The same eigenvectors and gradients at some of the points only, in the given order.
+
+        Coefficients of a function known there are those of its best fit, weighted by the mass around each sample; for
+        what the eigenvectors span that is exact, however few the samples are, as long as they outnumber the
+        eigenvectors and leave no part of the shape empty.
+        """
+        nearest = KDTree(self.points[kept].cpu().numpy()).query(self.points.cpu().numpy())[1]
+        owner = torch.from_numpy(nearest).to(kept.device)
+        mass = torch.zeros_like(self.mass[kept]).index_add_(0, owner, self.mass)
+        synthesis = self.synthesis[kept]
+        return Basis(self.points[kept], mass, self.eigenvalues, synthesis, _least_squares(synthesis[:, 0], mass))
+
+    def to(self, device: torch.device | str) -> Basis:
+        """The same basis on another device."""
+        return Basis(
+            self.points.to(device),
+            self.mass.to(device),
+            self.eigenvalues.to(device),
+            self.synthesis.to(device),
+            self.analysis.to(device),
+        )
+
+
+def _least_squares(eigenvectors: Float[Tensor, "s k"], mass: Float[Tensor, " s"]) -> Float[Tensor, "k s"]:
+    """The matrix that takes values at samples to the coefficients of their weighted least-squares fit."""
+    weighted = (mass[:, None] * eigenvectors).mT.double()
+    gram = weighted @ eigenvectors.double()
+    ridge = _RIDGE * gram.diagonal().mean() * torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
+    analysis: Tensor = torch.linalg.solve(gram + ridge, weighted).to(eigenvectors)
+    return analysis
