@@ -91,7 +91,7 @@ class ShapeFolder:
         listed = self.root / f"{split}.txt"
         names = self._listed_names(listed) if listed.is_file() else self._split_by_order(split)
         if not names:
-            raise DataError(f"{self.root}: no shapes in split {split!r}; list them in {listed}, or use --split all")
+            raise DataError(f"{self.root}: no shapes in split {split!r}; list them in {listed}, or use split 'all'")
         return names
 
     def pairs(self, split: Split, *, listed: str | Path | None = None) -> tuple[Pair, ...]:

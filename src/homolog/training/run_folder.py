@@ -21,6 +21,10 @@ from homolog.training.state import TrainingState
 from homolog.versions import versions
 
 
+# The weights to use: those with the lowest validation loss, or the latest where nothing is validated.
+WEIGHTS = "weights.safetensors"
+
+
 @dataclass(frozen=True)
 class RunFolder:
     """Where a training keeps ``last.safetensors`` and ``best.safetensors`` (checkpoints), ``weights.safetensors`` (to use),
@@ -40,11 +44,6 @@ class RunFolder:
     def last(self) -> Path:
         """The latest checkpoint."""
         return self.path / "last.safetensors"
-
-    @property
-    def weights(self) -> Path:
-        """The weights to use: those with the lowest validation loss, or the latest where nothing is validated."""
-        return self.path / "weights.safetensors"
 
     def make(self, *, resume: bool) -> None:
         """Make the folder, or make sure that it is one to go on in.
@@ -96,7 +95,7 @@ class RunFolder:
             temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
     def _export(self, state: TrainingState) -> None:
-        save_weights(self.weights, state.result(), weights_info(self.recipe))
+        save_weights(self.path / WEIGHTS, state.result(), weights_info(self.recipe))
 
     def _digest(self) -> str:
         """Tells which shapes and pairs are trained on, by name."""
