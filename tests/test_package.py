@@ -28,7 +28,8 @@ FLOORS = {
     "matching": GROUND | {"shapes", "geometry", "network", "maps"},
     "datasets": GROUND | {"shapes"},
     "evaluation": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets"},
-    "cli": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
+    "training": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
+    "cli": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation", "training"},
     "__main__": {"cli"},
     "__init__": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
 }

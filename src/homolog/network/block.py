@@ -6,16 +6,15 @@ what those products need. The slow, readable form is in the tests.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.autograd.function import FunctionCtx, once_differentiable
+from torch.autograd.function import once_differentiable
 
 from homolog.geometry import Basis
-
-Layer = tuple[Float[Tensor, "o i"], Float[Tensor, " o"]]
 
 
 class Dropout(NamedTuple):
@@ -31,7 +30,7 @@ def diffusion_block(
     basis: Basis,
     decay: Float[Tensor, "k w"],
     mixing: Float[Tensor, "2 w 2w"],
-    layers: tuple[Layer, Layer, Layer],
+    perceptron: Sequence[Tensor],
     dropout: Dropout | None,
 ) -> Float[Tensor, "n w"]:
     """Diffusion, gradient features and a perceptron per point, with a skip.
@@ -42,12 +41,12 @@ def diffusion_block(
         decay: by what diffusion multiplies each coefficient of each channel.
         mixing: takes the two components of all channels' gradients to those of the combinations that each channel's
             gradient is multiplied with.
-        layers: weights and biases of the perceptron, whose inputs are the channels, diffused ones, gradient features.
+        perceptron: weights and biases of its three layers in turn; its inputs are the channels, the diffused channels
+            and the gradient features, side by side.
         dropout: None to keep everything.
     """
-    (w0, b0), (w1, b1), (w2, b2) = layers
-    output: Tensor = _Block.apply(
-        hidden, basis.synthesis, basis.analysis, decay, mixing, w0, b0, w1, b1, w2, b2, dropout
+    output: Tensor = _Block.apply(  # type: ignore[no-untyped-call]
+        hidden, basis.synthesis, basis.analysis, decay, mixing, *perceptron, dropout
     )
     return output
 
@@ -135,7 +134,7 @@ def _inner_products(gradient: Float[Tensor, "n 2w"], mixed: Float[Tensor, "n 2w"
 
 
 def _components(stacked: Float[Tensor, "2k 2w"]) -> Float[Tensor, "2 k 2w"]:
-    return stacked.unflatten(0, (2, -1))
+    return stacked.view(2, -1, stacked.shape[1])
 
 
 def _weighted(

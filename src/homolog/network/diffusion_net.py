@@ -102,9 +102,8 @@ class DiffusionBlock(nn.Module):
             dropout = Dropout(
                 _kept(hidden, self.dropout, generator), _kept(hidden, self.dropout, generator), 1 / (1 - self.dropout)
             )
-        layers = tuple((layer.weight, layer.bias) for layer in self.perceptron)
         decay = heat_decay(basis.eigenvalues, self.times)
-        return diffusion_block(hidden, basis, decay, self._mixing(), layers, dropout)
+        return diffusion_block(hidden, basis, decay, self._mixing(), list(self.perceptron.parameters()), dropout)
 
     def _mixing(self) -> Float[Tensor, "2 w 2w"]:
         """What takes gradients (x, y) to those multiplied with the complex matrix A, both components side by side."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import zlib
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
@@ -226,7 +226,7 @@ def _bytes(basis: Basis) -> int:
     return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
 
 
-def prefetched(load: Callable[[int], T], steps: Sequence[int], *, workers: int) -> Iterator[T]:
+def prefetched(load: Callable[[int], T], steps: Sequence[int], *, workers: int) -> Generator[T, None, None]:
     """What ``load`` gives for each step, in order, loaded by threads while the caller works on earlier ones."""
     pool = ThreadPoolExecutor(workers)
     try:

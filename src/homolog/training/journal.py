@@ -25,7 +25,7 @@ class Journal:
         from torch.utils.tensorboard import SummaryWriter
 
         self.terms = tuple(terms)
-        self._writer = SummaryWriter(str(folder), purge_step=step + 1)  # type: ignore[no-untyped-call]
+        self._writer = SummaryWriter(str(folder), purge_step=step + 1)
         self._sums: Tensor | None = None
         self._count = 0
 
@@ -43,8 +43,8 @@ class Journal:
     def scalars(self, step: int, values: dict[str, float]) -> None:
         """Add one point to each of several curves."""
         for name, value in values.items():
-            self._writer.add_scalar(name, value, step)  # type: ignore[no-untyped-call]
+            self._writer.add_scalar(name, value, step)
 
     def close(self) -> None:
         """Write what is still waiting."""
-        self._writer.close()  # type: ignore[no-untyped-call]
+        self._writer.close()

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_TERMS = tuple(field.name for field in fields(Losses))
+_TERMS = (*(field.name for field in fields(Losses)), "total")
 
 
 def train(
@@ -198,7 +198,7 @@ class _Training:
         for place, pair in zip(range(self.fabric.global_rank, n_pairs, self.fabric.world_size), pairs, strict=True):
             losses = self._losses(pair)
             (losses.total / n_pairs).backward()
-            values[place] = torch.stack([value.detach() for value in losses.as_dict().values()])
+            values[place] = torch.stack([getattr(losses, term).detach() for term in _TERMS])
         return values
 
     def _losses(self, pair: TrainingPair) -> Losses:

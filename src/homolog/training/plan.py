@@ -1,4 +1,4 @@
-"""Which pairs each step trains on: a function of the recipe's seed and the step alone, so that a resumed run sees the same."""
+"""Which pairs each step trains on, by the recipe's seed and the step alone: a resumed run sees the same ones."""
 
 from __future__ import annotations
 

@@ -27,8 +27,10 @@ WEIGHTS = "weights.safetensors"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Where a training keeps ``last.safetensors`` and ``best.safetensors`` (checkpoints), ``weights.safetensors`` (to use),
-    ``report.json``, and TensorBoard's files.
+    """Where a training keeps its files.
+
+    Checkpoints are ``last.safetensors`` and ``best.safetensors``, weights to use ``weights.safetensors``; there are
+    ``report.json`` for people, and TensorBoard's files.
 
     Args:
         path: of the folder.

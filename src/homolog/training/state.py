@@ -51,7 +51,7 @@ class TrainingState:
         network = network.to(device).train()
         wanted = recipe.optimiser
         optimiser = torch.optim.AdamW(
-            network.parameters(), lr=wanted.learning_rate, betas=wanted.betas, weight_decay=wanted.weight_decay, fused=True
+            network.parameters(), wanted.learning_rate, wanted.betas, weight_decay=wanted.weight_decay, fused=True
         )
         average = {name: weight.detach().clone() for name, weight in network.named_parameters()}
         return cls(network, optimiser, average if wanted.average else None)

@@ -14,7 +14,7 @@ from homolog.errors import DataError
 from homolog.evaluation import Modalities, Protocol, evaluate
 from homolog.files import atomic_path
 from homolog.matching import Matcher
-from homolog.network import AugmentationSettings, DiffusionNet
+from homolog.network import DiffusionNet
 from homolog.training.bank import TrainingPair
 from homolog.training.objective import pair_losses
 from homolog.training.recipe import Recipe
@@ -29,17 +29,9 @@ def validation_losses(network: DiffusionNet, pairs: Sequence[TrainingPair], reci
     """Mean of each loss over pairs, for a network in evaluation mode, without augmentation."""
     sums: dict[str, float] = defaultdict(float)
     for pair in pairs:
-        losses = pair_losses(
-            network,
-            pair.x,
-            pair.y,
-            settings=recipe.loss,
-            augmentation=AugmentationSettings.none(),
-            generator=torch.Generator(pair.x.mesh.points.device).manual_seed(pair.draw.seed),
-            partial=recipe.partial is not None,
-        )
+        losses = pair_losses(network, pair.x, pair.y, settings=recipe.loss, partial=recipe.partial is not None)
         for term, value in losses.as_dict().items():
-            sums[term] += float(value) / len(pairs)
+            sums[term] += value / len(pairs)
     return dict(sums)
 
 

@@ -1,0 +1,210 @@
+"""The losses that the network learns from: pure functions of maps and features.
+
+Cao and Bernard, "Self-supervised learning for multimodal non-rigid 3D shape matching", CVPR 2023, section 4.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from homolog.arrays import takes_arrays
+from homolog.errors import bad_value
+from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, carried_over
+from homolog.memory import row_tiles
+
+# The paper's temperature of the contrastive loss.
+CONTRAST_TEMPERATURE = 0.07
+
+
+@takes_arrays
+def bijectivity_loss(c_xy: Float[Tensor, "k_y k_x"], c_yx: Float[Tensor, "k_x k_y"]) -> Float[Tensor, ""]:
+    """There and back is home: |C_xy C_yx - I|^2 + |C_yx C_xy - I|^2."""
+    return _off_identity(c_xy @ c_yx) + _off_identity(c_yx @ c_xy)
+
+
+@takes_arrays
+def orthogonality_loss(c_xy: Float[Tensor, "k_y k_x"], c_yx: Float[Tensor, "k_x k_y"]) -> Float[Tensor, ""]:
+    """Areas are kept: |C_xy^T C_xy - I|^2 + |C_yx^T C_yx - I|^2."""
+    return _off_identity(c_xy.mT @ c_xy) + _off_identity(c_yx.mT @ c_yx)
+
+
+@takes_arrays
+def partial_bijectivity_loss(c_xy: Float[Tensor, "k k"], c_yx: Float[Tensor, "k k"], *, rank: int) -> Float[Tensor, ""]:
+    """For y a part of x: |C_xy C_yx - I_r|^2, where the first r diagonal entries of I_r are one.
+
+    Args:
+        c_xy: from the complete shape to the part.
+        c_yx: from the part to the complete shape.
+        rank: r, see ``partial_rank``.
+    """
+    return _off_identity(c_xy @ c_yx, rank)
+
+
+@takes_arrays
+def partial_orthogonality_loss(c_xy: Float[Tensor, "k k"], *, rank: int) -> Float[Tensor, ""]:
+    """For y a part of x: |C_xy C_xy^T - I_r|^2; see ``partial_bijectivity_loss``."""
+    return _off_identity(c_xy @ c_xy.mT, rank)
+
+
+@takes_arrays
+def partial_rank(eigenvalues_x: Float[Tensor, " k"], eigenvalues_y: Float[Tensor, " k"]) -> int:
+    """How many functions of a complete shape x its part y can still tell apart, both at one scale.
+
+    A part's eigenvalues grow faster, in the ratio of the areas (Weyl's law): those below the largest of the complete
+    shape, and one more, at most k.
+    """
+    return min(int((eigenvalues_y < eigenvalues_x.max()).sum()) + 1, len(eigenvalues_y))
+
+
+@takes_arrays
+def commutativity_loss(
+    c_xy: Float[Tensor, "k_y k_x"], eigenvalues_x: Float[Tensor, " k_x"], eigenvalues_y: Float[Tensor, " k_y"]
+) -> Float[Tensor, ""]:
+    """A map without distortion commutes with the Laplacians: |C_xy Lambda_x - Lambda_y C_xy|^2.
+
+    The eigenvalues are measured by the largest of both, so that the loss does not depend on the scale.
+    """
+    largest = torch.maximum(eigenvalues_x.max(), eigenvalues_y.max())
+    return (c_xy * ((eigenvalues_x[None, :] - eigenvalues_y[:, None]) / largest)).square().sum()
+
+
+@takes_arrays
+def alignment_loss(
+    c_xy: Float[Tensor, "k_y k_x"],
+    eigenvectors_x: Float[Tensor, "n_x k_x"],
+    eigenvectors_y: Float[Tensor, "n_y k_y"],
+    features_x: Float[Tensor, "m_x d"],
+    features_y: Float[Tensor, "m_y d"],
+    *,
+    temperature: float = TEMPERATURE,
+    iterations: int = ITERATIONS,
+) -> Float[Tensor, ""]:
+    """The soft map of the features carries eigenfunctions as the functional map does: |Phi_y C_xy - P_yx Phi_x|^2.
+
+    The functional map teaches the features and not the other way round: no gradient flows into it.
+
+    Args:
+        c_xy: the functional map of the meshes.
+        eigenvectors_x: of the mesh x, at the points of its cloud.
+        eigenvectors_y: of the mesh y, likewise.
+        features_x: of the points of the cloud of x.
+        features_y: of those of y.
+        temperature: of Sinkhorn's map.
+        iterations: likewise.
+    """
+    carried = carried_over(features_y, features_x, eigenvectors_x, temperature=temperature, iterations=iterations)
+    return (eigenvectors_y @ c_xy.detach() - carried).square().sum()
+
+
+@takes_arrays
+def partial_alignment_loss(
+    c_xy: Float[Tensor, "k_y k_x"],
+    eigenvectors_x: Float[Tensor, "n_x k_x"],
+    eigenvectors_y: Float[Tensor, "n_y k_y"],
+    features_x: Float[Tensor, "n_x d"],
+    features_y: Float[Tensor, "n_y d"],
+    *,
+    temperature: float = TEMPERATURE,
+) -> Float[Tensor, ""]:
+    """The same for y a part of x: the soft map is a softmax over the complete shape, as not all of it has a partner."""
+    return (
+        (eigenvectors_y @ c_xy.detach() - _softly_carried(features_y / temperature, features_x, eigenvectors_x))
+        .square()
+        .sum()
+    )
+
+
+@takes_arrays
+def contrastive_loss(
+    features: Float[Tensor, "n d"], counterparts: Float[Tensor, "n d"], *, temperature: float = CONTRAST_TEMPERATURE
+) -> Float[Tensor, ""]:
+    """Each row must resemble its counterpart more than all others: PointInfoNCE, the mean over the rows.
+
+    With the rows of a mesh and its own cloud this is the paper's equation 8; with corresponding rows of two shapes, the
+    supervised loss of its supplement. The features should be of unit length. The gradient is taken on the way, tile by
+    tile, so that nothing of size n x n is kept.
+
+    Raises:
+        ArgumentError: if the temperature is not positive.
+    """
+    if not temperature > 0:
+        raise bad_value("temperature", temperature, "positive")
+    loss: Tensor = _Contrast.apply(features, counterparts, temperature)  # type: ignore[no-untyped-call]
+    return loss
+
+
+def _off_identity(product: Float[Tensor, "k k"], rank: int | None = None) -> Float[Tensor, ""]:
+    ones = torch.ones_like(product[0])
+    if rank is not None:
+        ones[rank:] = 0
+    return (product - torch.diag(ones)).square().sum()
+
+
+class _Contrast(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, features: Tensor, counterparts: Tensor, temperature: float) -> Tensor:
+        left, right = features / temperature, counterparts.T
+        total = features.new_zeros((), dtype=torch.float64)
+        left_grad, right_grad = torch.empty_like(features), torch.zeros_like(counterparts)
+        for rows in row_tiles(len(left), bytes_per_row=2 * len(left) * left.element_size()):
+            tile = left[rows] @ right
+            paired = tile.diagonal(rows.start)
+            # Relative to the pair's own logit nothing overflows that matters, nor can the sum vanish.
+            largest = tile.amax(dim=1, keepdim=True)
+            own = paired - largest[:, 0]
+            tile.sub_(largest).exp_()
+            sums = tile.sum(dim=1)
+            total += (sums.log() - own).sum(dtype=torch.float64)
+            tile.mul_(1 / (len(left) * sums[:, None])).diagonal(rows.start).sub_(1 / len(left))
+            torch.mm(tile, counterparts, out=left_grad[rows])
+            right_grad.addmm_(tile.T, left[rows])
+        ctx.save_for_backward(left_grad.div_(temperature), right_grad)
+        return (total / len(left)).to(features)
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        left_grad, right_grad = ctx.saved_tensors
+        return grad * left_grad, grad * right_grad, None
+
+
+def _softly_carried(
+    left: Float[Tensor, "n_y d"], features_x: Float[Tensor, "n_x d"], functions: Float[Tensor, "n_x k"]
+) -> Float[Tensor, "n_y k"]:
+    carried: Tensor = _SoftlyCarried.apply(left, features_x, functions)  # type: ignore[no-untyped-call]
+    return carried
+
+
+class _SoftlyCarried(torch.autograd.Function):
+    """Attention: softmax(left right^T) functions, row tile by row tile, made anew for the derivative."""
+
+    @staticmethod
+    def forward(ctx: Any, left: Tensor, right: Tensor, functions: Tensor) -> Tensor:
+        carried = functions.new_empty(len(left), functions.shape[1])
+        for rows in _softmax_tiles(left, right):
+            torch.mm(torch.softmax(left[rows] @ right.T, dim=1), functions, out=carried[rows])
+        ctx.save_for_backward(left, right, functions)
+        return carried
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        left, right, functions = ctx.saved_tensors
+        left_grad, right_grad = torch.empty_like(left), torch.zeros_like(right)
+        for rows in _softmax_tiles(left, right):
+            soft = torch.softmax(left[rows] @ right.T, dim=1)
+            soft_grad = (grad[rows] @ functions.T).mul_(soft)
+            soft_grad.sub_(soft.mul_(soft_grad.sum(dim=1, keepdim=True)))
+            torch.mm(soft_grad, right, out=left_grad[rows])
+            right_grad.addmm_(soft_grad.T, left[rows])
+        return left_grad, right_grad, None
+
+
+def _softmax_tiles(left: Float[Tensor, "n d"], right: Float[Tensor, "m d"]) -> Iterator[slice]:
+    return row_tiles(len(left), bytes_per_row=3 * len(right) * left.element_size())

@@ -1,0 +1,310 @@
+"""Sinkhorn's doubly stochastic map as two scalings of one kernel, and the derivative of what it carries over.
+
+With the logits L = F_y F_x^T, the soft map is P_ij = exp(L_ij + f_i + g_j). Only the logarithms of the scalings, f and
+g, are iterated: the columns g = -log sum_i exp(L_ij + f_i) first and the rows f likewise last (Sinkhorn 1967; Cuturi,
+"Sinkhorn distances", 2013). No more than one n x n array is ever held, and none where it does not fit the working
+memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from homolog.errors import bad_value
+from homolog.memory import fits, row_tiles
+
+# The paper's temperature, for raw products as for normalised features.
+TEMPERATURE = 0.2
+ITERATIONS = 10
+
+# Up to this size of logits, sums of exponentials and products of two scalings stay within float32.
+_LARGEST_PLAIN_LOGIT = 25.0
+# How far scalings may move from those absorbed into a kernel before what has underflowed there could matter.
+_LARGEST_SHIFT = 20.0
+
+_Scalings = tuple[Float[Tensor, " n_y"], Float[Tensor, " n_x"]]
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """K = exp(L + a + b) by row tiles, with scalings a of the rows and b of the columns absorbed.
+
+    Args:
+        left: F_y, divided by the temperature.
+        right: F_x^T.
+        absorbed: a and b; None if the logits are small enough to need none.
+        whole: all of K, if it fits the working memory; it then takes the place of the logits.
+    """
+
+    left: Float[Tensor, "n_y d"]
+    right: Float[Tensor, "d n_x"]
+    absorbed: _Scalings | None = None
+    whole: Float[Tensor, "n_y n_x"] | None = None
+
+    @classmethod
+    def of(cls, left: Float[Tensor, "n_y d"], right: Float[Tensor, "d n_x"], near: _Scalings | None = None) -> Kernel:
+        """The kernel of features, with scalings absorbed only where its logits are too large to go without.
+
+        Args:
+            left: F_y, divided by the temperature.
+            right: F_x^T.
+            near: the scalings that it will be used with; by default the first ones, which make its columns sum to one.
+        """
+        logits = cls(left, right)
+        if float(left.norm(dim=1).max() * right.norm(dim=0).max()) <= _LARGEST_PLAIN_LOGIT:
+            return logits._kept_whole()
+        nothing = left.new_zeros(len(left))
+        return logits.with_absorbed(*(near or (nothing, logits.exact_columns(nothing))))
+
+    def with_absorbed(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> Kernel:
+        """The kernel of the same features with these scalings absorbed."""
+        return Kernel(self.left, self.right, (f, g))._kept_whole()
+
+    def tiles(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
+        """Row tiles of K; each is to be used before the next is asked for."""
+        for rows in self._slices():
+            yield rows, self.whole[rows] if self.whole is not None else self._exponentials(rows)
+
+    def relative(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> _Scalings:
+        """Scalings u and v with exp(L + f + g) = diag(u) K diag(v)."""
+        a, b = self.absorbed or (0.0, 0.0)
+        return (f - a).exp(), (g - b).exp()
+
+    def covers(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> bool:
+        """Whether nothing that matters for these scalings has underflowed in K."""
+        if self.absorbed is None:
+            return True
+        shifts = (f - self.absorbed[0]).abs().amax(), (g - self.absorbed[1]).abs().amax()
+        return all(bool(shift <= _LARGEST_SHIFT) for shift in shifts)
+
+    def iterate(self, g: Float[Tensor, " n_x"]) -> _Scalings:
+        """The row scalings under the columns' g, and the columns' next: one sweep over K."""
+        a, b = self.absorbed or (0.0, 0.0)
+        v = (g - b).exp()
+        row_sums, column_sums = torch.empty_like(self.left[:, 0]), torch.zeros_like(g)
+        for rows, tile in self.tiles():
+            torch.mv(tile, v, out=row_sums[rows])
+            column_sums.addmv_(tile.T, row_sums[rows].reciprocal())
+        # K holds exp(a + b) already: the sums are those of the logits under f - a and g - b.
+        return a - row_sums.log(), b - column_sums.log()
+
+    def logits(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
+        """Row tiles of L."""
+        for rows in self._slices():
+            yield rows, self.left[rows] @ self.right
+
+    def exact_iteration(self, g: Float[Tensor, " n_x"]) -> _Scalings:
+        """``iterate`` in the logarithm, from the logits: slow, and right wherever the scalings may lie."""
+        f = torch.empty_like(self.left[:, 0])
+        for rows, logits in self.logits():
+            f[rows] = -torch.logsumexp(logits + g, dim=1)
+        return f, self.exact_columns(f)
+
+    def exact_columns(self, f: Float[Tensor, " n_y"]) -> Float[Tensor, " n_x"]:
+        """The columns' scaling under the rows' f, in the logarithm."""
+        total = torch.full_like(self.right[0], -torch.inf)
+        for rows, logits in self.logits():
+            total = torch.logaddexp(total, torch.logsumexp(logits + f[rows, None], dim=0))
+        return -total
+
+    def _slices(self) -> Iterator[slice]:
+        # Up to three arrays of a tile's size live at once.
+        return row_tiles(len(self.left), bytes_per_row=3 * self.right.shape[1] * self.left.element_size())
+
+    def _exponentials(self, rows: slice, out: Tensor | None = None) -> Float[Tensor, "t n_x"]:
+        logits = torch.mm(self.left[rows], self.right, out=out)
+        if self.absorbed is not None:
+            logits.add_(self.absorbed[0][rows, None]).add_(self.absorbed[1])
+        return logits.exp_()
+
+    def _kept_whole(self) -> Kernel:
+        n_y, n_x = len(self.left), self.right.shape[1]
+        if not fits(n_y * n_x * self.left.element_size()):
+            return self
+        whole = self.left.new_empty(n_y, n_x)
+        for rows in self._slices():
+            self._exponentials(rows, out=whole[rows])
+        return Kernel(self.left, self.right, self.absorbed, whole)
+
+
+@dataclass(frozen=True, eq=False)
+class Balanced:
+    """The scalings of all iterations, f_t and g_t for t = 1 ... T, and a kernel that covers the last."""
+
+    kernel: Kernel
+    rows: list[Float[Tensor, " n_y"]]
+    columns: list[Float[Tensor, " n_x"]]
+
+
+def balance(
+    features_y: Float[Tensor, "n_y d"], features_x: Float[Tensor, "n_x d"], *, temperature: float, iterations: int
+) -> Balanced:
+    """Run Sinkhorn's iterations on the kernel of two sets of features.
+
+    A sweep over row tiles normalises a tile's rows and at once adds up its columns, so that an iteration reads K once:
+    4 n_y n_x operations. Where K does not fit, its tiles are made anew in every sweep, for 2 n_y n_x d more.
+
+    Raises:
+        ArgumentError: if the temperature or the number of iterations is not positive.
+    """
+    if not temperature > 0:
+        raise bad_value("temperature", temperature, "positive")
+    if iterations < 1:
+        raise bad_value("iterations", iterations, "at least 1")
+    kernel = Kernel.of(features_y / temperature, features_x.T)
+    g = _first_columns(kernel)
+    rows, columns = [], []
+    for _ in range(iterations):
+        columns.append(g)
+        f, g = kernel.iterate(g)
+        if not kernel.covers(f, columns[-1]):  # infinite ones are not covered, either
+            f, g = kernel.exact_iteration(columns[-1])
+            kernel = kernel.with_absorbed(f, columns[-1])
+        rows.append(f)
+    return Balanced(kernel, rows, columns)
+
+
+def _first_columns(kernel: Kernel) -> Float[Tensor, " n_x"]:
+    if kernel.absorbed is not None:
+        return kernel.absorbed[1]
+    total = torch.zeros_like(kernel.right[0])
+    for _, tile in kernel.tiles():
+        total += tile.sum(dim=0)
+    return -total.log()
+
+
+def carried_over(
+    features_y: Float[Tensor, "n_y d"],
+    features_x: Float[Tensor, "n_x d"],
+    functions_x: Float[Tensor, "n_x k"],
+    *,
+    temperature: float = TEMPERATURE,
+    iterations: int = ITERATIONS,
+) -> Float[Tensor, "n_y k"]:
+    """Functions on x carried to y by the soft map P_yx = Sinkhorn(F_y F_x^T / temperature): P_yx times the functions.
+
+    Differentiable in the features. The derivative is taken iteration by iteration, with the scalings as the only thing
+    kept, and the kernel made anew: one array of n_y x n_x at most, where unrolled iterations hold twenty.
+
+    Raises:
+        ArgumentError: if the temperature or the number of iterations is not positive.
+    """
+    carried: Tensor = _CarriedOver.apply(features_y, features_x, functions_x, temperature, iterations)  # type: ignore[no-untyped-call]
+    return carried
+
+
+class _CarriedOver(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, features_y: Tensor, features_x: Tensor, functions_x: Tensor, temperature: float, iterations: int
+    ) -> Tensor:
+        balanced = balance(features_y, features_x, temperature=temperature, iterations=iterations)
+        u, v = balanced.kernel.relative(balanced.rows[-1], balanced.columns[-1])
+        carried, weighted = functions_x.new_empty(len(u), functions_x.shape[1]), v[:, None] * functions_x
+        for rows, tile in balanced.kernel.tiles():
+            torch.mm(tile, weighted, out=carried[rows])
+        ctx.save_for_backward(features_y, features_x, functions_x, *balanced.rows, *balanced.columns)
+        ctx.temperature = temperature
+        return carried.mul_(u[:, None])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
+        features_y, features_x, functions_x, *scalings = ctx.saved_tensors
+        rows, columns = scalings[: len(scalings) // 2], scalings[len(scalings) // 2 :]
+        left, right = features_y / ctx.temperature, features_x.T
+        kernel = Kernel.of(left, right, near=(rows[-1], columns[-1]))
+        derivative = _Derivative(kernel, [torch.zeros_like(rows[0]), *rows], columns)
+        derivative.run(grad, functions_x)
+        return derivative.left / ctx.temperature, derivative.right, None, None, None
+
+
+class _Derivative:
+    """Pulls the gradient of P times functions back to the features, through all iterations.
+
+    Let R = exp(L + f_t + g_t), whose rows sum to one, and Q = exp(L + f_{t-1} + g_t), whose columns do. Differentiated,
+    the iterations read df_t = -R (dL + dg_t) row by row, and dg_t = -Q^T (dL + df_{t-1}) column by column. Each adds to
+    the gradient of L a matrix of rank one times K; all together they are K times a single matrix product.
+
+    Args:
+        kernel: of the features; covers the last scalings.
+        rows: f_0 = 0 to f_T.
+        columns: g_1 to g_T.
+    """
+
+    def __init__(self, kernel: Kernel, rows: list[Tensor], columns: list[Tensor]) -> None:
+        self.kernel, self.rows, self.columns = kernel, rows, columns
+        self.left, self.right = torch.zeros_like(kernel.left), torch.zeros_like(kernel.right.T)
+        self._factors: list[tuple[Tensor, Tensor]] = []
+
+    def run(self, grad: Float[Tensor, "n_y k"], functions: Float[Tensor, "n_x k"]) -> None:
+        """Find the gradients: ``left`` of F_y divided by the temperature, ``right`` of F_x."""
+        column_grad = self._through_product(grad, functions)
+        for t in range(len(self.columns), 0, -1):
+            column_grad = self._through_iteration(t, column_grad)
+        a, b = (torch.cat(factors, dim=1) for factors in zip(*self._factors, strict=True))
+        for rows, tile in self.kernel.tiles():
+            self._pull_back(rows, (a[rows] @ b.T).mul_(tile))
+
+    def _through_product(
+        self, grad: Float[Tensor, "n_y k"], functions: Float[Tensor, "n_x k"]
+    ) -> Float[Tensor, " n_x"]:
+        """From the product to the last scalings; what is asked for of g_T."""
+        u, v = self.kernel.relative(self.rows[-1], self.columns[-1])
+        grad, functions = u[:, None] * grad, v[:, None] * functions
+        row_grad, column_grad, back = torch.empty_like(u), torch.zeros_like(v), torch.zeros_like(v)
+        for rows, tile in self.kernel.tiles():
+            weighted = (grad[rows] @ functions.T).mul_(tile)
+            row_grad[rows] = weighted.sum(dim=1)
+            column_grad += weighted.sum(dim=0)
+            back.addmv_(tile.T, u[rows] * row_grad[rows])
+        self._factors += [(grad, functions), (-(row_grad * u)[:, None], v[:, None])]
+        return column_grad - v * back
+
+    def _through_iteration(self, t: int, column_grad: Float[Tensor, " n_x"]) -> Float[Tensor, " n_x"]:
+        """From g_t by f_{t-1} to g_{t-1}."""
+        f, g, g_before = self.rows[t - 1], self.columns[t - 1], self.columns[max(t - 2, 0)]
+        if not (self.kernel.covers(f, g) and self.kernel.covers(f, g_before)):
+            return self._through_iteration_exactly(f, g, g_before if t > 1 else None, column_grad)
+        (u, v), (_, v_before) = self.kernel.relative(f, g), self.kernel.relative(f, g_before)
+        column_grad = v * column_grad
+        self._factors.append((-u[:, None], column_grad[:, None]))
+        if t == 1:
+            return column_grad
+        row_grad, back = torch.empty_like(u), torch.zeros_like(v)
+        for rows, tile in self.kernel.tiles():
+            row_grad[rows] = -u[rows] * (tile @ column_grad)
+            back.addmv_(tile.T, u[rows] * row_grad[rows])
+        self._factors.append((-(row_grad * u)[:, None], v_before[:, None]))
+        return -v_before * back
+
+    def _through_iteration_exactly(
+        self,
+        f: Float[Tensor, " n_y"],
+        g: Float[Tensor, " n_x"],
+        g_before: Float[Tensor, " n_x"] | None,
+        column_grad: Float[Tensor, " n_x"],
+    ) -> Float[Tensor, " n_x"]:
+        """The same from the logits, where the scalings lie too far from those that the kernel has absorbed."""
+        back = torch.zeros_like(g)
+        for rows, logits in self.kernel.logits():
+            normal_columns = (logits + f[rows, None] + g).exp_().mul_(column_grad)
+            if g_before is not None:
+                row_grad = -normal_columns.sum(dim=1, keepdim=True)
+                normal_rows = (logits + f[rows, None] + g_before).exp_().mul_(row_grad)
+                back -= normal_rows.sum(dim=0)
+                normal_columns += normal_rows
+            self._pull_back(rows, normal_columns.neg_())
+        return back
+
+    def _pull_back(self, rows: slice, logits_grad: Float[Tensor, "t n_x"]) -> None:
+        """From the logits of a row tile to the features."""
+        self.left[rows].addmm_(logits_grad, self.kernel.right.T)
+        self.right.addmm_(logits_grad.T, self.kernel.left[rows])

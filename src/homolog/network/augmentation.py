@@ -1,0 +1,73 @@
+"""Varying the network's input in training: turns, scales and jitter of the positions. Operators stay as they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.errors import bad_choice, bad_value
+
+Turn = Literal["none", "vertical", "any"]
+
+
+@dataclass(frozen=True)
+class AugmentationSettings:
+    """How the positions are varied, drawn anew for each pass of the network.
+
+    Args:
+        turn: ``"none"``, about the ``"vertical"`` (y), or about each axis in turn (``"any"``).
+        degrees: largest angle of a turn about an axis, to either side.
+        least_scale: smallest factor per axis.
+        most_scale: largest factor per axis.
+        jitter: standard deviation of noise per coordinate, in units of sqrt(area).
+        largest_jitter: where that noise is clipped.
+    """
+
+    turn: Turn = "vertical"
+    degrees: float = 90.0
+    least_scale: float = 0.9
+    most_scale: float = 1.1
+    jitter: float = 0.01
+    largest_jitter: float = 0.05
+
+    def __post_init__(self) -> None:
+        if self.turn not in get_args(Turn):
+            raise bad_choice("turn", self.turn, get_args(Turn))
+        if not 0 < self.least_scale <= self.most_scale:
+            raise bad_value("least_scale", self.least_scale, f"above 0 and at most most_scale, {self.most_scale:g}")
+        for name in ("degrees", "jitter", "largest_jitter"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise bad_value(name, getattr(self, name), "a finite number of at least 0")
+
+
+def augmented(
+    points: Float[Tensor, "n 3"], settings: AugmentationSettings, generator: torch.Generator
+) -> Float[Tensor, "n 3"]:
+    """Positions turned, stretched and jittered at random."""
+    moved = points @ _turn(settings, generator).T.to(points)
+    low, high = settings.least_scale, settings.most_scale
+    moved = moved * (low + (high - low) * _uniform(3, generator)).to(points)
+    if not settings.jitter:
+        return moved
+    noise = torch.randn(points.shape, generator=generator, device=generator.device).to(points)
+    return moved + (settings.jitter * noise).clamp_(-settings.largest_jitter, settings.largest_jitter)
+
+
+def _turn(settings: AugmentationSettings, generator: torch.Generator) -> Float[Tensor, "3 3"]:
+    turned = torch.eye(3)
+    for axis in {"none": (), "vertical": (1,), "any": (0, 1, 2)}[settings.turn]:
+        angle = torch.deg2rad(settings.degrees * (2 * _uniform(1, generator)[0] - 1))
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        about = torch.eye(3)
+        about[first, first] = about[second, second] = angle.cos()
+        about[second, first], about[first, second] = angle.sin(), -angle.sin()
+        turned = about @ turned
+    return turned
+
+
+def _uniform(count: int, generator: torch.Generator) -> Float[Tensor, " c"]:
+    return torch.rand(count, generator=generator, device=generator.device).cpu()

@@ -1,0 +1,217 @@
+"""What one pair of shapes teaches the network, without any correspondence between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.errors import bad_value
+from homolog.geometry import Basis
+from homolog.maps import functional_map, normalised, resolvent_mask
+from homolog.maps.losses import (
+    CONTRAST_TEMPERATURE,
+    alignment_loss,
+    bijectivity_loss,
+    commutativity_loss,
+    contrastive_loss,
+    orthogonality_loss,
+    partial_alignment_loss,
+    partial_bijectivity_loss,
+    partial_orthogonality_loss,
+    partial_rank,
+)
+from homolog.network import AugmentationSettings, DiffusionNet, augmented
+
+# Points of a shape in the benchmarks that the paper's weights were chosen on.
+_USUAL_POINTS = 5000
+
+
+@dataclass(frozen=True)
+class LossSettings:
+    """Weights and sizes of the losses; the defaults are the paper's but for the similarity of features.
+
+    Args:
+        bijectivity: weight of the functional maps being each other's inverse.
+        orthogonality: weight of their keeping areas.
+        alignment: weight of the soft map of the clouds agreeing with the functional map of the meshes, per sample as
+            if there were 5,000 of them.
+        contrast: weight of a cloud's features resembling those of its own mesh.
+        commutativity: weight of functional maps commuting with the Laplacians.
+        map_eigenpairs: size of the functional maps.
+        regularisation: of the functional maps.
+        soft_temperature: of the soft map.
+        soft_iterations: of Sinkhorn's algorithm.
+        raw_products: make the soft map of features as they come, as the published code does, not of unit ones.
+        contrast_temperature: of the contrastive loss.
+    """
+
+    bijectivity: float = 1.0
+    orthogonality: float = 1.0
+    alignment: float = 1e-3
+    contrast: float = 10.0
+    commutativity: float = 0.0
+    map_eigenpairs: int = 80
+    regularisation: float = 100.0
+    soft_temperature: float = 0.1
+    soft_iterations: int = 10
+    raw_products: bool = False
+    contrast_temperature: float = CONTRAST_TEMPERATURE
+
+    def __post_init__(self) -> None:
+        for name in ("bijectivity", "orthogonality", "alignment", "contrast", "commutativity", "regularisation"):
+            if not 0 <= getattr(self, name) < float("inf"):
+                raise bad_value(name, getattr(self, name), "a finite number of at least 0")
+        for name in ("soft_temperature", "contrast_temperature"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise bad_value(name, getattr(self, name), "a positive finite number")
+        for name in ("map_eigenpairs", "soft_iterations"):
+            if getattr(self, name) < 1:
+                raise bad_value(name, getattr(self, name), "at least 1")
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingShape:
+    """A mesh and a cloud of one shape, both as bases.
+
+    Args:
+        name: for messages.
+        mesh: of the mesh, at all of its points or at samples.
+        cloud: of a cloud of the same surface.
+        pairing: takes functions at the mesh's points to the cloud's, sparse (n_cloud, n_mesh); None where both have the
+            same points in the same order.
+    """
+
+    name: str
+    mesh: Basis
+    cloud: Basis
+    pairing: Tensor | None = None
+
+    def at_cloud(self, functions: Float[Tensor, "n_mesh c"]) -> Float[Tensor, "n_cloud c"]:
+        """Functions on the mesh at the cloud's points."""
+        return functions if self.pairing is None else self.pairing @ functions
+
+
+@dataclass(frozen=True)
+class Losses:
+    """The weighted losses of a pair, and their sum."""
+
+    bijectivity: Float[Tensor, ""]
+    orthogonality: Float[Tensor, ""]
+    alignment: Float[Tensor, ""]
+    contrast: Float[Tensor, ""]
+    commutativity: Float[Tensor, ""]
+
+    @property
+    def total(self) -> Float[Tensor, ""]:
+        """The sum of all, what is minimised."""
+        return self.bijectivity + self.orthogonality + self.alignment + self.contrast + self.commutativity
+
+    def as_dict(self) -> dict[str, float]:
+        """All of them as numbers, ``total`` included."""
+        values = {f.name: float(getattr(self, f.name).detach()) for f in fields(self)}
+        return {**values, "total": sum(values.values())}
+
+
+def pair_losses(
+    network: DiffusionNet,
+    x: TrainingShape,
+    y: TrainingShape,
+    *,
+    settings: LossSettings,
+    augmentation: AugmentationSettings | None = None,
+    generator: torch.Generator | None = None,
+    partial: bool = False,
+) -> Losses:
+    """The losses of a pair of shapes, from four passes of the network.
+
+    Args:
+        network: in training or evaluation mode.
+        x: a shape; the complete one if ``partial``.
+        y: another; a part of one like x if ``partial``, at the same scale.
+        settings: weights and sizes.
+        augmentation: how to vary the input of each pass; None to leave it.
+        generator: of all that is random, dropout included.
+        partial: use the losses for a part of a shape.
+    """
+
+    def features(basis: Basis) -> Float[Tensor, "n d"]:
+        inputs = basis.points
+        if augmentation is not None and generator is not None:
+            inputs = augmented(inputs, augmentation, generator)
+        found: Tensor = network(inputs, basis, generator=generator)
+        return found
+
+    meshes = _Side(x, features(x.mesh), settings), _Side(y, features(y.mesh), settings)
+    clouds = features(x.cloud), features(y.cloud)
+    return _losses(*meshes, *clouds, settings=settings, partial=partial)
+
+
+class _Side:
+    """What the losses need of one shape's mesh."""
+
+    def __init__(self, shape: TrainingShape, features: Float[Tensor, "n d"], settings: LossSettings) -> None:
+        k = settings.map_eigenpairs
+        self.shape, self.features = shape, features
+        self.coefficients = shape.mesh.analysis[:k] @ features
+        self.eigenvalues = shape.mesh.eigenvalues[:k]
+        self.eigenvectors = shape.at_cloud(shape.mesh.eigenvectors[:, :k].contiguous())
+
+    def contrast(self, cloud: Float[Tensor, "n d"], settings: LossSettings) -> Float[Tensor, ""]:
+        own = self.shape.at_cloud(self.features)
+        return contrastive_loss(normalised(cloud), normalised(own), temperature=settings.contrast_temperature)
+
+
+def _losses(
+    x: _Side,
+    y: _Side,
+    cloud_x: Float[Tensor, "n_x d"],
+    cloud_y: Float[Tensor, "n_y d"],
+    *,
+    settings: LossSettings,
+    partial: bool,
+) -> Losses:
+    mask = resolvent_mask(x.eigenvalues, y.eigenvalues)
+    c_xy = functional_map(x.coefficients, y.coefficients, mask, regularisation=settings.regularisation)
+    c_yx = functional_map(y.coefficients, x.coefficients, mask.mT, regularisation=settings.regularisation)
+    if partial:
+        rank = partial_rank(x.eigenvalues, y.eigenvalues)
+        bijectivity = partial_bijectivity_loss(c_xy, c_yx, rank=rank)
+        orthogonality = partial_orthogonality_loss(c_xy, rank=rank)
+    else:
+        bijectivity, orthogonality = bijectivity_loss(c_xy, c_yx), orthogonality_loss(c_xy, c_yx)
+    commutativity = (
+        commutativity_loss(c_xy, x.eigenvalues, y.eigenvalues) + commutativity_loss(c_yx, y.eigenvalues, x.eigenvalues)
+        if settings.commutativity
+        else torch.zeros_like(bijectivity)
+    )
+    return Losses(
+        bijectivity=settings.bijectivity * bijectivity,
+        orthogonality=settings.orthogonality * orthogonality,
+        alignment=settings.alignment * _alignment(c_xy, x, y, cloud_x, cloud_y, settings, partial=partial),
+        contrast=settings.contrast * (x.contrast(cloud_x, settings) + y.contrast(cloud_y, settings)),
+        commutativity=settings.commutativity * commutativity,
+    )
+
+
+def _alignment(
+    c_xy: Float[Tensor, "k_y k_x"],
+    x: _Side,
+    y: _Side,
+    cloud_x: Float[Tensor, "n_x d"],
+    cloud_y: Float[Tensor, "n_y d"],
+    settings: LossSettings,
+    *,
+    partial: bool,
+) -> Float[Tensor, ""]:
+    if not settings.raw_products:
+        cloud_x, cloud_y = normalised(cloud_x), normalised(cloud_y)
+    shapes = c_xy, x.eigenvectors, y.eigenvectors, cloud_x, cloud_y
+    # The paper sums over the points of full meshes: with fewer samples each stands for more of them.
+    share = _USUAL_POINTS / len(cloud_y)
+    if partial:
+        return share * partial_alignment_loss(*shapes, temperature=settings.soft_temperature)
+    temperature, iterations = settings.soft_temperature, settings.soft_iterations
+    return share * alignment_loss(*shapes, temperature=temperature, iterations=iterations)
