@@ -31,8 +31,8 @@ def train(
 ) -> None:
     """Train a network on meshes, without any ground truth.
 
-    Writes RUN/weights.safetensors (for match and evaluate), RUN/last.safetensors and RUN/best.safetensors (checkpoints),
-    RUN/report.json, and curves for TensorBoard. Ctrl-C saves before it ends; --resume goes on from there.
+    Writes RUN/weights.safetensors (for match and evaluate), RUN/last.safetensors and RUN/best.safetensors
+    (checkpoints), RUN/report.json, and curves for TensorBoard. Ctrl-C saves first, and --resume goes on from there.
 
     Examples:
       homolog train quick --data FAUST_r --out run

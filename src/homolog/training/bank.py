@@ -167,11 +167,12 @@ class ShapeBank:
         mesh = self._operators_of(self._mesh(name)).basis
         kept = self._subsets(cloud)
         near = [self._near(weights[subset]) for subset in kept]
+        pairings = [_pairing(weights[rows][:, columns]) for rows, columns in zip(kept, near, strict=True)]
         return _Samples(
             kept,
             tuple(self._at(cloud, subset) for subset in kept),
             tuple(self._at(mesh, subset) for subset in near),
-            tuple(_pairing(weights[rows][:, columns]).to(self.device) for rows, columns in zip(kept, near, strict=True)),
+            tuple(pairing.to(self.device) for pairing in pairings),
         )
 
     def _source(self, name: str, variant: int) -> Cloud:
@@ -182,7 +183,7 @@ class ShapeBank:
         return make_cloud(mesh, self.variants[variant], seed=seed)
 
     def _read_mesh(self, name: str) -> Shape:
-        """A clean mesh of unit area, just as an evaluation has it, so that both find the same operators in the cache."""
+        """A clean mesh of unit area, as an evaluation has it, so that both find the same operators in the cache."""
         shape = self.shapes.shape(name)
         frame = unit_frame(shape)
         self._lengths[name] = frame.length
@@ -214,7 +215,8 @@ def _pairing(weights: sparse.csr_matrix) -> Tensor:
     """Weights of the mesh's points at the cloud's as a sparse tensor, each row of sum one."""
     weights = weights.multiply(1 / weights.sum(axis=1)[:, None]).tocoo()
     places = torch.from_numpy(np.stack([weights.row, weights.col]).astype(np.int64))
-    return torch.sparse_coo_tensor(places, torch.from_numpy(weights.data).float(), weights.shape, check_invariants=False)
+    values = torch.from_numpy(weights.data).float()
+    return torch.sparse_coo_tensor(places, values, weights.shape, check_invariants=False)
 
 
 def _rescaled(shape: TrainingShape, factor: float) -> TrainingShape:

@@ -32,7 +32,12 @@ def save_checkpoint(path: Path, state: TrainingState, recipe: Recipe, shapes: st
         shapes: a digest of the shapes trained on.
     """
     progress = {name: getattr(state, name) for name in ("step", "seconds", "best", "records")}
-    header = {"format": _FORMAT, "shapes": shapes, "recipe": json.dumps(asdict(recipe)), "progress": json.dumps(progress)}
+    header = {
+        "format": _FORMAT,
+        "shapes": shapes,
+        "recipe": json.dumps(asdict(recipe)),
+        "progress": json.dumps(progress),
+    }
     with atomic_path(path) as temporary:
         save_file(_tensors(state), temporary, metadata=header)
 
@@ -59,7 +64,7 @@ def load_checkpoint(path: Path, recipe: Recipe, shapes: str, device: torch.devic
 
 
 def _tensors(state: TrainingState) -> dict[str, Tensor]:
-    tensors = {}
+    tensors: dict[str, Tensor] = {}
     for name, weight in state.network.named_parameters():
         tensors[f"weights.{name}"] = weight
         for moment in _MOMENTS if state.step else ():
@@ -78,8 +83,8 @@ def _state(
         weight.data.copy_(tensors[f"weights.{name}"])
         if state.step:
             state.optimiser.state[weight] = _moments(name, tensors, state.step, device)
-    for name, weight in (state.average or {}).items():
-        weight.copy_(tensors[f"average.{name}"])
+    for name, mean in (state.average or {}).items():
+        mean.copy_(tensors[f"average.{name}"])
     return state
 
 

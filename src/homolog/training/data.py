@@ -46,7 +46,7 @@ class TrainingSet:
 
     @classmethod
     def open(cls, root: str | Path, recipe: Recipe) -> TrainingSet:
-        """Look into a folder: ``off/NAME.off`` with or without ground truth, complete and partial shapes, or any meshes.
+        """Look into a folder: ``off/NAME.off`` with or without ground truth, complete shapes and parts, or any meshes.
 
         Raises:
             DataError: if it has too few shapes.
@@ -90,7 +90,7 @@ def _complete_and_other_files(root: Path, recipe: Recipe) -> tuple[dict[str, Pat
     if recipe.partial is not None and (root / recipe.partial.complete).is_dir():
         complete, parts = root / recipe.partial.complete, root / recipe.partial.parts
         if not parts.is_dir():
-            raise DataError(f"{root} has complete shapes, but no folder {recipe.partial.parts!r}; change [partial] parts")
+            raise DataError(f"{root} has complete shapes, but no {recipe.partial.parts!r}; change [partial] parts")
         return _apart(_meshes(complete), _meshes(parts))
     return {}, _split_files(root, recipe.data)
 
@@ -110,7 +110,7 @@ def _split_files(root: Path, settings: DataSettings) -> dict[str, Path]:
 
 
 def _meshes(folder: Path) -> dict[str, Path]:
-    found = sorted(path for path in folder.iterdir() if path.suffix.lower() in _MESHES and not path.name.startswith("."))
+    found = sorted(path for path in folder.glob("[!.]*") if path.suffix.lower() in _MESHES)
     files = {path.stem: path for path in found}
     if not files:
         raise DataError(f"{folder}: no meshes; put files there whose suffix is one of {', '.join(_MESHES)}")
@@ -137,15 +137,17 @@ def _listed_pairs(root: Path, names: Sequence[str], complete: dict[str, Path], r
     if recipe.partial is None or not (root / "pairs.txt").is_file():
         return ()
     every = tuple(sorted(_meshes(root / "off" if (root / "off").is_dir() else root)))
-    known = set(names)
-    return tuple(pair for pair in ShapeFolder(root, every).pairs("all") if pair[0] != pair[1] and known.issuperset(pair))
+    kept = tuple(pair for pair in ShapeFolder(root, every).pairs("all") if set(names).issuperset(pair))
+    if not kept:
+        raise DataError(f"{root / 'pairs.txt'} lists no pair of shapes that are trained on; leave fewer of them out")
+    return tuple(pair for pair in kept if pair[0] != pair[1])
 
 
 def _partner(part: str, complete: Iterable[str]) -> str:
     """The complete shape whose name is a word, or several, of the part's."""
     found = [name for name in complete if f"_{name}_" in f"_{part}_"]
     if not found:
-        raise DataError(f"{part} has no complete shape: no name of one is a word of its own, as cat is of cuts_cat_shape_1")
+        raise DataError(f"{part}: no complete shape has a word of its name, as cat has of cuts_cat_shape_1; rename it")
     return max(found, key=len)
 
 

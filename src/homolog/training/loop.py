@@ -119,7 +119,7 @@ def _fabric(recipe: Recipe, device: Device, processes: int, machines: int) -> Fa
     kind = choose_device(device).type
     if kind == "cuda" and processes > torch.cuda.device_count():
         raise ArgumentError(
-            f"processes is {processes}, but there are {torch.cuda.device_count()} CUDA devices; use as many, or --device cpu"
+            f"processes is {processes}, but CUDA devices are {torch.cuda.device_count()}; use as many, or --device cpu"
         )
     return _fabric_package()(
         accelerator=kind,
@@ -174,7 +174,7 @@ class _Training:
     # ---- one step
 
     def _load(self, step: int) -> list[TrainingPair]:
-        """This process's share of a step's pairs."""
+        """The share of a step's pairs that falls to this process."""
         return self.bank.pairs(self.plan.draws(step)[self.fabric.global_rank :: self.fabric.world_size])
 
     def _step(self, pairs: Sequence[TrainingPair], interrupts: Interrupts) -> bool:
@@ -191,13 +191,13 @@ class _Training:
         return stopped
 
     def _gradients(self, pairs: Sequence[TrainingPair]) -> Float[Tensor, "p t"]:
-        """Put this share of the mean gradient into the network; losses of all the step's pairs, those of others zero."""
+        """Put this share of the mean gradient into the network; losses of the step's pairs, those of others zero."""
         self.gradient.zero_()
         n_pairs = self.recipe.training.pairs_per_step
         values = torch.zeros(n_pairs, len(_TERMS), device=self.fabric.device)
         for place, pair in zip(range(self.fabric.global_rank, n_pairs, self.fabric.world_size), pairs, strict=True):
             losses = self._losses(pair)
-            (losses.total / n_pairs).backward()
+            torch.autograd.backward(losses.total / n_pairs)
             values[place] = torch.stack([getattr(losses, term).detach() for term in _TERMS])
         return values
 
@@ -287,7 +287,8 @@ class _Training:
             self.folder.save_best(self.state)
 
     def _note(self, found: dict[str, float]) -> None:
-        record: Record = {"step": self.state.step, "minutes": self.state.seconds / 60, **found}
+        finite = {name: value for name, value in found.items() if math.isfinite(value)}  # JSON knows no other numbers
+        record: Record = {"step": self.state.step, "minutes": self.state.seconds / 60, **finite}
         self.state.records.append(record)
         if self.journal is not None:
             self.journal.scalars(self.state.step, found)
@@ -297,17 +298,22 @@ class _Training:
         truth = self.folder.shapes.truth
         if truth is None:
             return {}
-        settings = MatcherSettings(operators=self.recipe.operators)
-        device: Device = "cuda" if self.fabric.device.type == "cuda" else "cpu"
-        matcher = Matcher(network, weights_info(self.recipe), settings=settings, device=device, operators=self.operators)
+        matcher = Matcher(
+            network,
+            weights_info(self.recipe),
+            settings=MatcherSettings(operators=self.recipe.operators),
+            device="cuda" if self.fabric.device.type == "cuda" else "cpu",
+            operators=self.operators,
+        )
         pairs = self.folder.shapes.held_out[: self.recipe.validation.score_pairs]
         return scores(matcher, truth, pairs, self.folder.path / "scored-pairs.txt")
 
 
 def _flat_gradient(network: DiffusionNet) -> Float[Tensor, " w"]:
-    """One vector that holds the gradients of all weights, which become views of it: it is added up and clipped as one."""
+    """One vector of which the gradients of all weights become views, so that it is added up and clipped as one."""
     weights = list(network.parameters())
-    flat = torch.zeros(sum(weight.numel() for weight in weights), device=weights[0].device)
-    for weight, part in zip(weights, flat.split([weight.numel() for weight in weights]), strict=True):
+    sizes = [weight.numel() for weight in weights]
+    flat = torch.zeros(sum(sizes), device=weights[0].device)
+    for weight, part in zip(weights, torch.split(flat, sizes), strict=True):
         weight.grad = part.view_as(weight)
     return flat

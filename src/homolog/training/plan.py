@@ -50,7 +50,8 @@ class Plan:
     def draws(self, step: int) -> tuple[Draw, ...]:
         """The pairs of a step; steps count from 0."""
         number = self._recipe.training.pairs_per_step
-        return tuple(self._draw(self._pair(place), _CHOICE, place) for place in range(step * number, (step + 1) * number))
+        places = range(step * number, (step + 1) * number)
+        return tuple(self._draw(self._pair(place), _CHOICE, place) for place in places)
 
     def held_out(self) -> tuple[Draw, ...]:
         """The pairs to validate on, always with the same variants and subsets."""

@@ -76,7 +76,7 @@ class SampleSettings:
 class CloudSettings:
     """The clouds of a mesh that the network also learns: the mesh's own points, and variants, each as likely.
 
-    Every variant is made once per shape and has operators of its own. A value may be repeated: each gives another cloud.
+    Every variant is made once per shape and has operators of its own. A repeated value gives another such cloud.
 
     Args:
         noise: standard deviations of Gaussian noise on the mesh's points, in units of sqrt(area).
