@@ -162,7 +162,7 @@ class ShapeBank:
         kept = self._subsets(basis) if variant == _MESH else self._samples(name, _MESH).kept
         return _Samples(kept, tuple(self._at(basis, subset) for subset in kept))
 
-    def _sample_apart(self, name: str, cloud: Basis, weights: sparse.csr_matrix) -> _Samples:
+    def _sample_apart(self, name: str, cloud: Basis, weights: sparse.csr_array) -> _Samples:
         """Subsets of a cloud whose points are not the mesh's, each with the points of the mesh that lie nearest."""
         mesh = self._operators_of(self._mesh(name)).basis
         kept = self._subsets(cloud)
@@ -199,7 +199,7 @@ class ShapeBank:
         points = basis.points.double().numpy()
         return tuple(farthest_points(points, wanted.points, seed=number) for number in range(wanted.choices))
 
-    def _near(self, weights: sparse.csr_matrix) -> Int[np.ndarray, " s"]:
+    def _near(self, weights: sparse.csr_array) -> Int[np.ndarray, " s"]:
         """For each point of a cloud the point of the mesh with the largest weight; or all, where all are wanted."""
         if self.recipe.samples.points == 0:
             return np.arange(weights.shape[1])
@@ -211,7 +211,7 @@ class ShapeBank:
         return sampled.to(self.device)
 
 
-def _pairing(weights: sparse.csr_matrix) -> Tensor:
+def _pairing(weights: sparse.csr_array) -> Tensor:
     """Weights of the mesh's points at the cloud's as a sparse tensor, each row of sum one."""
     weights = weights.multiply(1 / weights.sum(axis=1)[:, None]).tocoo()
     places = torch.from_numpy(np.stack([weights.row, weights.col]).astype(np.int64))

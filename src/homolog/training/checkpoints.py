@@ -58,7 +58,9 @@ def load_checkpoint(path: Path, recipe: Recipe, shapes: str, device: torch.devic
         if header["shapes"] != shapes:
             raise TrainingError(f"{path} was trained on other shapes; give the same --data, or another --out")
         return _state(recipe, tensors, json.loads(header["progress"]), device)
-    except (OSError, SafetensorError, ValueError, KeyError, TypeError) as error:
+    except TrainingError:
+        raise
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:160]
         raise TrainingError(f"{path} cannot be gone on from ({reason}); give another --out") from None
 
@@ -80,17 +82,19 @@ def _state(
     for name, value in progress.items():
         setattr(state, name, value)
     for name, weight in state.network.named_parameters():
-        weight.data.copy_(tensors[f"weights.{name}"])
+        _fill(weight.data, tensors[f"weights.{name}"])
         if state.step:
-            state.optimiser.state[weight] = _moments(name, tensors, state.step, device)
+            moments = {moment: _fill(torch.empty_like(weight), tensors[f"{moment}.{name}"]) for moment in _MOMENTS}
+            state.optimiser.state[weight] = {"step": torch.tensor(float(state.step), device=device), **moments}
     for name, mean in (state.average or {}).items():
-        mean.copy_(tensors[f"average.{name}"])
+        _fill(mean, tensors[f"average.{name}"])
     return state
 
 
-def _moments(name: str, tensors: dict[str, Tensor], step: int, device: torch.device | str) -> dict[str, Tensor]:
-    steps = torch.tensor(float(step), device=device)
-    return {"step": steps, **{moment: tensors[f"{moment}.{name}"].to(device) for moment in _MOMENTS}}
+def _fill(place: Tensor, values: Tensor) -> Tensor:
+    if place.shape != values.shape:
+        raise ValueError(f"a tensor has shape {tuple(values.shape)} instead of {tuple(place.shape)}")
+    return place.detach().copy_(values)
 
 
 def _check_recipe(path: Path, found: dict[str, Any], recipe: Recipe) -> None:

@@ -37,7 +37,7 @@ class Cloud:
     """
 
     shape: Shape
-    weights: sparse.csr_matrix | None
+    weights: sparse.csr_array | None
 
 
 def cloud_variants(settings: CloudSettings) -> tuple[CloudVariant, ...]:
@@ -62,22 +62,22 @@ def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
     return Cloud(mesh.as_cloud(), None)
 
 
-def _weighted(mesh: Shape, weights: sparse.csr_matrix) -> Cloud:
+def _weighted(mesh: Shape, weights: sparse.csr_array) -> Cloud:
     return Cloud(Shape(weights @ mesh.points, name=mesh.name), weights)
 
 
-def _thinned(n_points: int, share: float, random: np.random.Generator) -> sparse.csr_matrix:
+def _thinned(n_points: int, share: float, random: np.random.Generator) -> sparse.csr_array:
     kept = np.sort(random.permutation(n_points)[: max(round(share * n_points), 1)])
     return sparse.eye_array(n_points, format="csr")[kept]
 
 
-def _resampled(mesh: Shape, number: int, random: np.random.Generator) -> sparse.csr_matrix:
+def _resampled(mesh: Shape, number: int, random: np.random.Generator) -> sparse.csr_array:
     """Barycentric weights (number, n) of points drawn evenly from the surface."""
     areas = _areas(mesh)
     faces = mesh.faces[random.choice(len(areas), size=number, p=areas / areas.sum())]  # type: ignore[index]
     rows = np.repeat(np.arange(number), 3)
     weights = _barycentric(number, random)
-    return sparse.csr_matrix((weights.ravel(), (rows, faces.ravel())), shape=(number, mesh.n_points))
+    return sparse.csr_array((weights.ravel(), (rows, faces.ravel())), shape=(number, mesh.n_points))
 
 
 def _areas(mesh: Shape) -> Float[np.ndarray, " m"]:
