@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING, Any
 if "OMP_WAIT_POLICY" not in os.environ:
     os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
     os.environ.setdefault("GOMP_SPINCOUNT", "10000")
+# Memory in large pages where the system has them: fresh memory costs as much as the matrix product that fills it.
+os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
 if TYPE_CHECKING:
     from homolog.errors import HomologError
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from homolog.matching import Correspondence, Matcher, MatcherSettings
     from homolog.memory import get_working_memory, set_working_memory, working_memory
     from homolog.network import load_weights
-    from homolog.shapes import Report, Shape, check, read_shape, repair, write_shape
+    from homolog.shapes import Report, Shape, check, read_shape, repair, stand_upright, write_shape
 
 __all__ = [
     "Correspondence",
@@ -52,6 +54,7 @@ __all__ = [
     "resolvent_mask",
     "set_working_memory",
     "sinkhorn_matches",
+    "stand_upright",
     "working_memory",
     "write_shape",
 ]

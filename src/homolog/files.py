@@ -1,14 +1,20 @@
-"""Writing files so that a half-written one is never left behind."""
+"""Writing files so that a half-written one, or half of several, is never left behind."""
 
 from __future__ import annotations
 
 import hashlib
 import secrets
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from homolog.errors import ArgumentError
+
+# Temporary files, each with the place that it is to take.
+_Moves = dict[Path, Path]
+_open_moves: ContextVar[_Moves | None] = ContextVar("open_moves", default=None)
 
 
 @contextmanager
@@ -31,20 +37,90 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         raise ArgumentError(f"{path} cannot be written: the folder {target.parent} does not exist; create it first")
     if target.is_dir():
         raise ArgumentError(f"{path} cannot be written: it is a folder; give a file name")
-    temporary = target.with_name(f".{secrets.token_hex(6)}{target.suffix}")
-    try:
+    temporary = _beside(target)
+    with all_or_nothing() as moves, _blamed(path):
+        moves[temporary] = target
         yield temporary
-        temporary.replace(target)
+
+
+@contextmanager
+def all_or_nothing() -> Iterator[_Moves]:
+    """Let the files that are written in this block by ``atomic_path`` land together when it ends well.
+
+    They wait under their temporary names until then. On an error or an interrupt, even amid the landing, all of them
+    stay as they were; only a process killed outright while it renames can leave some new and some old.
+    """
+    outer = _open_moves.get()
+    if outer is not None:
+        yield outer
+        return
+    moves: _Moves = {}
+    token = _open_moves.set(moves)
+    try:
+        yield moves
+        _land(moves)
+    finally:
+        _open_moves.reset(token)
+        for temporary in moves:
+            temporary.unlink(missing_ok=True)
+
+
+def _land(moves: _Moves) -> None:
+    with ExitStack() as always, ExitStack() as undo:
+        # The last file needs no second name: once it has landed nothing is undone.
+        for target in list(moves.values())[:-1]:
+            former = _beside(target)
+            always.callback(former.unlink, missing_ok=True)
+            undo.callback(_restore, target, former, existed=_kept(target, former))
+        for temporary, target in moves.items():
+            with _blamed(target):
+                temporary.replace(target)
+        undo.pop_all()
+
+
+def _kept(target: Path, former: Path) -> bool:
+    """Give a file that is there a second name, so that it can be restored."""
+    if not target.exists():
+        return False
+    try:
+        former.hardlink_to(target)
+    except OSError:  # some file systems have no second names
+        with _blamed(target):
+            shutil.copy2(target, former)
+    return True
+
+
+def _restore(target: Path, former: Path, *, existed: bool) -> None:
+    if existed:
+        former.replace(target)
+    else:
+        target.unlink(missing_ok=True)
+
+
+def _beside(target: Path) -> Path:
+    return target.with_name(f".{secrets.token_hex(6)}{target.suffix}")
+
+
+@contextmanager
+def _blamed(path: str | Path) -> Iterator[None]:
+    """Turn what the system says against writing into one line about ``path``."""
+    try:
+        yield
     except OSError as error:
         raise ArgumentError(f"{path} cannot be written: {error.strerror or error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def sha256(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
+    """SHA-256 of a file's bytes, in hexadecimal.
+
+    Raises:
+        ArgumentError: if it cannot be read.
+    """
     digest = hashlib.sha256()
-    with Path(path).expanduser().open("rb") as file:
-        while chunk := file.read(1 << 20):
-            digest.update(chunk)
+    try:
+        with Path(path).expanduser().open("rb") as file:
+            while chunk := file.read(1 << 20):
+                digest.update(chunk)
+    except OSError as error:
+        raise ArgumentError(f"{path} cannot be read: {error.strerror or error}") from error
     return digest.hexdigest()

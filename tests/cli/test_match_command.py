@@ -31,6 +31,7 @@ def test_four_files(homolog, files, tmp_path):
     assert ended.out.splitlines() == [str(out / name) for name in NAMES]
     assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
     assert "Matched by axiomatic" in ended.err
+    assert "source 162 points, all matched, mean confidence" in ended.err
     assert ended.err.count("\n") == 1
     found = maps(out)
     assert np.mean(files.order[found["source_to_target"]] == np.arange(162)) > 0.9
@@ -101,6 +102,10 @@ def test_report(homolog, files, tmp_path):
     assert found["weights"]["given"] == str(files.weights)
     assert (found["weights"]["name"], found["weights"]["licence"]) == ("untrained", "none")
     assert found["settings"]["method"] == "auto"
+    assert found["settings"]["operators"] == {"n_eigenpairs": 128, "laplacian": "robust", "n_neighbours": 30}
+    for side in ("source", "target"):
+        assert found["inputs"][side]["eigenpairs"]["number"] == 128
+        assert found["inputs"][side]["eigenpairs"]["method"]
     assert found["weights"]["n_eigenpairs"] == 128
     assert found["weights"]["map_eigenpairs"] == 20
     steps = [step["name"] for step in found["steps"]]
@@ -175,7 +180,7 @@ def test_warnings_are_shown_and_kept(homolog, files, tmp_path, monkeypatch):
     assert homolog("match", files.mesh, files.other, "-o", tmp_path, "-q").err == ""
     strict = homolog("match", files.mesh, files.other, "-o", tmp_path / "strict", "--strict")
     assert strict.is_one_line_of_complaint()
-    assert "it lies on its side (--strict)" in strict.err
+    assert "it lies on its side (refused as strict)" in strict.err
     assert not (tmp_path / "strict").exists()
 
 
@@ -185,7 +190,7 @@ def test_strict_stops_at_a_repair(homolog, files, tmp_path):
         assert ended.is_one_line_of_complaint()
         assert "dirty.ply" in ended.err
         assert "duplicate points" in ended.err
-        assert "--strict" in ended.err
+        assert "refused as strict" in ended.err
         assert not (tmp_path / "out").exists()
 
 
@@ -255,6 +260,7 @@ MISTAKES = {
     "missing file": (lambda f, t: [t / "gone.ply", f.mesh], "gone.ply does not exist"),
     "missing target": (lambda f, t: [f.mesh, t / "gone.ply"], "gone.ply does not exist"),
     "folder": (lambda f, t: [f.mesh, below(t, "a.ply")], "a.ply is a folder"),
+    "folder without a suffix": (lambda f, t: [below(t, "scans"), f.mesh], "scans is a folder"),
     "empty": (lambda f, t: [f.mesh, emptied(t)], "empty.obj is empty"),
     "rubbish": (lambda f, t: [f.rubbish, f.mesh], "rubbish.ply could not be read"),
     "unknown suffix": (lambda f, t: [unused(t), f.mesh], "has the suffix '.docx'"),
@@ -322,14 +328,83 @@ def test_unknown_words(homolog, tmp_path, monkeypatch, arguments):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_too_little_memory(homolog, files, tmp_path, monkeypatch):
-    def greedy(*args, **kwargs):
-        raise MemoryError
+def too_large(*args, **kwargs):
+    """More than any machine has; PyTorch says so in a RuntimeError of many words."""
+    return torch.empty(10**15)
 
-    monkeypatch.setattr(Matcher, "match", greedy)
+
+def singular(*args, **kwargs):
+    return torch.linalg.solve(torch.zeros(2, 2), torch.ones(2))
+
+
+def raising(error):
+    def fail(*args, **kwargs):
+        raise error
+
+    return fail
+
+
+TROUBLES = {
+    "memory": (raising(MemoryError()), "not enough memory; use smaller shapes"),
+    "PyTorch's memory": (too_large, "not enough memory; use smaller shapes"),
+    "memory on a device": (
+        raising(torch.OutOfMemoryError("CUDA out of memory.\nTried to allocate 2 GiB.")),
+        "not enough memory; use --device cpu",
+    ),
+    "memory on Windows": (
+        raising(RuntimeError("not enough memory: you tried to allocate 9 bytes.")),
+        "not enough memory",
+    ),
+    "PyTorch's solver": (singular, "a linear system has no solution"),
+    "NumPy's solver": (lambda *args, **kwargs: np.linalg.inv(np.zeros((2, 2))), "a linear system has no solution"),
+    "forbidden": (raising(PermissionError(13, "Permission denied", "here")), "Error: here: Permission denied\n"),
+}
+
+
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_what_the_machine_cannot_do_is_one_line(homolog, files, tmp_path, monkeypatch, trouble):
+    fail, said = TROUBLES[trouble]
+    monkeypatch.setattr(Matcher, "match_prepared", fail)
     ended = homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint(), ended
+    assert said in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_mistake_of_the_program_itself_is_not_hidden(homolog, files, tmp_path, monkeypatch):
+    monkeypatch.setattr(Matcher, "match_prepared", raising(RuntimeError("a shape mismatch")))
+    with pytest.raises(RuntimeError, match="a shape mismatch"):
+        homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out")
+
+
+def test_the_hash_is_that_of_the_bytes_read(homolog, files, tmp_path, monkeypatch):
+    """An input that is replaced during the match is reported as it was read."""
+    source = tmp_path / "mesh.off"
+    source.write_bytes(files.mesh.read_bytes())
+    match = Matcher.match_prepared
+
+    def meddling(*args, **kwargs):
+        source.write_text("another")
+        return match(*args, **kwargs)
+
+    monkeypatch.setattr(Matcher, "match_prepared", meddling)
+    assert homolog("match", source, files.other, "-o", tmp_path / "out").code == 0
+    assert report(tmp_path / "out")["inputs"]["source"]["sha256"] == hashlib.sha256(files.mesh.read_bytes()).hexdigest()
+
+
+def test_an_input_that_changes_while_it_is_read_is_refused(homolog, files, tmp_path, monkeypatch):
+    source = tmp_path / "mesh.off"
+    source.write_bytes(files.mesh.read_bytes())
+
+    def meddling(file):
+        shape = read_shape(file)
+        file.write_text("another")
+        return shape
+
+    monkeypatch.setattr(match_module, "read_shape", meddling)
+    ended = homolog("match", source, files.other, "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint()
-    assert "not enough memory" in ended.err
+    assert "mesh.off changed while it was read" in ended.err
 
 
 def test_cache_is_used_and_can_be_left_alone(homolog, files, tmp_path, monkeypatch):

@@ -82,6 +82,16 @@ def test_unknown_command():
     assert ended.stdout == ""
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other pipes")
+def test_a_reader_that_leaves_early_is_no_error(files):
+    with subprocess.Popen(
+        [*START, "info", *[files.mesh] * 3], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    ) as process:
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 1
+
+
 def interrupted(program, number, arguments):
     """Start a program, wait for it to say that it is in the middle, and signal it."""
     command = [sys.executable, "-c", program, *map(str, arguments)]

@@ -68,7 +68,7 @@ def test_the_last_twenty_are_for_testing(tmp_path, n, n_train):
 def test_small_sets_are_for_testing_alone(tmp_path):
     found = many(tmp_path, 20)
     assert found.split("test") == found.names
-    with pytest.raises(DataError, match=r"no shapes in split 'train'; list them in .*train\.txt, or use --split all"):
+    with pytest.raises(DataError, match=r"no shapes in split 'train'; list them in .*train\.txt, or use split 'all'"):
         found.split("train")
 
 

@@ -205,6 +205,14 @@ def test_points_without_a_match_are_counted_and_left_out(family, shifted):
     assert found.unmatched_points == found.to_dict()["unmatched_points"] == unmatched > 0
 
 
+def test_no_match_at_all_is_said_and_is_no_score(family):
+    def nothing(source, target):
+        return np.full(BASE_POINTS, -1)
+
+    with pytest.raises(DataError, match="no common point of any pair is matched"):
+        evaluate(Stub(nothing), family.folder, ALL)
+
+
 def test_clouds_are_measured_on_the_mesh(family, shifted):
     plain = evaluate(Stub(shifted), family.folder, ALL)
     for modality, noise in (("cloud", 0.0), ("cloud", 0.02), ("mesh-to-cloud", 0.02), ("cloud-to-mesh", 0.0)):

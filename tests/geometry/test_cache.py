@@ -245,6 +245,16 @@ def test_a_folder_that_cannot_be_written_costs_a_warning_alone(shape, tmp_path, 
     assert store.size() == (0, 0)
 
 
+def test_a_folder_that_cannot_be_looked_into_costs_a_warning_alone(shape, tmp_path, monkeypatch, caplog) -> None:
+    def forbidden(*args, **kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    for looking in ("mkdir", "is_dir"):
+        monkeypatch.setattr(Path, looking, forbidden)
+    assert OperatorCache(tmp_path / "cache").operators(shape, settings=SETTINGS).n_points == shape.n_points
+    assert "not cached" in caplog.text
+
+
 def test_a_write_that_fails_half_way_leaves_nothing_behind(shape, tmp_path, monkeypatch, caplog) -> None:
     def full_disk(tensors, path, metadata):
         Path(path).write_bytes(b"half")

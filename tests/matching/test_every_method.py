@@ -21,6 +21,13 @@ def share_equal(a, b):
     return np.mean(a == b)
 
 
+def assert_equal_but_for_ties(found, plain, points):
+    """Rounding decides between candidates that are nearly as good: few points, and then it is a neighbour."""
+    assert share_equal(found, plain) > 0.96
+    spacing = np.sqrt(4 * np.pi * points.std(axis=0).prod() ** (2 / 3) / len(points))
+    assert np.linalg.norm(points[found] - points[plain], axis=1).mean() < 0.05 * spacing
+
+
 def same_bits(a: Correspondence, b: Correspondence):
     return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in ARRAYS)
 
@@ -98,8 +105,8 @@ def test_relabelling_the_points_relabels_the_maps(results, build, blobs, make, m
     order_s, order_t = rng.permutation(source.n_points), rng.permutation(target.n_points)
     plain = results[method, modality]
     found = build(method).match(make.relabelled(source, order_s), make.relabelled(target, order_t))
-    assert share_equal(order_t[found.source_to_target], plain.source_to_target[order_s]) > 0.98
-    assert share_equal(order_s[found.target_to_source], plain.target_to_source[order_t]) > 0.98
+    assert_equal_but_for_ties(order_t[found.source_to_target], plain.source_to_target[order_s], target.points)
+    assert_equal_but_for_ties(order_s[found.target_to_source], plain.target_to_source[order_t], source.points)
     assert np.abs(found.source_confidence - plain.source_confidence[order_s]).mean() < 0.01
     assert np.abs(found.target_confidence - plain.target_confidence[order_t]).mean() < 0.01
 
@@ -110,8 +117,8 @@ def test_place_and_unit_change_nothing(results, build, blobs, method, modality):
     moved = Shape(source.points * 1000 + [50, -3000, 7], source.faces)
     shrunk = Shape(target.points / 256 - [1, 2, 3], target.faces)
     plain, found = results[method, modality], build(method).match(moved, shrunk)
-    assert share_equal(found.source_to_target, plain.source_to_target) > 0.98
-    assert share_equal(found.target_to_source, plain.target_to_source) > 0.98
+    assert_equal_but_for_ties(found.source_to_target, plain.source_to_target, target.points)
+    assert_equal_but_for_ties(found.target_to_source, plain.target_to_source, source.points)
     assert np.abs(found.source_confidence - plain.source_confidence).mean() < 0.01
 
 

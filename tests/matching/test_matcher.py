@@ -197,6 +197,46 @@ def test_words_that_are_not_choices(build, blobs, call, words):
     assert isinstance(caught.value, ValueError)
 
 
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"method": None}, "method is 'None', but must be one of"),
+        ({"map_eigenpairs": 0}, "map_eigenpairs is 0, but must be a whole number of at least 1, or None"),
+        ({"map_eigenpairs": 40.0}, "map_eigenpairs is 40.0"),
+        ({"partial_eigenpairs": None}, "partial_eigenpairs is None"),
+        ({"partial_eigenpairs": True}, "partial_eigenpairs is True"),
+        ({"regularisation": -1e-9}, "regularisation is -1e-09, but must be a finite number of at least 0"),
+        ({"regularisation": np.nan}, "regularisation is nan"),
+        ({"temperature": 0}, "temperature is 0, but must be a finite number above 0"),
+        ({"temperature": "cold"}, "temperature is 'cold'"),
+        ({"temperature": np.inf}, "temperature is inf"),
+        ({"iterations": 0}, "iterations is 0, but must be a whole number of at least 1"),
+        ({"refine": "no"}, "refine is 'no', but must be True or False"),
+        ({"raw_products": 1}, "raw_products is 1"),
+        ({"operators": 128}, "operators is 128, but must be OperatorSettings, or None"),
+    ],
+)
+def test_settings_out_of_range(settings, said):
+    with pytest.raises(ArgumentError) as caught:
+        MatcherSettings(**settings)
+    assert str(caught.value).startswith(said)
+
+
+def test_settings_at_the_edge_of_their_range():
+    MatcherSettings(
+        map_eigenpairs=np.int64(1), partial_eigenpairs=1, regularisation=0, temperature=np.float32(1e-9), iterations=1
+    )
+
+
+def test_strict_refuses_what_needs_repair_before_operators_are_computed(blobs, build):
+    def never(*args, **kwargs):
+        raise AssertionError("operators were computed")
+
+    torn = Shape(blobs.source.points, np.concatenate([blobs.source.faces, blobs.source.faces[:1]]), name="torn.ply")
+    with pytest.raises(ShapeError, match=r"torn\.ply: 1 duplicate faces: .*\(refused as strict\)"):
+        build("axiomatic", operators=never).match(torn, blobs.target, strict=True)
+
+
 def test_bad_choices_are_found_before_any_work(blobs, build):
     def never(*args, **kwargs):
         raise AssertionError("operators were computed")

@@ -1,13 +1,13 @@
 """What a match leaves on disk."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from homolog.errors import ArgumentError
-from homolog.matching import Correspondence, matched_colours, output, position_colours, write_result
-from homolog.matching import correspondence as correspondence_module
+from homolog.matching import Correspondence, matched_colours, position_colours, write_result
 from homolog.shapes import Shape, read_shape
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
@@ -133,44 +133,80 @@ class Stopped(BaseException):
     """Stands for Ctrl-C."""
 
 
-@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), Stopped()])
-@pytest.mark.parametrize("broken", [0, 1, 3])
-@pytest.mark.parametrize("before", [None, b"old"])
-def test_nothing_is_half_written(shapes, found, tmp_path, monkeypatch, error, broken, before):
-    """Writing stops amid one file: that one is as it was before, and no other trace is left."""
-    folder = tmp_path / "result"
+def with_former_result(folder, before):
     folder.mkdir()
-    if before is not None:
-        for name in NAMES:
-            (folder / name).write_bytes(before)
+    for name in before:
+        (folder / name).write_bytes(b"old " + name.encode())
+
+
+def is_as_before(folder, before):
+    assert sorted(path.name for path in folder.iterdir()) == sorted(before)
+    for name in before:
+        assert (folder / name).read_bytes() == b"old " + name.encode()
+
+
+BEFORE = [[], NAMES, NAMES[1:3]]
+ERRORS = [OSError(28, "No space left on device"), Stopped()]
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize(
+    "broken", ["homolog.matching.correspondence.np.savez_compressed", "homolog.shapes.writing._write_ply"]
+)
+@pytest.mark.parametrize("before", BEFORE)
+def test_writing_that_stops_leaves_all_as_it_was(shapes, found, tmp_path, monkeypatch, error, broken, before):
+    """Amid the first file or the second: no file of the result changes, and no other trace is left."""
+    with_former_result(tmp_path / "result", before)
 
     def half(path, *args, **kwargs):
         path.write_bytes(b"half")
         raise error
 
-    if broken == 0:
-        monkeypatch.setattr(correspondence_module.np, "savez_compressed", half)
-    elif broken == 1:
-        monkeypatch.setattr("homolog.shapes.writing._write_ply", half)
-    else:
-
-        def dumps(*args, **kwargs):
-            (temporary,) = [path for path in folder.iterdir() if path.name.startswith(".")] or [None]
-            assert temporary is None
-            raise error
-
-        monkeypatch.setattr(output.json, "dumps", dumps)
+    monkeypatch.setattr(broken, half)
     with pytest.raises(ArgumentError if isinstance(error, OSError) else Stopped):
-        write_result(folder, *shapes, found, {})
-    left = sorted(path.name for path in folder.iterdir())
-    assert left == (sorted(NAMES) if before else sorted(NAMES[:broken]))
-    for name in NAMES[broken:]:
-        assert before is None or (folder / name).read_bytes() == before
-    for name in NAMES[:broken]:
-        assert (folder / name).read_bytes() not in (b"half", b"old")
+        write_result(tmp_path / "result", *shapes, found, {})
+    is_as_before(tmp_path / "result", before)
 
 
-def test_a_report_that_json_cannot_hold_leaves_no_report(shapes, found, tmp_path):
-    with pytest.raises(TypeError):
-        write_result(tmp_path, *shapes, found, {"bad": object()})
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(NAMES[:3])
+@pytest.mark.parametrize("links", [True, False])
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize("landed", range(4))
+@pytest.mark.parametrize("before", BEFORE)
+def test_landing_that_stops_is_undone(shapes, found, tmp_path, monkeypatch, error, landed, before, links):
+    """All files are written, and the renaming stops at one of them; also where a file has no second name."""
+    with_former_result(tmp_path / "result", before)
+    replace, count = Path.replace, iter(range(100))
+
+    def stopping(path, target):
+        if next(count) == landed:
+            raise error
+        return replace(path, target)
+
+    def refused(path, target):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(Path, "replace", stopping)
+    if not links:
+        monkeypatch.setattr(Path, "hardlink_to", refused)
+    with pytest.raises(ArgumentError if isinstance(error, OSError) else Stopped) as caught:
+        write_result(tmp_path / "result", *shapes, found, {})
+    if isinstance(error, OSError):
+        assert str(caught.value) == f"{tmp_path / 'result' / NAMES[landed]} cannot be written: No space left on device"
+    is_as_before(tmp_path / "result", before)
+
+
+@pytest.mark.parametrize("before", BEFORE)
+@pytest.mark.parametrize("bad", [object(), float("nan")])
+def test_a_report_that_json_cannot_hold_leaves_all_as_it_was(shapes, found, tmp_path, before, bad):
+    with_former_result(tmp_path / "result", before)
+    with pytest.raises((TypeError, ValueError)):
+        write_result(tmp_path / "result", *shapes, found, {"bad": bad})
+    is_as_before(tmp_path / "result", before)
+
+
+def test_a_result_takes_the_place_of_an_earlier_one(shapes, found, tmp_path):
+    with_former_result(tmp_path / "result", NAMES)
+    write_result(tmp_path / "result", *shapes, found, {"answer": 42})
+    assert sorted(path.name for path in (tmp_path / "result").iterdir()) == sorted(NAMES)
+    assert json.loads((tmp_path / "result" / "report.json").read_text()) == {"answer": 42}
+    assert colours_in(tmp_path / "result" / "source.ply").shape == (162, 3)

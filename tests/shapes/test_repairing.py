@@ -82,8 +82,8 @@ def test_nothing_of_the_caller_changes():
 @pytest.mark.parametrize(
     ("points", "faces", "words"),
     [
-        (np.eye(5, 3), [[0, 1, 9]], "--as-cloud"),
-        (np.eye(5, 3), [[3, 4, 0], [0, 0, 1]], "--as-cloud"),
+        (np.eye(5, 3), [[0, 1, 9]], "as a cloud"),
+        (np.eye(5, 3), [[3, 4, 0], [0, 0, 1]], "as a cloud"),
         (np.eye(3), None, "at least 4"),
         (np.ones((9, 3)), None, "at least 4"),
         (np.arange(9.0)[:, None] * [1, 1, 1], None, "one line"),

@@ -74,7 +74,10 @@ def test_missing_folder_and_unknown(tmp_path):
     refused(tmp_path / "folder.ply", "folder")
     message = refused(put(tmp_path, "a.docx", "x"), "'.docx'")
     assert all(suffix in message for suffix in READABLE)
-    refused(put(tmp_path, "ply", "x"), "''")
+    refused(put(tmp_path, "ply", "x"), "no suffix")
+    (tmp_path / "scans").mkdir()
+    refused(tmp_path / "scans", "scans is a folder")
+    refused(tmp_path / "nowhere", "does not exist")
     refused(tmp_path / ("long" * 100 + ".ply"))
 
 

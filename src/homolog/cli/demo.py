@@ -45,9 +45,10 @@ def demo(
     job = Job(files, {"source": "y", "target": "y"}, build_matcher(None, "auto", "auto", no_cache=True))
     with progress_bar(quiet=quiet) as progress:
         steps = Steps(listener=counted(progress))
-        found = job.run(steps)
+        outcome = job.run(steps)
         with steps.step("write"):
-            paths = job.write(output, found, steps, described(job.matcher, None))
+            paths = outcome.write(output, steps, described(job.matcher, None))
+    found = outcome.found
     source = folder.shape(_SOURCE)
     truth, asked = folder.common_points(_SOURCE), folder.common_points(_TARGET)
     errors = 100 * geodesic_errors(source, truth, found.target_to_source[asked])

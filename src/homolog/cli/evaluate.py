@@ -90,6 +90,8 @@ def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> T
     table.add_row("median geodesic error x100", f"{found['median_geodesic_error']:.2f}")
     table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
     table.add_row("pairs", str(len(found["pairs"])))
+    if found["unmatched_points"]:
+        table.add_row("points without a match, left out", str(found["unmatched_points"]))
     table.add_row("route", found["route"])
     table.add_row("seconds", f"{found['seconds']['total']:.0f}")
     return table

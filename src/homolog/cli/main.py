@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import re
 import signal
 import sys
 import warnings
@@ -10,6 +12,9 @@ from types import FrameType
 from typing import NoReturn
 
 from homolog.errors import HomologError
+
+# What PyTorch says, in a plain RuntimeError, where there is not enough memory for an array.
+_OUT_OF_MEMORY = re.compile("out of memory|not enough memory|can't allocate memory")
 
 
 class _Interrupted(BaseException):
@@ -33,15 +38,34 @@ def main() -> None:
         _end(f"Error: {error}", 2)
     except _Interrupted:
         _end("Interrupted; nothing was left half-written.", 130)
-    except MemoryError:
-        _end("Error: not enough memory; use smaller shapes, or close other programs", 2)
+    except BrokenPipeError:
+        # Whoever read the output, such as `head`, has seen enough; nothing more can be written, not even at the exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except Exception as error:
-        # Mistakes in options are exceptions of the command-line library, which keeps their class to itself.
-        if not hasattr(error, "format_message"):
+        complaint = _complaint(error)
+        if complaint is None:
             raise
-        complaint = error.format_message().replace("Value error, ", "").rstrip(".") or "a command is missing"
-        _end(f"Error: {complaint}; see homolog --help", 2)
+        _end(f"Error: {complaint}", 2)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _complaint(error: Exception) -> str | None:
+    """What to say in a line about an error that is no ``HomologError``; None if it is a mistake of Homolog's own."""
+    # Mistakes in options are exceptions of the command-line library, which keeps their class to itself.
+    if hasattr(error, "format_message"):
+        said = error.format_message().replace("Value error, ", "").rstrip(".") or "a command is missing"
+        return f"{said}; see homolog --help"
+    said = " ".join(str(error).split())
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and _OUT_OF_MEMORY.search(said)):
+        way_out = "use --device cpu, smaller shapes" if "CUDA" in said else "use smaller shapes"
+        return f"not enough memory; {way_out}, or close other programs"
+    # The errors of NumPy and of PyTorch have but their name in common, and SciPy's has none of its own.
+    if type(error).__name__.lstrip("_") == "LinAlgError" or "exactly singular" in said:
+        return f"a linear system has no solution ({said[:160]}); look at the shapes with homolog info, or remesh them"
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return None
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

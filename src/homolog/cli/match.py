@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -24,8 +24,8 @@ from homolog.cli.options import (
 from homolog.cli.progress import Report, progress_bar
 from homolog.errors import ShapeError
 from homolog.files import sha256
-from homolog.matching import Correspondence, Matcher, Side, write_result
-from homolog.shapes import Shape, Up, check, read_shape, stand_upright
+from homolog.matching import AsCloud, Correspondence, Matcher, Prepared, Side, write_result
+from homolog.shapes import Shape, Up, read_shape, stand_upright
 from homolog.steps import Listener, Steps
 from homolog.versions import versions
 
@@ -41,9 +41,7 @@ def match(
     ),
     weights: Weights = None,
     method: MethodOption = "auto",
-    as_cloud: Annotated[
-        Literal["source", "target", "both"] | None, typer.Option(help="Use only the points of this shape.")
-    ] = None,
+    as_cloud: Annotated[AsCloud | None, typer.Option(help="Use only the points of this shape.")] = None,
     partial: Annotated[
         Side | None,
         typer.Option(help="This shape is a part of one like the other, in the same units; points may have no match."),
@@ -75,71 +73,79 @@ def match(
     with progress_bar(quiet=quiet) as progress:
         steps = Steps(listener=counted(progress, verbose=verbose))
         job = Job({"source": source, "target": target}, ups, build_matcher(weights, method, device, no_cache=no_cache))
-        found = job.run(steps, as_cloud=as_cloud, partial=partial, strict=strict)
+        outcome = job.run(steps, as_cloud=as_cloud, partial=partial, strict=strict)
         options = {"method": method, "as_cloud": as_cloud, "partial": partial, "up": ups, "strict": strict}
         with steps.step("write"):
-            paths = job.write(output, found, steps, {"options": options, **described(job.matcher, weights)})
+            paths = outcome.write(output, steps, {"options": options, **described(job.matcher, weights)})
     if not quiet:
-        _summary(found, steps, paths, verbose=verbose)
+        _summary(outcome.found, steps, paths, verbose=verbose)
 
 
-@dataclass
+@dataclass(frozen=True)
+class Outcome:
+    """What a job read and found, and what is to be reported of its inputs."""
+
+    shapes: dict[Side, Shape]
+    found: Correspondence
+    inputs: dict[Side, dict[str, Any]]
+
+    def write(self, output: Path, steps: Steps, setup: dict[str, Any]) -> list[Path]:
+        """Write the result and its report."""
+        report = {
+            "inputs": self.inputs,
+            "route": self.found.route,
+            "warnings": list(self.found.warnings),
+            **setup,
+            "matched": _matched(self.found),
+            "steps": [asdict(step) for step in steps.finished],
+            "versions": versions(),
+        }
+        return write_result(output, self.shapes["source"], self.shapes["target"], self.found, report)
+
+
+@dataclass(frozen=True)
 class Job:
-    """One match from files to files; ``shapes`` is filled by ``run``."""
+    """One match of two files."""
 
     files: dict[Side, Path]
     ups: dict[Side, Up]
     matcher: Matcher
-    shapes: dict[Side, Shape] | None = None
 
     def run(
-        self,
-        steps: Steps,
-        *,
-        as_cloud: Literal["source", "target", "both"] | None = None,
-        partial: Side | None = None,
-        strict: bool = False,
-    ) -> Correspondence:
+        self, steps: Steps, *, as_cloud: AsCloud | None = None, partial: Side | None = None, strict: bool = False
+    ) -> Outcome:
         """Read and match; in strict mode anything repaired or warned of is an error."""
         shapes: dict[Side, Shape] = {}
+        inputs: dict[Side, dict[str, Any]] = {}
         for side, file in self.files.items():
             with steps.step(f"read {side}"):
-                shapes[side] = read_shape(file)
-            if strict:
-                _refuse_repairs(shapes[side])
-        self.shapes = shapes
+                shapes[side], digest = _read(file)
+            inputs[side] = {"file": str(file), "sha256": digest}
         upright = {side: stand_upright(shape, self.ups[side]) for side, shape in shapes.items()}
-        found = self.matcher.match(
-            upright["source"], upright["target"], as_cloud=as_cloud, partial=partial, steps=steps
+        source, target = self.matcher.prepare_pair(
+            upright["source"], upright["target"], as_cloud=as_cloud, partial=partial, strict=strict, steps=steps
         )
-        if strict and found.warnings:
-            raise ShapeError(f"{found.warnings[0]} (--strict)")
-        return found
-
-    def write(self, output: Path, found: Correspondence, steps: Steps, setup: dict[str, Any]) -> list[Path]:
-        """Write the result and its report."""
-        shapes = self.shapes or {}
-        inputs = {side: _input_report(self.files[side], shape) for side, shape in shapes.items()}
-        report = {
-            "inputs": inputs,
-            "route": found.route,
-            "warnings": list(found.warnings),
-            **setup,
-            "matched": _matched(found),
-            "steps": [asdict(step) for step in steps.finished],
-            "versions": versions(),
-        }
-        return write_result(output, shapes["source"], shapes["target"], found, report)
+        inputs["source"] |= _described(source)
+        inputs["target"] |= _described(target)
+        found = self.matcher.match_checked(source, target, partial=partial, strict=strict, steps=steps)
+        return Outcome(shapes, found, inputs)
 
 
-def _refuse_repairs(shape: Shape) -> None:
-    for finding in check(shape).findings:
-        if finding.severity != "note":
-            raise ShapeError(f"{shape.name}: {finding} (--strict)")
+def _read(file: Path) -> tuple[Shape, str]:
+    """A shape and the hash of the very bytes that it was read from."""
+    before = sha256(file) if file.expanduser().is_file() else None
+    shape = read_shape(file)
+    digest = sha256(file)
+    if digest != before:
+        raise ShapeError(f"{file} changed while it was read; try again once it is complete")
+    return shape, digest
 
 
-def _input_report(file: Path, shape: Shape) -> dict[str, Any]:
-    return {"file": str(file), "sha256": sha256(file), **check(shape).to_dict()}
+def _described(prepared: Prepared) -> dict[str, Any]:
+    """What was found in a shape and done about it, and how its eigenpairs were found."""
+    operators = prepared.operators
+    eigenpairs = {"number": operators.n_eigenpairs, "method": operators.method}
+    return {**prepared.repaired.report.to_dict(), "eigenpairs": eigenpairs}
 
 
 def _matched(found: Correspondence) -> dict[str, Any]:
@@ -176,13 +182,15 @@ def _summary(found: Correspondence, steps: Steps, paths: list[Path], *, verbose:
         for step in steps.finished:
             console.print(f"{step.name:<24} {step.seconds:8.2f} s   peak {step.peak_mb:7.0f} MB")
     seconds = sum(step.seconds for step in steps.finished)
-    matched = _matched(found)
-    console.print(
-        f"Matched by {found.route} in {seconds:.1f} s: "
-        f"{matched['source_points']} source points ({matched['source_points_without_counterpart']} without, "
-        f"mean confidence {matched['source_mean_confidence']:.2f}), "
-        f"{matched['target_points']} target points ({matched['target_points_without_counterpart']}, "
-        f"{matched['target_mean_confidence']:.2f})."
-    )
+    sides = "; ".join(_side_summary(side, _matched(found)) for side in ("source", "target"))
+    console.print(f"Matched by {found.route} in {seconds:.1f} s: {sides}.")
     for path in paths:
         typer.echo(path)
+
+
+def _side_summary(side: str, matched: dict[str, Any]) -> str:
+    without = matched[f"{side}_points_without_counterpart"]
+    found = f"{without} without a counterpart" if without else "all matched"
+    return (
+        f"{side} {matched[f'{side}_points']} points, {found}, mean confidence {matched[f'{side}_mean_confidence']:.2f}"
+    )

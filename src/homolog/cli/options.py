@@ -51,7 +51,8 @@ def build_matcher(weights: str | None, method: Method, device: Device, *, no_cac
 def described(matcher: Matcher, weights: str | None) -> dict[str, Any]:
     """Weights, settings and device, for reports."""
     info = None if matcher.network is None else {"given": weights, **asdict(matcher.info)}
-    return {"weights": info, "settings": asdict(matcher.settings), "device": str(matcher.device)}
+    settings = {**asdict(matcher.settings), "operators": asdict(matcher.operator_settings)}
+    return {"weights": info, "settings": settings, "device": str(matcher.device)}
 
 
 def set_verbosity(*, quiet: bool, verbose: bool) -> None:

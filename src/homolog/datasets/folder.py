@@ -109,7 +109,9 @@ class ShapeFolder:
             return tuple((source, target) for source in names for target in names)
         pairs = tuple(pair for pair in self._read_pairs(own) if set(pair) <= set(names))
         if not pairs:
-            raise DataError(f"{own} lists no pair with both shapes in split {split!r}; use --split all or --pairs FILE")
+            raise DataError(
+                f"{own} lists no pair with both shapes in split {split!r}; use split 'all', or another list of pairs"
+            )
         return pairs
 
     def _listed_names(self, listed: Path) -> tuple[str, ...]:

@@ -119,7 +119,7 @@ def evaluate(
     added and any face dropped, as the published protocol has it.
 
     Raises:
-        DataError: if the ground truth does not fit the shapes.
+        DataError: if the ground truth does not fit the shapes, or not one of its points is matched.
     """
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     run = _Run(matcher, folder, protocol, pairs, progress or (lambda done, total, what: None))
@@ -158,6 +158,11 @@ class _Run:
         queries = [self._match(pair, prepared) for pair in self.pairs]
         measured = time.perf_counter()
         errors = self._errors(queries)
+        if not any(len(pair.errors) for pair in errors):
+            raise DataError(
+                f"{self.folder.root}: no common point of any pair is matched, so there is nothing to score; "
+                "corres/ must name points that the faces use"
+            )
         seconds = {
             "prepare": matched - began,
             "match": measured - matched,

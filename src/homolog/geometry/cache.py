@@ -103,10 +103,10 @@ class OperatorCache:
             self.folder.mkdir(parents=True, exist_ok=True)
             with atomic_path(path) as temporary:
                 save_file(tensors, temporary, metadata=notes)
+            self._make_room()
         except (OSError, ArgumentError, SafetensorError) as error:
-            # A full or read-only disk costs time on the next call, no more.
+            # A full, read-only or forbidden disk costs time on the next call, no more.
             _log.warning("operators are not cached: %s", error)
-        self._make_room()
 
     def _make_room(self) -> None:
         entries = sorted(self._entries())

@@ -6,9 +6,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from homolog.arrays import takes_arrays
 from homolog.errors import ArgumentError
@@ -57,20 +60,43 @@ def functional_map(
     Raises:
         ArgumentError: if the systems are singular, as with fewer features than eigenpairs and no regularisation.
     """
-    a, b = coefficients_x.double(), coefficients_y.double()
-    gram = a @ a.mT
-    systems = gram[..., None, :, :] + torch.diag_embed(regularisation * mask.double())
-    factors, failed = torch.linalg.cholesky_ex(systems)
-    # By rounding, a singular matrix can have a last pivot above zero, up to some 1e-11 of its diagonal.
-    pivots, diagonal = factors.diagonal(dim1=-2, dim2=-1).square(), systems.diagonal(dim1=-2, dim2=-1)
-    singular = pivots <= _SMALLEST_PIVOT * diagonal
-    if bool(failed.any() or singular.any()):
-        raise ArgumentError(
-            "the functional map is not determined: give at least as many independent features as eigenpairs, "
-            "or a larger regularisation"
-        )
-    rows = torch.cholesky_solve((b @ a.mT)[..., None], factors)
-    return rows[..., 0].to(coefficients_x.dtype)
+    a, b, penalty = coefficients_x.double(), coefficients_y.double(), regularisation * mask.double()
+    solved: Tensor = _Solve.apply(a @ a.mT, penalty, b @ a.mT)  # type: ignore[no-untyped-call]
+    return solved.to(coefficients_x.dtype)
+
+
+class _Solve(torch.autograd.Function):
+    """The rows c_i of (gram + diag(penalty_i)) c_i = right_i; their derivative solves the same systems once more."""
+
+    @staticmethod
+    def forward(ctx: Any, gram: Tensor, penalty: Tensor, right: Tensor) -> Tensor:
+        systems = gram[..., None, :, :].repeat_interleave(penalty.shape[-2], dim=-3)
+        diagonal = systems.diagonal(dim1=-2, dim2=-1).add_(penalty)
+        factors, failed = torch.linalg.cholesky_ex(systems)
+        # By rounding, a singular matrix can have a last pivot above zero, up to some 1e-11 of its diagonal.
+        pivots = factors.diagonal(dim1=-2, dim2=-1).square()
+        singular = pivots <= _SMALLEST_PIVOT * diagonal
+        if bool(failed.any() or singular.any()):
+            raise ArgumentError(
+                "the functional map is not determined: give at least as many independent features as eigenpairs, "
+                "or a larger regularisation"
+            )
+        rows = _solved(factors, right)
+        ctx.save_for_backward(factors, rows)
+        return rows
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        factors, rows = ctx.saved_tensors
+        right_grad = _solved(factors, grad)
+        return -right_grad.mT @ rows, -right_grad * rows, right_grad
+
+
+def _solved(factors: Float[Tensor, "*batch k k"], right: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch k"]:
+    halfway = torch.linalg.solve_triangular(factors, right[..., None], upper=False)
+    solution: Tensor = torch.linalg.solve_triangular(factors.mT, halfway, upper=True)[..., 0]
+    return solution
 
 
 @takes_arrays

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -42,16 +43,55 @@ def nearest_neighbour(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "
 @takes_arrays
 def most_similar(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"]) -> Nearest:
     """The candidate with the greatest inner product with each query, with that product."""
-    return _largest_product(queries, candidates, candidates.new_zeros(len(candidates)))
+    return _largest_product(queries, candidates)
 
 
 def _largest_product(
-    queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"], offsets: Float[Tensor, " m"]
+    queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"], offsets: Float[Tensor, " m"] | None = None
 ) -> Nearest:
+    if offsets is not None:  # as one more dimension, so that adding them costs no pass over the products
+        queries = torch.cat([queries, torch.ones_like(queries[:, :1])], dim=1)
+        candidates = torch.cat([candidates, offsets[:, None]], dim=1)
     index = torch.empty(len(queries), dtype=torch.int64, device=queries.device)
     value = queries.new_empty(len(queries))
-    transposed = candidates.T
-    for rows in row_tiles(len(queries), bytes_per_row=len(candidates) * queries.element_size()):
-        products = torch.addmm(offsets, queries[rows], transposed)
-        torch.max(products, dim=1, out=(value[rows], index[rows]))
+    tiles = list(row_tiles(len(queries), bytes_per_row=len(candidates) * queries.element_size()))
+    # One place for all tiles: fresh memory costs as much as the products themselves.
+    scratch = queries.new_empty(tiles[0].stop if tiles else 0, len(candidates))
+    for rows in tiles:
+        products = torch.mm(queries[rows], candidates.T, out=scratch[: rows.stop - rows.start])
+        index[rows] = row_argmax(products)
+        value[rows] = products.gather(1, index[rows, None])[:, 0]
     return Nearest(index, value)
+
+
+def row_argmax(values: Float[Tensor, "t m"]) -> Int[Tensor, " t"]:
+    """The column of the largest entry of each row, the first of equal ones.
+
+    Finding where a maximum lies is several times slower than finding it. So the maxima of stretches of each row are
+    found first, then the stretch, then the place within.
+    """
+    width = math.isqrt(values.shape[1])
+    whole = values.shape[1] - values.shape[1] % width
+    stretches = values[:, :whole].view(len(values), -1, width)
+    largest, stretch = stretches.amax(dim=2).max(dim=1)
+    found: Tensor = stretch * width + stretches[torch.arange(len(values), device=values.device), stretch].argmax(dim=1)
+    if whole == values.shape[1]:
+        return found
+    last, where = values[:, whole:].max(dim=1)
+    index: Tensor = torch.where(last > largest, whole + where, found)
+    return index
+
+
+class ColumnArgmax:
+    """The row of the largest entry of each column, over row tiles that come one after another."""
+
+    def __init__(self, like: Float[Tensor, " m"]) -> None:
+        self.largest = torch.full_like(like, -torch.inf)
+        self.index = torch.zeros(len(like), dtype=torch.int64, device=like.device)
+
+    def update(self, rows: slice, tile: Float[Tensor, "t m"]) -> None:
+        """Take in the next tile. Where a maximum lies is asked only for columns that got a larger one."""
+        best = tile.amax(dim=0)
+        (better,) = torch.nonzero(best > self.largest, as_tuple=True)
+        self.largest[better] = best[better]
+        self.index[better] = tile[:, better].argmax(dim=0) + rows.start

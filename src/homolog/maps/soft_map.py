@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.arrays import takes_arrays
+from homolog.maps.nearest import ColumnArgmax, row_argmax
 from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, balance
 
 
@@ -51,13 +52,11 @@ def sinkhorn_matches(
     f, g = balanced.rows[-1], balanced.columns[-1]
     u, v = balanced.kernel.relative(f, g)
     y_to_x = torch.empty(len(f), dtype=torch.int64, device=f.device)
-    x_to_y = torch.zeros(len(g), dtype=torch.int64, device=f.device)
-    largest = torch.full_like(g, -1.0)
+    columns, scratch = ColumnArgmax(g), torch.empty_like(f[:0])
     for rows, tile in balanced.kernel.tiles():
+        # One place for all tiles: fresh memory costs more than the product.
+        scratch = torch.empty_like(tile) if scratch.numel() < tile.numel() else scratch[: len(tile)]
         # A row's own scaling does not move its largest entry, nor a column's its own.
-        y_to_x[rows] = (tile * v).argmax(dim=1)
-        best, where = (tile * u[rows, None]).max(dim=0)
-        better = best > largest
-        largest = torch.where(better, best, largest)
-        x_to_y = torch.where(better, where + rows.start, x_to_y)
-    return SoftMatches(y_to_x, x_to_y, f, g)
+        y_to_x[rows] = row_argmax(torch.mul(tile, v, out=scratch))
+        columns.update(rows, torch.mul(tile, u[rows, None], out=scratch))
+    return SoftMatches(y_to_x, columns.index, f, g)

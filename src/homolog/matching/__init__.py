@@ -2,6 +2,7 @@
 
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.matcher import (
+    AsCloud,
     Device,
     Matcher,
     MatcherSettings,
@@ -16,6 +17,7 @@ from homolog.matching.output import RESULT_FILES, matched_colours, position_colo
 
 __all__ = [
     "RESULT_FILES",
+    "AsCloud",
     "Correspondence",
     "Device",
     "Matcher",

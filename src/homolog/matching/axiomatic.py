@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from homolog.geometry import Operators
-from homolog.maps import functional_map, resolvent_mask, smoothed_positions, wave_kernel_signature
+from homolog.maps import smoothed_positions, wave_kernel_signature
+from homolog.matching.map_problem import MapProblem
 
 # Size and regularisation of the functional map that the refinement starts from: small and stiff, as the descriptors are
 # only roughly right; chosen on training pairs of upright people.
-AXIOMATIC_EIGENPAIRS = 15
-AXIOMATIC_REGULARISATION = 1000.0
+_EIGENPAIRS = 15
+_REGULARISATION = 1000.0
 
 # Weight of the three coordinates against each of the signature's channels, which have unit norm.
 _POSITION_WEIGHT = 30.0
+
+# Added to the mask where signatures stand alone: what is odd about a symmetry they leave undetermined.
+_LEAST_PENALTY = 1e-4
 
 
 def axiomatic_descriptors(operators: Operators) -> Float[Tensor, "n d"]:
@@ -23,17 +29,39 @@ def axiomatic_descriptors(operators: Operators) -> Float[Tensor, "n d"]:
 
     Needs the two shapes to stand alike: the same way up, facing the same way.
     """
+    return torch.cat([_signatures(operators), _POSITION_WEIGHT * smoothed_positions(operators)], dim=1)
+
+
+def axiomatic_problem(
+    source: Operators, target: Operators, features: tuple[Float[Tensor, "n_s d"], Float[Tensor, "n_t d"]]
+) -> MapProblem:
+    """The axiomatic route's first functional map, from the descriptors of both shapes."""
+    return MapProblem.between(source, target, features, size=_EIGENPAIRS, regularisation=_REGULARISATION)
+
+
+def axis_agreement(source: Operators, target: Operators) -> Float[Tensor, "3 3"]:
+    """How well each coordinate of the target (rows) agrees with each of the source (columns), between -1 and 1.
+
+    The source's coordinates are carried over by a functional map of signatures alone, which do not know the pose. As
+    they cannot tell left from right either, only the rows of what lies in the plane of symmetry mean much.
+    """
+    problem = axiomatic_problem(source, target, (_signatures(source), _signatures(target)))
+    c_st = replace(problem, mask=problem.mask + _LEAST_PENALTY).forth()
+    x, y = _coordinates(source), _coordinates(target)
+    agreement: Tensor = y.T @ (c_st @ x) / (x.norm() * y.norm())
+    return agreement
+
+
+def _signatures(operators: Operators) -> Float[Tensor, "n e"]:
+    """Wave-kernel signatures about their mean, each channel of unit norm."""
     signature = wave_kernel_signature(operators.eigenvalues, operators.eigenvectors)
     share = operators.mass[:, None] / operators.mass.sum()
     deviation = signature - (share * signature).sum(dim=0)
-    deviation = deviation / (operators.mass[:, None] * deviation.square()).sum(dim=0).sqrt()
-    return torch.cat([deviation, _POSITION_WEIGHT * smoothed_positions(operators)], dim=1)
+    return deviation / (operators.mass[:, None] * deviation.square()).sum(dim=0).sqrt()
 
 
-def misfit(source: Operators, target: Operators) -> float:
-    """What is left of |C A - B|^2 + lambda sum_ij C_ij^2 mask_ij at the axiomatic route's first functional map."""
-    x, y = source.truncated(AXIOMATIC_EIGENPAIRS), target.truncated(AXIOMATIC_EIGENPAIRS)
-    a, b = x.coefficients(axiomatic_descriptors(source)), y.coefficients(axiomatic_descriptors(target))
-    mask = resolvent_mask(x.eigenvalues, y.eigenvalues)
-    c_xy = functional_map(a, b, mask, regularisation=AXIOMATIC_REGULARISATION)
-    return float((c_xy @ a - b).square().sum() + AXIOMATIC_REGULARISATION * (c_xy.square() * mask).sum())
+def _coordinates(operators: Operators) -> Float[Tensor, "k 3"]:
+    """Spectral coefficients of the positions about their mean."""
+    share = operators.mass[:, None] / operators.mass.sum()
+    centred = operators.points - (share * operators.points).sum(dim=0)
+    return operators.truncated(_EIGENPAIRS).coefficients(centred)

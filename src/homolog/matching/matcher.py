@@ -5,29 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.errors import ArgumentError, ShapeError, bad_choice
+from homolog.errors import ArgumentError, ShapeError, bad_choice, bad_value
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
     confidence,
     covered,
-    functional_map,
     most_similar,
     nearest_neighbour,
     normalised,
     point_map_from_functional_map,
     refined_point_map,
-    resolvent_mask,
     sinkhorn_matches,
     zoom_out,
 )
-from homolog.matching.axiomatic import AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION, axiomatic_descriptors
+from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem
 from homolog.matching.correspondence import Correspondence, Route
+from homolog.matching.map_problem import MapProblem
 from homolog.matching.orientation import axiomatic_warnings, orientation_warnings
 from homolog.network import DiffusionNet, WeightsInfo, load_weights
 from homolog.shapes import Modality, Repaired, Shape, repair
@@ -48,6 +48,28 @@ _DOUBTFUL = 0.35
 OperatorSource = Callable[..., Operators]
 
 
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= 1)
+
+
+def _is_real(value: Any) -> bool:
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return number and bool(np.isfinite(value))
+
+
+# For each setting but the method what it may be, as a test and in words.
+_ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "map_eigenpairs": (lambda value: value is None or _is_count(value), "a whole number of at least 1, or None"),
+    "partial_eigenpairs": (_is_count, "a whole number of at least 1"),
+    "regularisation": (lambda value: _is_real(value) and value >= 0, "a finite number of at least 0"),
+    "temperature": (lambda value: _is_real(value) and value > 0, "a finite number above 0"),
+    "iterations": (_is_count, "a whole number of at least 1"),
+    "refine": (lambda value: isinstance(value, bool), "True or False"),
+    "raw_products": (lambda value: isinstance(value, bool), "True or False"),
+    "operators": (lambda value: value is None or isinstance(value, OperatorSettings), "OperatorSettings, or None"),
+}
+
+
 @dataclass(frozen=True)
 class MatcherSettings:
     """How maps are made from features.
@@ -65,6 +87,9 @@ class MatcherSettings:
         raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
             here to reproduce the published code.
         operators: what operators to compute; by default those that the weights were trained with.
+
+    Raises:
+        ArgumentError: if one of them is of another kind or size.
     """
 
     method: Method = "auto"
@@ -79,7 +104,11 @@ class MatcherSettings:
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
-            raise bad_choice("method", self.method, get_args(Method))
+            raise bad_choice("method", str(self.method), get_args(Method))
+        for name, (holds, allowed) in _ALLOWED.items():
+            value = getattr(self, name)
+            if not holds(value):
+                raise bad_value(name, value, allowed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +169,7 @@ class Matcher:
         self._operators = operators
         if network is None and self.settings.method in ("functional-map", "features"):
             raise ArgumentError(
-                f"method {self.settings.method!r} needs weights: give --weights FILE, or use the method 'axiomatic'"
+                f"method {self.settings.method!r} needs weights; give some, or use the method 'axiomatic'"
             )
 
     @classmethod
@@ -160,6 +189,11 @@ class Matcher:
         network, info = load_weights(weights)
         return cls(network, info, settings=settings, device=device, operators=operators)
 
+    @property
+    def operator_settings(self) -> OperatorSettings:
+        """What operators are computed: as set, or as the weights were trained with."""
+        return self.settings.operators or OperatorSettings(self.info.n_eigenpairs, self.info.laplacian)
+
     def route(self, source: Modality, target: Modality) -> Route:
         """How two shapes of these modalities are matched."""
         if self.settings.method != "auto":
@@ -174,6 +208,7 @@ class Matcher:
         *,
         as_cloud: bool = False,
         length: float | None = None,
+        strict: bool = False,
         steps: Steps | None = None,
         label: str = "shape",
     ) -> Prepared:
@@ -183,15 +218,18 @@ class Matcher:
             shape: as it was read.
             as_cloud: leave the faces out, but keep the scale that they give.
             length: the file length of one inner unit; by default sqrt(surface area).
+            strict: refuse a shape that needs repair.
             steps: collects time and memory of the steps.
             label: what the steps call the shape.
 
         Raises:
-            ShapeError: if the shape cannot be used.
+            ShapeError: if the shape cannot be used, or is refused.
         """
         steps = steps or Steps()
         with steps.step(f"repair {label}"):
             repaired, as_cloud = _repaired(shape, as_cloud=as_cloud)
+            if strict:
+                _refuse_repairs(repaired)
         with steps.step(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, length=length)
         with steps.step(f"features of {label}"):
@@ -205,8 +243,8 @@ class Matcher:
         if as_cloud:
             length = length or unit_frame(shape).length
             shape = shape.as_cloud()
-        settings = self.settings.operators or OperatorSettings(self.info.n_eigenpairs, self.info.laplacian)
-        return self._operators(shape, settings=settings, length=length).without_debris().to(self.device)
+        operators = self._operators(shape, settings=self.operator_settings, length=length)
+        return operators.without_debris().to(self.device)
 
     @torch.inference_mode()
     def features(self, operators: Operators) -> Float[Tensor, "n d"]:
@@ -223,6 +261,7 @@ class Matcher:
         *,
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
+        strict: bool = False,
         steps: Steps | None = None,
     ) -> Correspondence:
         """Find for every point of each shape its counterpart on the other.
@@ -233,29 +272,60 @@ class Matcher:
             as_cloud: which of the two to use without its faces.
             partial: which of the two, if any, is a part of a shape like the other, in the same units. Points of the
                 complete one that have no counterpart then get -1.
+            strict: stop at anything to repair or to warn of.
             steps: collects time and memory of the steps.
 
         Raises:
             ArgumentError: if ``as_cloud`` or ``partial`` is no such word.
-            ShapeError: if a shape cannot be used.
+            ShapeError: if a shape cannot be used, or ``strict`` forbids it.
         """
+        steps = steps or Steps()
+        prepared = self.prepare_pair(source, target, as_cloud=as_cloud, partial=partial, strict=strict, steps=steps)
+        return self.match_checked(*prepared, partial=partial, strict=strict, steps=steps)
+
+    def prepare_pair(
+        self,
+        source: Shape,
+        target: Shape,
+        *,
+        as_cloud: AsCloud | None = None,
+        partial: Side | None = None,
+        strict: bool = False,
+        steps: Steps | None = None,
+    ) -> tuple[Prepared, Prepared]:
+        """Prepare two shapes for each other: a partial one takes its partner's scale; see ``match``."""
         _check_word("as_cloud", as_cloud, get_args(AsCloud))
         _check_word("partial", partial, get_args(Side))
-        steps = steps or Steps()
-        complete: Side = "target" if partial == "source" else "source"
         shapes: dict[Side, Shape] = {"source": source, "target": target}
-        flat: dict[Side, bool] = {side: as_cloud in (side, "both") for side in shapes}
-        # The complete shape first: a partial one takes its scale.
-        first = self.prepare(shapes[complete], as_cloud=flat[complete], steps=steps, label=complete)
-        other: Side = "source" if complete == "target" else "target"
-        length = first.operators.length if partial else None
-        second = self.prepare(shapes[other], as_cloud=flat[other], length=length, steps=steps, label=other)
-        prepared = {complete: first, other: second}
+        order: tuple[Side, Side] = ("target", "source") if partial == "source" else ("source", "target")
+        prepared: dict[Side, Prepared] = {}
+        length: float | None = None
+        for side in order:
+            flat = as_cloud in (side, "both")
+            prepared[side] = self.prepare(
+                shapes[side], as_cloud=flat, length=length, strict=strict, steps=steps, label=side
+            )
+            length = prepared[side].operators.length if partial else None
+        return prepared["source"], prepared["target"]
+
+    def match_checked(
+        self,
+        source: Prepared,
+        target: Prepared,
+        *,
+        partial: Side | None = None,
+        strict: bool = False,
+        steps: Steps | None = None,
+    ) -> Correspondence:
+        """Match two prepared shapes, and check the result and how the shapes stand; see ``match``."""
+        steps = steps or Steps()
         with steps.step("map"):
-            found = self.match_prepared(prepared["source"], prepared["target"], partial=partial)
+            found = self.match_prepared(source, target, partial=partial)
         with steps.step("check orientation"):
-            warnings = self.orientation_warnings(prepared["source"], prepared["target"])
-        return replace(found, warnings=(*warnings, *_doubts(found)))
+            warnings = (*self.orientation_warnings(source, target), *_doubts(found))
+        if strict and warnings:
+            raise ShapeError(f"{warnings[0]} (refused as strict)")
+        return replace(found, warnings=warnings)
 
     @torch.inference_mode()
     def orientation_warnings(self, source: Prepared, target: Prepared) -> tuple[str, ...]:
@@ -269,7 +339,7 @@ class Matcher:
 
     @torch.inference_mode()
     def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
-        """Match two prepared shapes; see ``match``."""
+        """Match two prepared shapes, without any check; see ``match``."""
         _check_word("partial", partial, get_args(Side))
         if partial == "source":
             return self.match_prepared(target, source, partial="target").swapped()
@@ -318,24 +388,21 @@ class Matcher:
         if route == "axiomatic":
             return self._axiomatic_maps(source, target)
         size = self.settings.partial_eigenpairs if partial else self.settings.map_eigenpairs or self.info.map_eigenpairs
-        return self._solved_maps(source, target, size, self.settings.regularisation)
-
-    def _solved_maps(
-        self, source: Prepared, target: Prepared, size: int, regularisation: float
-    ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
-        x, y = source.operators.truncated(size), target.operators.truncated(size)
-        a, b = x.coefficients(source.features), y.coefficients(target.features)
-        mask = resolvent_mask(x.eigenvalues, y.eigenvalues)
-        return (
-            functional_map(a, b, mask, regularisation=regularisation),
-            functional_map(b, a, mask.mT, regularisation=regularisation),
+        problem = MapProblem.between(
+            source.operators,
+            target.operators,
+            (source.features, target.features),
+            size=size,
+            regularisation=self.settings.regularisation,
         )
+        return problem.forth(), problem.back()
 
     def _axiomatic_maps(
         self, source: Prepared, target: Prepared
     ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
         try:
-            maps = self._solved_maps(source, target, AXIOMATIC_EIGENPAIRS, AXIOMATIC_REGULARISATION)
+            problem = axiomatic_problem(source.operators, target.operators, (source.features, target.features))
+            maps = problem.forth(), problem.back()
         except ArgumentError:
             raise ShapeError(
                 f"{source.repaired.shape.name} or {target.repaired.shape.name} falls into too many pieces for the "
@@ -360,6 +427,12 @@ class Matcher:
 def _check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
     if found is not None and found not in allowed:
         raise bad_choice(name, str(found), allowed)
+
+
+def _refuse_repairs(repaired: Repaired) -> None:
+    for finding in repaired.report.findings:
+        if finding.severity != "note":
+            raise ShapeError(f"{repaired.shape.name}: {finding} (refused as strict)")
 
 
 def _doubts(found: Correspondence) -> tuple[str, ...]:

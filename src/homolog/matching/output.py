@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from homolog.errors import ArgumentError
-from homolog.files import atomic_path
+from homolog.files import all_or_nothing, atomic_path
 from homolog.matching.correspondence import Correspondence
 from homolog.shapes import Shape, write_shape
 
@@ -25,24 +25,26 @@ def write_result(
 ) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
-    The shapes are as given, coloured so that the same colour means the same point. Each file is written whole or not at
-    all; others in the folder are left alone.
+    The shapes are as given, coloured so that the same colour means the same point. The four files land together once
+    all are written; on an error or an interrupt an earlier result stays as it was. Other files are left alone.
 
     Raises:
         ArgumentError: if the folder cannot be made or written to.
     """
     folder = Path(folder).expanduser()
+    described = json.dumps(report, indent=2, allow_nan=False) + "\n"
+    source_colours, target_colours = matched_colours(source, correspondence)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ArgumentError(f"{folder} cannot be made a folder ({error.strerror}); give another -o") from None
+        raise ArgumentError(f"{folder} cannot be made a folder ({error.strerror}); give another one") from None
     paths = [folder / name for name in RESULT_FILES]
-    source_colours, target_colours = matched_colours(source, correspondence)
-    correspondence.save(paths[0])
-    write_shape(paths[1], source, colours=source_colours)
-    write_shape(paths[2], target, colours=target_colours)
-    with atomic_path(paths[3]) as temporary:
-        temporary.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    with all_or_nothing():
+        correspondence.save(paths[0])
+        write_shape(paths[1], source, colours=source_colours)
+        write_shape(paths[2], target, colours=target_colours)
+        with atomic_path(paths[3]) as temporary:
+            temporary.write_text(described, encoding="utf-8")
     return paths
 
 

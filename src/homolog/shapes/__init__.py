@@ -1,11 +1,11 @@
 """What a shape is: reading, writing, checking and repairing meshes and point clouds."""
 
 from homolog.shapes.checking import Finding, Report, check
-from homolog.shapes.orientation import Up, rotation_about, stand_upright
 from homolog.shapes.reading import READABLE, read_shape
 from homolog.shapes.repairing import Repaired, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import Modality, Shape
+from homolog.shapes.upright import Up, rotation_about, stand_upright
 from homolog.shapes.writing import WRITABLE, write_shape
 
 __all__ = [

@@ -10,12 +10,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from homolog.shapes.cleaning import Cleaning, clean
-from homolog.shapes.shape import Modality, Shape
+from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
 from homolog.shapes.topology import Topology, topology
 
 Severity = Literal["note", "repaired", "unusable"]
 
-FEWEST_POINTS = 4
 # Beyond these sizes the fourth power of a length, which areas need, leaves the range of double precision.
 _USABLE_SIZES = (1e-60, 1e60)
 _USUAL_SIZES = (1e-6, 1e6)
@@ -157,7 +156,7 @@ def _unusable(shape: Shape, cleaning: Cleaning, extent: float) -> Iterator[Findi
     """At most one reason why no repair helps; each one makes the later questions meaningless."""
     n_points, low, high = len(cleaning.points), *_USABLE_SIZES
     if cleaning.faces is not None and not len(cleaning.faces):
-        yield Finding("usable faces", 0, "unusable", "no face is left; use the points alone (--as-cloud)")
+        yield Finding("usable faces", 0, "unusable", "no face is left; use the points alone, as a cloud")
     elif n_points < FEWEST_POINTS:
         yield Finding("usable points", n_points, "unusable", f"at least {FEWEST_POINTS} different points are needed")
     elif not low < extent < high or np.abs(cleaning.points).max() > high:
@@ -186,7 +185,7 @@ def _areas(
 
 def _zero_area(area: float) -> Iterator[Finding]:
     if area == 0:
-        yield Finding("total area", 0, "unusable", "every face is a line; use the points alone (--as-cloud)")
+        yield Finding("total area", 0, "unusable", "every face is a line; use the points alone, as a cloud")
 
 
 def _repaired(cleaning: Cleaning) -> Iterator[Finding]:

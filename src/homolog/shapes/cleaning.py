@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from homolog.shapes.arrays import first_of_equal_rows
+from homolog.shapes.equal_rows import first_of_equal_rows
 from homolog.shapes.shape import Shape
 
 

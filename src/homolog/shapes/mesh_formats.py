@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.shapes.arrays import first_of_equal_rows
+from homolog.shapes.equal_rows import first_of_equal_rows
 from homolog.shapes.parsing import (
     CUT_OFF,
     Arrays,

@@ -19,7 +19,7 @@ from homolog.shapes.mesh_formats import read_obj, read_off, read_stl
 from homolog.shapes.parsing import Arrays, UnreadableError, shorten
 from homolog.shapes.ply_format import read_ply
 from homolog.shapes.point_formats import read_npy, read_npz, read_pcd, read_table
-from homolog.shapes.shape import Shape
+from homolog.shapes.shape import FEWEST_POINTS, Shape
 from homolog.shapes.vtk_formats import read_vtk, read_vtp, read_vtu
 
 _READERS: dict[str, Callable[[Path], Arrays]] = {
@@ -42,8 +42,6 @@ _READERS: dict[str, Callable[[Path], Arrays]] = {
 READABLE: tuple[str, ...] = tuple(_READERS)
 """The suffixes of the files that ``read_shape`` reads."""
 
-FEWEST_POINTS = 4
-
 
 def read_shape(path: str | Path) -> Shape:
     """Read a mesh or a point cloud; the suffix says which format, whatever its case.
@@ -61,10 +59,11 @@ def read_shape(path: str | Path) -> Shape:
         MissingExtraError: if reading this format needs a package that is not installed.
     """
     file = Path(path).expanduser()
+    _check_file(file)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
-        raise ShapeError(f"{path} has the suffix {file.suffix!r}, but must have one of {', '.join(READABLE)}")
-    _check_file(file)
+        found = f"the suffix {file.suffix!r}" if file.suffix else "no suffix"
+        raise ShapeError(f"{path} has {found}, but must have one of {', '.join(READABLE)}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -12,6 +12,9 @@ from homolog.errors import ShapeError
 
 Modality = Literal["mesh", "cloud"]
 
+# A shape needs as many different points.
+FEWEST_POINTS = 4
+
 
 @dataclass(frozen=True, eq=False)
 class Shape:

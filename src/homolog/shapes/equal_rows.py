@@ -1,4 +1,4 @@
-"""Small things about rows of arrays that reading, checking and repairing share."""
+"""Equal rows of an array, found by sorting."""
 
 from __future__ import annotations
 
