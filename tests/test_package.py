@@ -33,7 +33,16 @@ FLOORS = {
     "__main__": {"cli"},
     "__init__": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
 }
-HEAVY = ["pyvista", "vtkmodules", "matplotlib", "anny", "pypcd4", "fast_simplification", "tensorboard", "lightning"]
+HEAVY = [
+    "pyvista",
+    "vtkmodules",
+    "matplotlib",
+    "anny",
+    "pypcd4",
+    "fast_simplification",
+    "tensorboard",
+    "lightning_fabric",
+]
 
 
 def parsed(path):

@@ -31,6 +31,10 @@ class DataError(HomologError, ValueError):
     """A folder of shapes, a list of pairs or a ground-truth file is not as it should be."""
 
 
+class TrainingError(HomologError, RuntimeError):
+    """A training cannot go on: a loss is not finite, or a checkpoint does not fit."""
+
+
 class MissingExtraError(HomologError, ImportError):
     """An optional package is needed; the message names the extra that brings it."""
 

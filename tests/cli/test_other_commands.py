@@ -13,7 +13,7 @@ from homolog.cli import demo as demo_module
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, write_shape
 
-COMMANDS = ["match", "evaluate", "info", "doctor", "demo"]
+COMMANDS = ["match", "train", "evaluate", "info", "doctor", "demo"]
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from homolog.cli.doctor import doctor
 from homolog.cli.evaluate import evaluate
 from homolog.cli.info import info
 from homolog.cli.match import match
+from homolog.cli.train import train
 
 app = typer.Typer(
     name="homolog",
@@ -18,5 +19,5 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Find dense correspondences between non-rigid 3D shapes: meshes and point clouds, whole or partial.",
 )
-for command in (match, evaluate, info, doctor, demo):
+for command in (match, train, evaluate, info, doctor, demo):
     app.command()(command)

@@ -58,6 +58,18 @@ class Basis:
         synthesis = self.synthesis[kept]
         return Basis(self.points[kept], mass, self.eigenvalues, synthesis, _least_squares(synthesis[:, 0], mass))
 
+    def scaled(self, factor: float) -> Basis:
+        """The basis of the same shape with all lengths multiplied by a factor."""
+        # Eigenvectors of unit norm shrink as the root of the mass grows; their gradients by one factor more.
+        shrunk = self.synthesis.new_tensor([1 / factor, 1 / factor**2, 1 / factor**2])
+        return Basis(
+            self.points * factor,
+            self.mass * factor**2,
+            self.eigenvalues / factor**2,
+            self.synthesis * shrunk[:, None],
+            self.analysis * factor,
+        )
+
     @torch.inference_mode(False)
     def to(self, device: torch.device | str) -> Basis:
         """The same basis on another device."""

@@ -1,0 +1,65 @@
+"""``homolog train``: weights from a folder of meshes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homolog.cli.options import DeviceOption, Quiet, Verbose, set_verbosity
+from homolog.cli.progress import progress_bar
+from homolog.errors import HomologError
+from homolog.training import WEIGHTS, is_first_process, read_recipe
+from homolog.training import train as train_network
+
+
+def train(
+    recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="A TOML file, or the name of a recipe that ships.")],
+    data: Annotated[
+        Path, typer.Option(help="A folder of meshes, or one with off/ and perhaps corres/.", show_default=False)
+    ],
+    out: Annotated[Path, typer.Option(metavar="RUN", help="Folder for checkpoints and weights.", show_default=False)],
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from RUN's last checkpoint, or begin where there is none.")
+    ] = False,
+    device: DeviceOption = "auto",
+    processes: Annotated[int, typer.Option(help="Processes on each machine; with GPUs, one for each.", min=1)] = 1,
+    machines: Annotated[int, typer.Option(help="Machines, on each of which this same command runs.", min=1)] = 1,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Train a network on meshes, without any ground truth.
+
+    Writes RUN/weights.safetensors (for match and evaluate), RUN/last.safetensors and RUN/best.safetensors
+    (checkpoints), RUN/report.json, and curves for TensorBoard. Ctrl-C saves first, and --resume goes on from there.
+
+    Examples:
+      homolog train quick --data FAUST_r --out run
+
+      homolog train my_recipe.toml --data scans --out run --resume
+
+      tensorboard --logdir run
+    """
+    set_verbosity(quiet=quiet, verbose=verbose)
+    settings = read_recipe(recipe)
+    first = is_first_process()
+    try:
+        with progress_bar(quiet=quiet or not first) as progress:
+            state = train_network(
+                settings,
+                data,
+                out,
+                resume=resume,
+                device=device,
+                processes=processes,
+                machines=machines,
+                progress=progress,
+            )
+    except HomologError:
+        if first:
+            raise
+        raise typer.Exit(2) from None  # the first process says it
+    if first and not quiet:
+        typer.echo(f"Trained {state.step} steps in {state.seconds / 60:.1f} minutes.", err=True)
+        typer.echo(out / WEIGHTS)

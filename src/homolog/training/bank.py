@@ -1,0 +1,243 @@
+"""The shapes of a training made ready: operators at full resolution, computed once, and samples of their bases."""
+
+from __future__ import annotations
+
+import threading
+import zlib
+from collections import OrderedDict, deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import TypeVar
+
+import numpy as np
+import scipy.sparse as sparse
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from homolog.geometry import Basis, Operators, unit_frame
+from homolog.matching import OperatorSource
+from homolog.shapes import Shape, farthest_points, repair
+from homolog.training.clouds import Cloud, cloud_variants, make_cloud
+from homolog.training.data import TrainingSet
+from homolog.training.objective import TrainingShape
+from homolog.training.plan import Draw, Member
+from homolog.training.recipe import Recipe
+
+T = TypeVar("T")
+
+# Told how many steps are done of how many, and what is being done.
+Progress = Callable[[int, int, str], None]
+
+# Stands for the mesh where others are numbers of cloud variants.
+_MESH = -1
+_STEPS_AHEAD = 4
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingPair:
+    """A pair as a step trains on it."""
+
+    draw: Draw
+    x: TrainingShape
+    y: TrainingShape
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Subsets of a mesh, or of one of its clouds.
+
+    Args:
+        kept: indices of the points of each subset.
+        bases: there.
+        meshes: the bases of the mesh that belong to them, where they are not those of the mesh's own subsets.
+        pairings: the interpolation from those to the cloud's points.
+    """
+
+    kept: tuple[Int[np.ndarray, " s"], ...]
+    bases: tuple[Basis, ...]
+    meshes: tuple[Basis, ...] = ()
+    pairings: tuple[Tensor, ...] = ()
+
+    @property
+    def n_bytes(self) -> int:
+        return sum(_bytes(basis) for basis in (*self.bases, *self.meshes))
+
+
+class ShapeBank:
+    """Gives shapes to train on, from memory as far as they fit there, else from the operators on disk.
+
+    Safe to use from several threads.
+
+    Args:
+        shapes: which there are.
+        recipe: how they are sampled, and which clouds there are.
+        operators: where operators come from; an ``OperatorCache``'s, or every miss computes them anew.
+        device: where bases are kept.
+    """
+
+    def __init__(
+        self, shapes: TrainingSet, recipe: Recipe, operators: OperatorSource, device: torch.device | str = "cpu"
+    ) -> None:
+        self.shapes, self.recipe, self.device = shapes, recipe, device
+        self.variants = cloud_variants(recipe.clouds)
+        self._operators = operators
+        self._mesh = lru_cache(maxsize=2 * recipe.data.workers)(self._read_mesh)
+        self._lengths: dict[str, float] = {}
+        self._kept: OrderedDict[tuple[str, int], _Samples] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def prepare(self, names: Sequence[str], progress: Progress) -> None:
+        """Compute the operators of shapes and all their clouds, so that they are in the cache, and fill the memory.
+
+        Raises:
+            ShapeError: if a shape cannot be used.
+        """
+        pool = ThreadPoolExecutor(self.recipe.data.workers)
+        try:
+            for done, name in enumerate(pool.map(self._prepare, names), 1):
+                progress(done, len(names), f"operators of {name}")
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def pairs(self, draws: Sequence[Draw]) -> list[TrainingPair]:
+        """The pairs that were drawn; partial ones with the complete shape first, and both at its scale."""
+        return [self._pair(draw) for draw in draws]
+
+    def shape(self, member: Member) -> TrainingShape:
+        """One shape with one of its clouds, at one of its subsets of points."""
+        clouds = self._samples(member.name, member.variant)
+        cloud = clouds.bases[member.subset]
+        if clouds.meshes:
+            return TrainingShape(member.name, clouds.meshes[member.subset], cloud, clouds.pairings[member.subset])
+        return TrainingShape(member.name, self._samples(member.name, _MESH).bases[member.subset], cloud, None)
+
+    def _pair(self, draw: Draw) -> TrainingPair:
+        x, y = self.shape(draw.x), self.shape(draw.y)
+        if self.recipe.partial is None:
+            return TrainingPair(draw, x, y)
+        ratio = self._lengths[draw.y.name] / self._lengths[draw.x.name]
+        if ratio > 1:
+            return TrainingPair(replace(draw, x=draw.y, y=draw.x), y, _rescaled(x, 1 / ratio))
+        return TrainingPair(draw, x, _rescaled(y, ratio))
+
+    def _prepare(self, name: str) -> str:
+        for variant in (_MESH, *range(len(self.variants))):
+            if self._bytes < self._most_bytes:
+                self._samples(name, variant)
+            else:
+                self._operators_of(self._source(name, variant).shape)
+        return name
+
+    @property
+    def _most_bytes(self) -> float:
+        return self.recipe.data.memory_gb * 2**30
+
+    def _samples(self, name: str, variant: int) -> _Samples:
+        with self._lock:
+            if (name, variant) in self._kept:
+                self._kept.move_to_end((name, variant))
+                return self._kept[name, variant]
+        samples = self._sample(name, variant)
+        with self._lock:
+            self._keep((name, variant), samples)
+        return samples
+
+    def _keep(self, key: tuple[str, int], samples: _Samples) -> None:
+        if key in self._kept:  # another thread was faster
+            return
+        self._kept[key] = samples
+        self._bytes += samples.n_bytes
+        while self._bytes > self._most_bytes and len(self._kept) > 1:
+            self._bytes -= self._kept.popitem(last=False)[1].n_bytes
+
+    def _sample(self, name: str, variant: int) -> _Samples:
+        source = self._source(name, variant)
+        basis = self._operators_of(source.shape).basis
+        if source.weights is not None:
+            return self._sample_apart(name, basis, source.weights)
+        kept = self._subsets(basis) if variant == _MESH else self._samples(name, _MESH).kept
+        return _Samples(kept, tuple(self._at(basis, subset) for subset in kept))
+
+    def _sample_apart(self, name: str, cloud: Basis, weights: sparse.csr_array) -> _Samples:
+        """Subsets of a cloud whose points are not the mesh's, each with the points of the mesh that lie nearest."""
+        mesh = self._operators_of(self._mesh(name)).basis
+        kept = self._subsets(cloud)
+        near = [self._near(weights[subset]) for subset in kept]
+        pairings = [_pairing(weights[rows][:, columns]) for rows, columns in zip(kept, near, strict=True)]
+        return _Samples(
+            kept,
+            tuple(self._at(cloud, subset) for subset in kept),
+            tuple(self._at(mesh, subset) for subset in near),
+            tuple(pairing.to(self.device) for pairing in pairings),
+        )
+
+    def _source(self, name: str, variant: int) -> Cloud:
+        mesh = self._mesh(name)
+        if variant == _MESH:
+            return Cloud(mesh, None)
+        seed = zlib.crc32(f"{self.recipe.seed} {name} {variant}".encode())
+        return make_cloud(mesh, self.variants[variant], seed=seed)
+
+    def _read_mesh(self, name: str) -> Shape:
+        """A clean mesh of unit area, as an evaluation has it, so that both find the same operators in the cache."""
+        shape = self.shapes.shape(name)
+        frame = unit_frame(shape)
+        self._lengths[name] = frame.length
+        return repair(Shape(frame.inside(shape.points), shape.faces, name=shape.name)).shape
+
+    def _operators_of(self, shape: Shape) -> Operators:
+        return self._operators(shape, settings=self.recipe.operators, length=1.0).without_debris()
+
+    def _subsets(self, basis: Basis) -> tuple[Int[np.ndarray, " s"], ...]:
+        wanted = self.recipe.samples
+        if not 0 < wanted.points < basis.n_points:
+            return (np.arange(basis.n_points),) * wanted.choices
+        points = basis.points.double().numpy()
+        return tuple(farthest_points(points, wanted.points, seed=number) for number in range(wanted.choices))
+
+    def _near(self, weights: sparse.csr_array) -> Int[np.ndarray, " s"]:
+        """For each point of a cloud the point of the mesh with the largest weight; or all, where all are wanted."""
+        if self.recipe.samples.points == 0:
+            return np.arange(weights.shape[1])
+        nearest: np.ndarray = np.unique(weights.argmax(axis=1))
+        return nearest
+
+    def _at(self, basis: Basis, kept: Int[np.ndarray, " s"]) -> Basis:
+        sampled = basis if len(kept) == basis.n_points else basis.sampled(torch.from_numpy(kept))
+        return sampled.to(self.device)
+
+
+def _pairing(weights: sparse.csr_array) -> Tensor:
+    """Weights of the mesh's points at the cloud's as a sparse tensor, each row of sum one."""
+    weights = weights.multiply(1 / weights.sum(axis=1)[:, None]).tocoo()
+    places = torch.from_numpy(np.stack([weights.row, weights.col]).astype(np.int64))
+    values = torch.from_numpy(weights.data).float()
+    return torch.sparse_coo_tensor(places, values, weights.shape, check_invariants=False)
+
+
+def _rescaled(shape: TrainingShape, factor: float) -> TrainingShape:
+    return replace(shape, mesh=shape.mesh.scaled(factor), cloud=shape.cloud.scaled(factor))
+
+
+def _bytes(basis: Basis) -> int:
+    tensors = (getattr(basis, field.name) for field in fields(basis))
+    return sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+
+
+def prefetched(load: Callable[[int], T], steps: Sequence[int], *, workers: int) -> Generator[T, None, None]:
+    """What ``load`` gives for each step, in order, loaded by threads while the caller works on earlier ones."""
+    pool = ThreadPoolExecutor(workers)
+    try:
+        waiting: deque[Future[T]] = deque()
+        for step in steps:
+            waiting.append(pool.submit(load, step))
+            if len(waiting) > _STEPS_AHEAD:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)

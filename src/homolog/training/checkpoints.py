@@ -1,0 +1,115 @@
+"""Checkpoints: safetensors with a JSON header, which cannot run code, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from homolog.errors import TrainingError
+from homolog.files import atomic_path
+from homolog.training.recipe import Recipe
+from homolog.training.state import TrainingState
+
+_FORMAT = "homolog-checkpoint-1"
+# What Adam remembers of each weight, beside the number of steps.
+_MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
+def save_checkpoint(path: Path, state: TrainingState, recipe: Recipe, shapes: str) -> None:
+    """Write all that a training needs to go on.
+
+    Args:
+        path: of the file.
+        state: to keep.
+        recipe: of the training.
+        shapes: a digest of the shapes trained on.
+    """
+    progress = {name: getattr(state, name) for name in ("step", "seconds", "best", "records")}
+    header = {
+        "format": _FORMAT,
+        "shapes": shapes,
+        "recipe": json.dumps(asdict(recipe)),
+        "progress": json.dumps(progress),
+    }
+    with atomic_path(path) as temporary:
+        save_file(_tensors(state), temporary, metadata=header)
+
+
+def load_checkpoint(path: Path, recipe: Recipe, shapes: str, device: torch.device | str = "cpu") -> TrainingState:
+    """Read what ``save_checkpoint`` wrote, for the same recipe and shapes.
+
+    Raises:
+        TrainingError: if the file is damaged, or comes from another recipe or other shapes.
+    """
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        if header.get("format") != _FORMAT:
+            raise ValueError("it is no checkpoint")
+        _check_recipe(path, json.loads(header["recipe"]), recipe)
+        if header["shapes"] != shapes:
+            raise TrainingError(f"{path} was trained on other shapes; give the same --data, or another --out")
+        return _state(recipe, tensors, json.loads(header["progress"]), device)
+    except TrainingError:
+        raise
+    except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:160]
+        raise TrainingError(f"{path} cannot be gone on from ({reason}); give another --out") from None
+
+
+def _tensors(state: TrainingState) -> dict[str, Tensor]:
+    tensors: dict[str, Tensor] = {}
+    for name, weight in state.network.named_parameters():
+        tensors[f"weights.{name}"] = weight
+        for moment in _MOMENTS if state.step else ():
+            tensors[f"{moment}.{name}"] = state.optimiser.state[weight][moment]
+    tensors |= {f"average.{name}": weight for name, weight in (state.average or {}).items()}
+    return {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+
+
+def _state(
+    recipe: Recipe, tensors: dict[str, Tensor], progress: dict[str, Any], device: torch.device | str
+) -> TrainingState:
+    state = TrainingState.new(recipe, device)
+    for name, value in progress.items():
+        setattr(state, name, value)
+    for name, weight in state.network.named_parameters():
+        _fill(weight.data, tensors[f"weights.{name}"])
+        if state.step:
+            moments = {moment: _fill(torch.empty_like(weight), tensors[f"{moment}.{name}"]) for moment in _MOMENTS}
+            state.optimiser.state[weight] = {"step": torch.tensor(float(state.step), device=device), **moments}
+    for name, mean in (state.average or {}).items():
+        _fill(mean, tensors[f"average.{name}"])
+    return state
+
+
+def _fill(place: Tensor, values: Tensor) -> Tensor:
+    if place.shape != values.shape:
+        raise ValueError(f"a tensor has shape {tuple(values.shape)} instead of {tuple(place.shape)}")
+    return place.detach().copy_(values)
+
+
+def _check_recipe(path: Path, found: dict[str, Any], recipe: Recipe) -> None:
+    before, now = _flat(found), _flat(json.loads(json.dumps(asdict(recipe))))
+    for key in sorted(before.keys() | now.keys()):
+        if before.get(key) != now.get(key):
+            raise TrainingError(
+                f"{path} was trained with {key} = {before.get(key)!r}, but the recipe has {now.get(key)!r}; "
+                "give the same recipe, or another --out"
+            )
+
+
+def _flat(table: dict[str, Any], within: str = "") -> dict[str, Any]:
+    """Nested tables as one, with keys such as ``optimiser.learning_rate``."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat |= _flat(value, f"{within}{key}.") if isinstance(value, dict) else {f"{within}{key}": value}
+    return flat

@@ -1,0 +1,93 @@
+"""The clouds of a mesh that the network learns beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sparse
+from jaxtyping import Float
+
+from homolog.shapes import Shape, add_noise
+from homolog.training.recipe import CloudSettings
+
+
+@dataclass(frozen=True)
+class CloudVariant:
+    """One way to make a cloud of a mesh.
+
+    Args:
+        kind: ``"clean"`` for the mesh's own points, ``"noisy"``, ``"thinned"`` or ``"resampled"``.
+        amount: of noise, the share that is kept, or the number of points.
+    """
+
+    kind: Literal["clean", "noisy", "thinned", "resampled"] = "clean"
+    amount: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """A cloud, and where its points lie on its mesh.
+
+    Args:
+        shape: without faces, in the mesh's own units.
+        weights: barycentric weights of each cloud point at the mesh's points (n_cloud, n_mesh), or None where point i
+            of the cloud comes from point i of the mesh.
+    """
+
+    shape: Shape
+    weights: sparse.csr_array | None
+
+
+def cloud_variants(settings: CloudSettings) -> tuple[CloudVariant, ...]:
+    """The variants that a recipe asks for; the clean one comes first."""
+    return (
+        CloudVariant(),
+        *(CloudVariant("noisy", sigma) for sigma in settings.noise),
+        *(CloudVariant("thinned", share) for share in settings.thinned),
+        *(CloudVariant("resampled", number) for number in settings.resampled),
+    )
+
+
+def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
+    """Make a cloud of a clean mesh of unit area."""
+    random = np.random.default_rng(seed)
+    if variant.kind == "noisy":
+        return Cloud(add_noise(mesh.as_cloud(), variant.amount, seed=seed), None)
+    if variant.kind == "thinned":
+        return _weighted(mesh, _thinned(mesh.n_points, variant.amount, random))
+    if variant.kind == "resampled":
+        return _weighted(mesh, _resampled(mesh, round(variant.amount), random))
+    return Cloud(mesh.as_cloud(), None)
+
+
+def _weighted(mesh: Shape, weights: sparse.csr_array) -> Cloud:
+    return Cloud(Shape(weights @ mesh.points, name=mesh.name), weights)
+
+
+def _thinned(n_points: int, share: float, random: np.random.Generator) -> sparse.csr_array:
+    kept = np.sort(random.permutation(n_points)[: max(round(share * n_points), 1)])
+    return sparse.eye_array(n_points, format="csr")[kept]
+
+
+def _resampled(mesh: Shape, number: int, random: np.random.Generator) -> sparse.csr_array:
+    """Barycentric weights (number, n) of points drawn evenly from the surface."""
+    areas = _areas(mesh)
+    faces = mesh.faces[random.choice(len(areas), size=number, p=areas / areas.sum())]  # type: ignore[index]
+    rows = np.repeat(np.arange(number), 3)
+    weights = _barycentric(number, random)
+    return sparse.csr_array((weights.ravel(), (rows, faces.ravel())), shape=(number, mesh.n_points))
+
+
+def _areas(mesh: Shape) -> Float[np.ndarray, " m"]:
+    corners = mesh.points[mesh.faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas: np.ndarray = np.linalg.norm(normals, axis=1)
+    return areas
+
+
+def _barycentric(number: int, random: np.random.Generator) -> Float[np.ndarray, "number 3"]:
+    """Evenly distributed over the triangle: the square root makes up for its narrowing towards the first corner."""
+    far, across = np.sqrt(random.random(number)), random.random(number)
+    return np.stack([1 - far, far * (1 - across), far * across], axis=1)

@@ -1,0 +1,179 @@
+"""The shapes of a training and its pairs, found in a folder. Ground truth is not looked at."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from homolog.datasets import Pair, ShapeFolder
+from homolog.errors import DataError
+from homolog.shapes import READABLE, Shape, read_shape
+from homolog.training.recipe import DataSettings, Recipe
+
+# What tells this choice at random from the others that are made with the recipe's seed.
+_VALIDATION = 1
+
+# Suffixes of files that hold points alone, or anything at all.
+_NO_MESHES = (".xyz", ".txt", ".csv", ".npy", ".npz", ".pcd")
+_MESHES = tuple(suffix for suffix in READABLE if suffix not in _NO_MESHES)
+
+
+@dataclass(frozen=True)
+class TrainingSet:
+    """Which meshes to train on, and in which pairs.
+
+    Args:
+        root: the folder.
+        files: the file of each shape that takes part, by name, held-out ones included.
+        names: of the shapes to train on, where any two make a pair.
+        pairs: to train on; empty where any two of ``names`` make one.
+        held_out: pairs to validate on.
+        truth: the folder with its ground truth, where it has one.
+    """
+
+    root: Path
+    files: dict[str, Path]
+    names: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+    held_out: tuple[Pair, ...]
+    truth: ShapeFolder | None
+
+    @classmethod
+    def open(cls, root: str | Path, recipe: Recipe) -> TrainingSet:
+        """Look into a folder: ``off/NAME.off`` with or without ground truth, complete shapes and parts, or any meshes.
+
+        Raises:
+            DataError: if it has too few shapes.
+        """
+        root = Path(root).expanduser()
+        if not root.is_dir():
+            raise DataError(f"{root}: there is no such folder; give one that holds meshes")
+        complete, files = _complete_and_other_files(root, recipe)
+        kept = sorted(name for name in files if not _left_out(name, recipe.data))
+        chosen = _evenly_spread(kept, recipe.validation.shapes)
+        trained = tuple(name for name in kept if name not in chosen)
+        listed = _listed_pairs(root, kept, complete, recipe)
+        watched = tuple(pair for pair in listed if not chosen.isdisjoint(pair))
+        pairs = tuple(pair for pair in listed if chosen.isdisjoint(pair))
+        _check_numbers(root, trained, listed, pairs)
+        # Where nothing is held out, pairs that are trained on are validated, too.
+        held_out = _some_pairs(sorted(chosen) or trained, watched or pairs, recipe)
+        files = {**complete, **{name: files[name] for name in kept}}
+        return cls(root, files, trained, pairs, held_out, _ground_truth(root, recipe))
+
+    def shape(self, name: str) -> Shape:
+        """Read one mesh.
+
+        Raises:
+            DataError: if it has no faces.
+        """
+        shape = read_shape(self.files[name])
+        if shape.faces is None:
+            raise DataError(f"{self.files[name]} has no faces, but training is on meshes; leave it out")
+        return shape
+
+    @property
+    def used(self) -> tuple[str, ...]:
+        """The names of all shapes in any pair."""
+        paired = itertools.chain.from_iterable((*self.pairs, *self.held_out))
+        return tuple(sorted({*paired, *(() if self.pairs else self.names)}))
+
+
+def _complete_and_other_files(root: Path, recipe: Recipe) -> tuple[dict[str, Path], dict[str, Path]]:
+    """Complete shapes in a folder of their own, if there are such, and all others."""
+    if recipe.partial is not None and (root / recipe.partial.complete).is_dir():
+        complete, parts = root / recipe.partial.complete, root / recipe.partial.parts
+        if not parts.is_dir():
+            raise DataError(f"{root} has complete shapes, but no {recipe.partial.parts!r}; change [partial] parts")
+        return _apart(_meshes(complete), _meshes(parts))
+    return {}, _split_files(root, recipe.data)
+
+
+def _apart(complete: dict[str, Path], parts: dict[str, Path]) -> tuple[dict[str, Path], dict[str, Path]]:
+    for name in complete.keys() & parts.keys():
+        raise DataError(f"{complete[name]} and {parts[name]} have one name; rename the partial one")
+    return complete, parts
+
+
+def _split_files(root: Path, settings: DataSettings) -> dict[str, Path]:
+    if not (root / "off").is_dir():
+        return _meshes(root)
+    files = _meshes(root / "off")
+    names = ShapeFolder(root, tuple(sorted(files))).split(settings.split)
+    return {name: files[name] for name in names}
+
+
+def _meshes(folder: Path) -> dict[str, Path]:
+    found = sorted(path for path in folder.glob("[!.]*") if path.suffix.lower() in _MESHES)
+    files = {path.stem: path for path in found}
+    if not files:
+        raise DataError(f"{folder}: no meshes; put files there whose suffix is one of {', '.join(_MESHES)}")
+    if len(files) < len(found):
+        twice = next(path for path in found if files[path.stem] != path)
+        raise DataError(f"{folder}: {twice.name} and {files[twice.stem].name} have one name; keep one of them")
+    return files
+
+
+def _left_out(name: str, settings: DataSettings) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in settings.leave_out)
+
+
+def _evenly_spread(names: Sequence[str], number: int) -> set[str]:
+    """So many of the names, at equal distances: neighbours in name order often are one person or one pose."""
+    places = (np.arange(number) + 0.5) * len(names) / max(number, 1)
+    return {names[int(place)] for place in places}
+
+
+def _listed_pairs(root: Path, names: Sequence[str], complete: dict[str, Path], recipe: Recipe) -> tuple[Pair, ...]:
+    """Each part with its complete shape, or the pairs of partial shapes that a file lists; else none."""
+    if complete:
+        return tuple((_partner(name, complete), name) for name in names)
+    if recipe.partial is None or not (root / "pairs.txt").is_file():
+        return ()
+    every = tuple(sorted(_meshes(root / "off" if (root / "off").is_dir() else root)))
+    kept = tuple(pair for pair in ShapeFolder(root, every).pairs("all") if set(names).issuperset(pair))
+    if not kept:
+        raise DataError(f"{root / 'pairs.txt'} lists no pair of shapes that are trained on; leave fewer of them out")
+    return tuple(pair for pair in kept if pair[0] != pair[1])
+
+
+def _partner(part: str, complete: Iterable[str]) -> str:
+    """The complete shape whose name is a word, or several, of the part's."""
+    found = [name for name in complete if f"_{name}_" in f"_{part}_"]
+    if not found:
+        raise DataError(f"{part}: no complete shape has a word of its name, as cat has of cuts_cat_shape_1; rename it")
+    return max(found, key=len)
+
+
+def _check_numbers(root: Path, names: Sequence[str], listed: Sequence[Pair], pairs: Sequence[Pair]) -> None:
+    if listed and not pairs:
+        raise DataError(f"{root}: no pair is left to train on; hold fewer [validation] shapes out, or leave fewer out")
+    if not listed and len(names) < 2:
+        raise DataError(f"{root}: {len(names)} shapes are left to train on, but it takes at least 2 to make a pair")
+
+
+def _some_pairs(names: Sequence[str], listed: Sequence[Pair], recipe: Recipe) -> tuple[Pair, ...]:
+    """Pairs to validate on: the same for every training with the same data, number of pairs and seed."""
+    random = np.random.default_rng([recipe.seed, _VALIDATION])
+    n_all = len(listed) or len(names) * (len(names) - 1)
+    chosen = random.choice(n_all, size=min(recipe.validation.pairs, n_all), replace=False)
+    return tuple(listed[number] if listed else _pair(names, int(number)) for number in chosen)
+
+
+def _pair(names: Sequence[str], number: int) -> Pair:
+    """The ordered pair of two different names that has this number."""
+    first, second = divmod(number, len(names) - 1)
+    return names[first], names[second + (second >= first)]
+
+
+def _ground_truth(root: Path, recipe: Recipe) -> ShapeFolder | None:
+    if recipe.partial is None and recipe.validation.score_every:
+        with suppress(DataError):  # training needs none, so that an incomplete one does not matter
+            return ShapeFolder.open(root)
+    return None

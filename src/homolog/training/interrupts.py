@@ -1,0 +1,52 @@
+"""Ctrl-C and polite kills, kept until a training has saved what it has."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupts:
+    """The signal that came last, if any."""
+
+    def __init__(self) -> None:
+        self.number: int | None = None
+
+    def __bool__(self) -> bool:
+        return self.number is not None
+
+
+@contextmanager
+def deferred_interrupts() -> Iterator[Interrupts]:
+    """Keep a first Ctrl-C or SIGTERM until the block ends, and then let it do what it would have done.
+
+    The block should look at the result every now and then, and end soon if it is true. A second signal acts at once.
+    In threads other than the main one, where Python delivers no signals, this does nothing.
+    """
+    interrupts = Interrupts()
+    if threading.current_thread() is not threading.main_thread():
+        yield interrupts
+        return
+    before = {number: signal.getsignal(number) or signal.SIG_DFL for number in _SIGNALS}
+
+    def give_back() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def keep(number: int, frame: FrameType | None) -> None:
+        interrupts.number = number
+        give_back()
+
+    for number in _SIGNALS:
+        signal.signal(number, keep)
+    try:
+        yield interrupts
+    finally:
+        give_back()
+    if interrupts.number is not None:
+        signal.raise_signal(interrupts.number)

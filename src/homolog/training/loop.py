@@ -1,0 +1,319 @@
+"""The training itself: pairs in, gradients, steps, and now and then a look at how good it is."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.errors import ArgumentError, MissingExtraError, TrainingError
+from homolog.geometry import OperatorCache
+from homolog.matching import Device, Matcher, MatcherSettings, OperatorSource, choose_device
+from homolog.network import DiffusionNet
+from homolog.training.bank import Progress, ShapeBank, TrainingPair, prefetched
+from homolog.training.data import TrainingSet
+from homolog.training.interrupts import Interrupts, deferred_interrupts
+from homolog.training.journal import Journal
+from homolog.training.objective import Losses, pair_losses
+from homolog.training.plan import Plan
+from homolog.training.recipe import Recipe
+from homolog.training.run_folder import RunFolder, weights_info
+from homolog.training.schedule import learning_rate
+from homolog.training.state import Record, TrainingState
+from homolog.training.validation import scores, validation_losses
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
+
+_log = logging.getLogger(__name__)
+
+_TERMS = (*(field.name for field in fields(Losses)), "total")
+
+
+def train(
+    recipe: Recipe,
+    data: str | Path,
+    run: str | Path,
+    *,
+    resume: bool = False,
+    device: Device = "auto",
+    processes: int = 1,
+    machines: int = 1,
+    operators: OperatorSource | None = None,
+    progress: Progress | None = None,
+) -> TrainingState:
+    """Train a network on a folder of meshes, without any ground truth.
+
+    Cao and Bernard, "Self-Supervised Learning for Multimodal Non-Rigid 3D Shape Matching", CVPR 2023.
+
+    With several processes this starts the others itself, by the command that started this one; every one computes some
+    of a step's pairs, and all take the step with the mean gradient. Ctrl-C and SIGTERM save a checkpoint first.
+
+    Args:
+        recipe: what to do.
+        data: a folder; see ``TrainingSet.open``.
+        run: the folder to write; see ``RunFolder``.
+        resume: go on from the latest checkpoint in ``run``, or begin where there is none.
+        device: where to compute.
+        processes: on each machine; with GPUs, one for each.
+        machines: on each of which the same command runs.
+        operators: where operators come from; by default the cache on disk.
+        progress: told what is done.
+
+    Returns:
+        The state after the last step.
+
+    Raises:
+        ArgumentError: if ``run`` holds files and ``resume`` is not given.
+        DataError: if ``data`` has too few shapes.
+        ShapeError: if a shape cannot be used.
+        TrainingError: if a loss is not finite, or the checkpoint does not fit the recipe or the data.
+        MissingExtraError: without the packages of the extra ``train``.
+    """
+    shapes = TrainingSet.open(data, recipe)
+    folder = RunFolder(Path(run).expanduser(), recipe, shapes)
+    fabric = _fabric(recipe, device, processes, machines)
+    if is_first_process():
+        folder.make(resume=resume)
+    fabric.launch()
+    report = progress if progress is not None and fabric.is_global_zero else _silent
+    source = operators or OperatorCache.default().operators
+    bank = ShapeBank(shapes, recipe, source, fabric.device)
+    bank.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
+    fabric.barrier()
+    state = folder.load(fabric.device)
+    if state.step < recipe.training.steps:
+        with deferred_interrupts() as interrupts:
+            _Training(fabric, folder, bank, source, state, report).run(interrupts)
+    return state
+
+
+def is_first_process() -> bool:
+    """Whether this is the process that reports and writes, or the only one."""
+    _fabric_package()
+    from lightning_fabric.utilities.rank_zero import rank_zero_only
+
+    return getattr(rank_zero_only, "rank", 0) == 0
+
+
+def _fabric_package() -> type[Fabric]:
+    logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
+    try:
+        import tensorboard  # noqa: F401
+        from lightning_fabric import Fabric
+    except ImportError as error:
+        raise MissingExtraError("training", str(error.name), "train") from None
+    return Fabric
+
+
+def _fabric(recipe: Recipe, device: Device, processes: int, machines: int) -> Fabric:
+    kind = choose_device(device).type
+    if kind == "cuda" and processes > torch.cuda.device_count():
+        raise ArgumentError(
+            f"processes is {processes}, but CUDA devices are {torch.cuda.device_count()}; use as many, or --device cpu"
+        )
+    return _fabric_package()(
+        accelerator=kind,
+        devices=processes,
+        num_nodes=machines,
+        strategy="auto" if processes * machines == 1 else "ddp",
+        precision="bf16-mixed" if recipe.training.precision == "bf16" else "32-true",
+    )
+
+
+def _silent(done: int, total: int, what: str) -> None:
+    """Report nothing."""
+
+
+class _Training:
+    """What one process does of a training."""
+
+    def __init__(
+        self,
+        fabric: Fabric,
+        folder: RunFolder,
+        bank: ShapeBank,
+        operators: OperatorSource,
+        state: TrainingState,
+        progress: Progress,
+    ) -> None:
+        self.fabric, self.folder, self.bank, self.state, self.progress = fabric, folder, bank, state, progress
+        self.operators = operators
+        self.recipe = folder.recipe
+        self.plan = Plan(folder.shapes, self.recipe)
+        self.gradient = _flat_gradient(state.network)
+        self.clock = self.saved = time.monotonic()
+        self.journal = Journal(folder.path, _TERMS, state.step) if fabric.is_global_zero else None
+
+    def run(self, interrupts: Interrupts) -> None:
+        """Take the steps that are left, until the last one or an interrupt."""
+        steps = range(self.state.step, self.recipe.training.steps)
+        pairs_of_steps = prefetched(self._load, steps, workers=self.recipe.data.workers)
+        with contextlib.closing(self), contextlib.closing(pairs_of_steps):
+            for pairs in pairs_of_steps:
+                stopped = self._step(pairs, interrupts)
+                if self.journal is not None:
+                    self._look_after(stopped)
+                if stopped:
+                    break
+
+    def close(self) -> None:
+        """Write out what TensorBoard still holds."""
+        if self.journal is not None:
+            self.journal.close()
+
+    # ---- one step
+
+    def _load(self, step: int) -> list[TrainingPair]:
+        """The share of a step's pairs that falls to this process."""
+        return self.bank.pairs(self.plan.draws(step)[self.fabric.global_rank :: self.fabric.world_size])
+
+    def _step(self, pairs: Sequence[TrainingPair], interrupts: Interrupts) -> bool:
+        """Take one step; whether any process was interrupted."""
+        losses = self._gradients(pairs)
+        stopped = self._share(losses, bool(interrupts))
+        norm = self.gradient.norm()
+        self._check(losses, norm)
+        self._clip(norm)
+        rate = learning_rate(self.recipe.optimiser, self.state.step, self.recipe.training.steps)
+        self.state.take_step(rate, self.recipe.optimiser.average)
+        if self.journal is not None:
+            self.journal.step(self.state.step, losses, norm, rate)
+        return stopped
+
+    def _gradients(self, pairs: Sequence[TrainingPair]) -> Float[Tensor, "p t"]:
+        """Put this share of the mean gradient into the network; losses of the step's pairs, those of others zero."""
+        self.gradient.zero_()
+        n_pairs = self.recipe.training.pairs_per_step
+        values = torch.zeros(n_pairs, len(_TERMS), device=self.fabric.device)
+        for place, pair in zip(range(self.fabric.global_rank, n_pairs, self.fabric.world_size), pairs, strict=True):
+            losses = self._losses(pair)
+            torch.autograd.backward(losses.total / n_pairs)
+            values[place] = torch.stack([getattr(losses, term).detach() for term in _TERMS])
+        return values
+
+    def _losses(self, pair: TrainingPair) -> Losses:
+        generator = torch.Generator(self.fabric.device).manual_seed(pair.draw.seed)
+        with self.fabric.autocast():
+            return pair_losses(
+                self.state.network,
+                pair.x,
+                pair.y,
+                settings=self.recipe.loss,
+                augmentation=self.recipe.augmentation,
+                generator=generator,
+                partial=self.recipe.partial is not None,
+            )
+
+    def _share(self, losses: Float[Tensor, "p t"], stop: bool) -> bool:
+        """Add up gradients and losses of all processes, in place; whether any is to stop."""
+        if self.fabric.world_size == 1:
+            return stop
+        stops = torch.tensor(float(stop), device=self.fabric.device)
+        for tensor in (self.gradient, losses, stops):
+            self.fabric.all_reduce(tensor, reduce_op="sum")
+        return bool(stops)
+
+    def _check(self, losses: Float[Tensor, "p t"], norm: Tensor) -> None:
+        """Every process sees the same numbers here, so that all of them stop."""
+        if bool(torch.isfinite(losses).all() & torch.isfinite(norm)):
+            return
+        draws = self.plan.draws(self.state.step)
+        bad = [draw for draw, row in zip(draws, losses, strict=True) if not bool(torch.isfinite(row).all())]
+        what = "loss" if bad else "gradient"
+        pairs = ", ".join(map(str, bad or draws))
+        raise TrainingError(
+            f"step {self.state.step + 1}: the {what} of {pairs} is not finite; lower [optimiser] learning_rate, "
+            "or look at these shapes with homolog info"
+        )
+
+    def _clip(self, norm: Tensor) -> None:
+        longest = self.recipe.optimiser.gradient_clip
+        if longest:
+            self.gradient.mul_((longest / norm.clamp(min=longest)).clamp(max=1.0))
+
+    # ---- between steps, in the first process
+
+    def _look_after(self, stopped: bool) -> None:
+        """Validate and save where that is due, and show how far it is."""
+        self._count_time()
+        step, steps = self.state.step, self.recipe.training.steps
+        self.progress(step, steps, "training")
+        watched = self.recipe.validation
+        scored = self._is_due(watched.score_every)
+        if watched.pairs and (scored or self._is_due(watched.every)):
+            self._validate(scored=scored)
+            self._count_time()
+        waited = self.clock - self.saved >= 60 * self.recipe.training.checkpoint_minutes
+        if waited or stopped or step == steps:
+            self._save()
+        if stopped and step < steps:
+            _log.warning("Stopped after step %d of %d and saved; --resume goes on from there.", step, steps)
+
+    def _is_due(self, every: int) -> bool:
+        """Whether this is one of every so many steps, or the last one; never if ``every`` is 0."""
+        return every > 0 and (self.state.step % every == 0 or self.state.step == self.recipe.training.steps)
+
+    def _count_time(self) -> None:
+        now = time.monotonic()
+        self.state.seconds += now - self.clock
+        self.clock = now
+
+    def _save(self) -> None:
+        self.folder.save_last(self.state)
+        self.folder.save_report(self.state, self.fabric.device)
+        self.saved = self.clock
+
+    def _validate(self, *, scored: bool) -> None:
+        """Note how good the network is, and keep it if it is the best so far."""
+        self.progress(self.state.step, self.recipe.training.steps, "validating")
+        network = self.state.result()
+        losses = validation_losses(network, self.bank.pairs(self.plan.held_out()), self.recipe)
+        found = {f"validation/{term}": value for term, value in losses.items()}
+        if scored:
+            found |= {f"geodesic error/{way}": error for way, error in self._scores(network).items()}
+        self._note(found)
+        if losses["total"] < (math.inf if self.state.best is None else self.state.best):
+            self.state.best = losses["total"]
+            self.folder.save_best(self.state)
+
+    def _note(self, found: dict[str, float]) -> None:
+        finite = {name: value for name, value in found.items() if math.isfinite(value)}  # JSON knows no other numbers
+        record: Record = {"step": self.state.step, "minutes": self.state.seconds / 60, **finite}
+        self.state.records.append(record)
+        if self.journal is not None:
+            self.journal.scalars(self.state.step, found)
+        _log.info("step %d: %s", self.state.step, ", ".join(f"{name} {value:.4g}" for name, value in found.items()))
+
+    def _scores(self, network: DiffusionNet) -> dict[str, float]:
+        truth = self.folder.shapes.truth
+        if truth is None:
+            return {}
+        matcher = Matcher(
+            network,
+            weights_info(self.recipe),
+            settings=MatcherSettings(operators=self.recipe.operators),
+            device="cuda" if self.fabric.device.type == "cuda" else "cpu",
+            operators=self.operators,
+        )
+        pairs = self.folder.shapes.held_out[: self.recipe.validation.score_pairs]
+        return scores(matcher, truth, pairs, self.folder.path / "scored-pairs.txt")
+
+
+def _flat_gradient(network: DiffusionNet) -> Float[Tensor, " w"]:
+    """One vector of which the gradients of all weights become views, so that it is added up and clipped as one."""
+    weights = list(network.parameters())
+    sizes = [weight.numel() for weight in weights]
+    flat = torch.zeros(sum(sizes), device=weights[0].device)
+    for weight, part in zip(weights, torch.split(flat, sizes), strict=True):
+        weight.grad = part.view_as(weight)
+    return flat

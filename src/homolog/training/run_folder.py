@@ -1,0 +1,116 @@
+"""The folder that a training writes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from homolog.errors import ArgumentError
+from homolog.files import atomic_path
+from homolog.network import WeightsInfo, save_weights
+from homolog.training.checkpoints import load_checkpoint, save_checkpoint
+from homolog.training.data import TrainingSet
+from homolog.training.recipe import Recipe
+from homolog.training.state import TrainingState
+from homolog.versions import versions
+
+# The weights to use: those with the lowest validation loss, or the latest where nothing is validated.
+WEIGHTS = "weights.safetensors"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Where a training keeps its files.
+
+    Checkpoints are ``last.safetensors`` and ``best.safetensors``, weights to use ``weights.safetensors``; there are
+    ``report.json`` for people, and TensorBoard's files.
+
+    Args:
+        path: of the folder.
+        recipe: of the training.
+        shapes: trained on.
+    """
+
+    path: Path
+    recipe: Recipe
+    shapes: TrainingSet
+
+    @property
+    def last(self) -> Path:
+        """The latest checkpoint."""
+        return self.path / "last.safetensors"
+
+    def make(self, *, resume: bool) -> None:
+        """Make the folder, or make sure that it is one to go on in.
+
+        Raises:
+            ArgumentError: if it cannot be made, or holds files and ``resume`` is not given.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ArgumentError(f"{self.path} cannot be made a folder ({error.strerror}); give another --out") from None
+        if not os.access(self.path, os.W_OK):
+            raise ArgumentError(f"{self.path} is read-only; give another --out")
+        if not resume and any(self.path.iterdir()):
+            raise ArgumentError(f"{self.path} holds files already; give another --out, or --resume to go on with it")
+
+    def load(self, device: torch.device | str) -> TrainingState:
+        """The state of the latest checkpoint, or a new one where there is none."""
+        if self.last.is_file():
+            return load_checkpoint(self.last, self.recipe, self._digest(), device)
+        return TrainingState.new(self.recipe, device)
+
+    def save_last(self, state: TrainingState) -> None:
+        """Write the latest checkpoint."""
+        save_checkpoint(self.last, state, self.recipe, self._digest())
+        if not self.recipe.validation.pairs:
+            self._export(state)
+
+    def save_best(self, state: TrainingState) -> None:
+        """Write the best checkpoint, and its weights for use."""
+        save_checkpoint(self.path / "best.safetensors", state, self.recipe, self._digest())
+        self._export(state)
+
+    def save_report(self, state: TrainingState, device: torch.device) -> None:
+        """Write what was done, for people to read."""
+        report = {
+            "recipe": asdict(self.recipe),
+            "data": str(self.shapes.root),
+            "shapes": len(self.shapes.used),
+            "held_out": ["{} - {}".format(*pair) for pair in self.shapes.held_out],
+            "device": str(device),
+            "steps": state.step,
+            "minutes": state.seconds / 60,
+            "best_validation_loss": state.best,
+            "validations": state.records,
+            "versions": versions(),
+        }
+        with atomic_path(self.path / "report.json") as temporary:
+            temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+    def _export(self, state: TrainingState) -> None:
+        save_weights(self.path / WEIGHTS, state.result(), weights_info(self.recipe))
+
+    def _digest(self) -> str:
+        """Tells which shapes and pairs are trained on, by name."""
+        described: Any = [self.shapes.names, self.shapes.pairs, self.shapes.held_out]
+        return hashlib.sha256(json.dumps(described).encode()).hexdigest()
+
+
+def weights_info(recipe: Recipe) -> WeightsInfo:
+    """What one must know to use the weights of a training."""
+    return WeightsInfo(
+        name=recipe.name,
+        licence=recipe.licence,
+        upright=recipe.augmentation.turn != "any",
+        n_eigenpairs=recipe.operators.n_eigenpairs,
+        laplacian=recipe.operators.laplacian,
+        map_eigenpairs=recipe.loss.map_eigenpairs,
+    )

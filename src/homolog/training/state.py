@@ -1,0 +1,75 @@
+"""All of a training that changes from step to step."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from homolog.network import DiffusionNet
+from homolog.training.recipe import Recipe
+
+# An average of weights forgets the first ones sooner: after n steps its decay is at most (n + 1) / (n + 10).
+_AVERAGE_DELAY = 10
+
+Record = dict[str, Any]
+
+
+@dataclass(eq=False)
+class TrainingState:
+    """Weights and what their optimiser remembers, and how far the training is.
+
+    Random numbers are no part of it: they follow from the recipe's seed and the step.
+
+    Args:
+        network: in training mode.
+        optimiser: Adam.
+        average: running average of the weights by name, if the recipe wants one.
+        step: how many steps are done.
+        seconds: of training, over all runs.
+        best: the lowest validation loss, once there is one.
+        records: what validations found, in order.
+    """
+
+    network: DiffusionNet
+    optimiser: torch.optim.AdamW
+    average: dict[str, Tensor] | None
+    step: int = 0
+    seconds: float = 0.0
+    best: float | None = None
+    records: list[Record] = field(default_factory=list)
+
+    @classmethod
+    def new(cls, recipe: Recipe, device: torch.device | str = "cpu") -> TrainingState:
+        """The state before the first step."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(recipe.seed)
+            network = DiffusionNet(recipe.network)
+        network = network.to(device).train()
+        wanted = recipe.optimiser
+        optimiser = torch.optim.AdamW(
+            network.parameters(), wanted.learning_rate, wanted.betas, weight_decay=wanted.weight_decay, fused=True
+        )
+        average = {name: weight.detach().clone() for name, weight in network.named_parameters()}
+        return cls(network, optimiser, average if wanted.average else None)
+
+    def take_step(self, learning_rate: float, decay: float) -> None:
+        """Follow the gradients, and let the average follow the weights."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = learning_rate
+        self.optimiser.step()
+        if self.average is not None:
+            decay = min(decay, (self.step + 1) / (self.step + _AVERAGE_DELAY))
+            weights = [weight.detach() for weight in self.network.parameters()]
+            torch._foreach_lerp_(list(self.average.values()), weights, 1 - decay)
+        self.step += 1
+
+    def result(self) -> DiffusionNet:
+        """A copy of the network to use: in evaluation mode, with averaged weights if there are such."""
+        network = copy.deepcopy(self.network).eval()
+        if self.average is not None:
+            network.load_state_dict(self.average)
+        return network

@@ -1,0 +1,54 @@
+"""How good a network is while it is trained: its own loss on pairs that it does not see, and the field's score."""
+
+from __future__ import annotations
+
+import logging
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+
+from homolog.datasets import Pair, ShapeFolder
+from homolog.errors import DataError
+from homolog.evaluation import Modalities, Protocol, evaluate
+from homolog.files import atomic_path
+from homolog.matching import Matcher
+from homolog.network import DiffusionNet
+from homolog.training.bank import TrainingPair
+from homolog.training.objective import pair_losses
+from homolog.training.recipe import Recipe
+
+_log = logging.getLogger(__name__)
+
+_SCORED: tuple[Modalities, ...] = ("mesh", "cloud")
+
+
+@torch.no_grad()
+def validation_losses(network: DiffusionNet, pairs: Sequence[TrainingPair], recipe: Recipe) -> dict[str, float]:
+    """Mean of each loss over pairs, for a network in evaluation mode, without augmentation."""
+    sums: dict[str, float] = defaultdict(float)
+    for pair in pairs:
+        losses = pair_losses(network, pair.x, pair.y, settings=recipe.loss, partial=recipe.partial is not None)
+        for term, value in losses.as_dict().items():
+            sums[term] += value / len(pairs)
+    return dict(sums)
+
+
+def scores(matcher: Matcher, folder: ShapeFolder, pairs: Sequence[Pair], listed: Path) -> dict[str, float]:
+    """Mean geodesic errors x100 of a few pairs at full resolution, as meshes and as clouds.
+
+    Args:
+        matcher: with the network to score.
+        folder: with ground truth; where that is not as it should be there are no scores, and the log says why.
+        pairs: to match.
+        listed: where to write down which they are.
+    """
+    with atomic_path(listed) as temporary:
+        temporary.write_text("".join(f"{source},{target}\n" for source, target in pairs), encoding="utf-8")
+    try:
+        found = {way: evaluate(matcher, folder, Protocol(modality=way, pairs_file=str(listed))) for way in _SCORED}
+    except DataError as error:
+        _log.warning("no scores: %s", error)
+        return {}
+    return {way: evaluation.to_dict()["mean_geodesic_error"] for way, evaluation in found.items()}

@@ -1,0 +1,92 @@
+"""``homolog train``."""
+
+import sys
+
+import pytest
+
+from homolog.shapes import write_shape
+
+
+@pytest.fixture
+def data(tmp_path, make):
+    """Three small meshes in a plain folder."""
+    for number in range(3):
+        shape = make.blob(2)
+        (tmp_path / "data").mkdir(exist_ok=True)
+        write_shape(
+            tmp_path / "data" / f"m{number}.ply", type(shape)(shape.points * [1 + 0.1 * number, 1, 1], shape.faces)
+        )
+    return tmp_path / "data"
+
+
+TINY = """
+name = "tiny"
+samples = {points = 100, subsets = 1}
+network = {width = 8, blocks = 1, out_channels = 8}
+operators = {n_eigenpairs = 16}
+loss = {map_eigenpairs = 8}
+training = {steps = 2}
+validation = {shapes = 0, pairs = 1}
+"""
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    """A recipe of two steps."""
+    (tmp_path / "tiny.toml").write_text(TINY)
+    return tmp_path / "tiny.toml"
+
+
+def test_from_meshes_to_weights_that_match(homolog, data, recipe, tmp_path):
+    run = tmp_path / "run"
+    ended = homolog("train", recipe, "--data", data, "--out", run, "--device", "cpu")
+    assert (ended.code, ended.out) == (0, f"{run / 'weights.safetensors'}\n")
+    assert ended.err.startswith("Trained 2 steps")
+    weights = run / "weights.safetensors"
+    matched = homolog("match", data / "m0.ply", data / "m1.ply", "-o", tmp_path / "out", "--weights", weights, "-q")
+    assert matched.code == 0, matched
+    again = homolog("train", recipe, "--data", data, "--out", run, "--device", "cpu")
+    assert again.is_one_line_of_complaint()
+    assert "--resume" in again.err
+    assert homolog("train", recipe, "--data", data, "--out", run, "--device", "cpu", "--resume", "-q").code == 0
+
+
+def test_quiet_and_verbose(homolog, data, recipe, tmp_path, caplog):
+    quiet = homolog("train", recipe, "--data", data, "--out", tmp_path / "one", "--quiet")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    assert homolog("train", recipe, "--data", data, "--out", tmp_path / "two", "--verbose").code == 0
+    assert "step 2: validation/bijectivity" in caplog.text
+
+
+MISTAKES = {
+    "recipe": (lambda d, r, t: ["qick", "--data", d, "--out", t / "run"], "did you mean 'quick'?"),
+    "data": (lambda d, r, t: [r, "--data", t / "gone", "--out", t / "run"], "no such folder"),
+    "no option": (lambda d, r, t: [r, "--out", t / "run"], "--data"),
+    "place": (lambda d, r, t: [r, "--data", d, "--out", r], "cannot be made a folder"),
+    "processes": (lambda d, r, t: [r, "--data", d, "--out", t / "run", "--processes", "0"], "--processes"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_one_line(homolog, data, recipe, tmp_path, mistake):
+    arguments, said = MISTAKES[mistake]
+    ended = homolog("train", *arguments(data, recipe, tmp_path))
+    assert ended.is_one_line_of_complaint(), ended
+    assert said in ended.err
+    assert not (tmp_path / "run").exists()
+
+
+def test_an_unknown_key_is_one_line(homolog, data, recipe, tmp_path):
+    recipe.write_text(TINY.replace("steps", "stepps"))
+    ended = homolog("train", recipe, "--data", data, "--out", tmp_path / "run")
+    assert ended.is_one_line_of_complaint()
+    assert "[training] has an unknown key 'stepps'; did you mean 'steps'?" in ended.err
+
+
+@pytest.mark.parametrize("package", ["lightning_fabric", "tensorboard"])
+def test_a_missing_package_is_one_line(homolog, data, recipe, tmp_path, monkeypatch, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    ended = homolog("train", recipe, "--data", data, "--out", tmp_path / "run")
+    assert ended.is_one_line_of_complaint()
+    assert "pip install 'homolog[train]'" in ended.err
+    assert not (tmp_path / "run").exists()

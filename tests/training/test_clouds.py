@@ -1,0 +1,68 @@
+"""Clouds of a mesh."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from homolog.training.clouds import CloudVariant, cloud_variants, make_cloud
+from homolog.training.recipe import CloudSettings
+
+
+def test_the_clean_cloud_comes_first():
+    found = cloud_variants(CloudSettings(noise=(0.1, 0.2), thinned=(0.5,), resampled=(300,)))
+    assert [variant.kind for variant in found] == ["clean", "noisy", "noisy", "thinned", "resampled"]
+    assert [variant.amount for variant in found[1:]] == [0.1, 0.2, 0.5, 300]
+
+
+def test_clean_and_noisy_clouds_keep_the_points(make):
+    blob = make.blob(3)
+    clean = make_cloud(blob, CloudVariant(), seed=0)
+    assert clean.weights is None and clean.shape.faces is None
+    assert np.array_equal(clean.shape.points, blob.points)
+    noisy = make_cloud(blob, CloudVariant("noisy", 0.02), seed=0)
+    assert noisy.weights is None
+    moved = noisy.shape.points - blob.points
+    assert abs(moved.std() - 0.02) < 0.001
+
+
+def test_thinned_clouds_are_some_of_the_points(make):
+    blob = make.blob(3)
+    cloud = make_cloud(blob, CloudVariant("thinned", 0.3), seed=1)
+    assert cloud.shape.n_points == round(0.3 * blob.n_points)
+    origin = cloud.weights.argmax(axis=1)
+    assert np.all(np.diff(origin) > 0)
+    assert np.array_equal(cloud.shape.points, blob.points[origin])
+
+
+def test_resampled_clouds_lie_on_the_surface(make):
+    blob = make.blob(2)
+    cloud = make_cloud(blob, CloudVariant("resampled", 5000), seed=1)
+    mesh = trimesh.Trimesh(blob.points, blob.faces, process=False)
+    _, distance, face = trimesh.proximity.closest_point_naive(mesh, cloud.shape.points[:300])
+    assert distance.max() < 1e-8
+    weights = cloud.weights.toarray()
+    assert weights.min() >= 0
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    np.testing.assert_allclose(weights @ blob.points, cloud.shape.points)
+    for row, corners in zip(weights[:300], blob.faces[face], strict=True):
+        assert row[corners].sum() == pytest.approx(1)
+
+
+def test_resampled_clouds_are_even(make):
+    """As many points on each part of the surface as its area asks for, and within a triangle, too."""
+    grid = make.grid(2)
+    points = make_cloud(grid, CloudVariant("resampled", 40_000), seed=2).shape.points
+    counts, *_ = np.histogram2d(points[:, 0], points[:, 1], bins=10, range=[[0, 1], [0, 1]])
+    assert abs(counts / 400 - 1).max() < 5 / 20  # five standard deviations
+    stretched = make.blob(2)
+    cloud = make_cloud(stretched, CloudVariant("resampled", 20_000), seed=3)
+    mesh = trimesh.Trimesh(stretched.points, stretched.faces, process=False)
+    np.testing.assert_allclose(cloud.shape.points.mean(axis=0), mesh.centroid, atol=0.03)
+
+
+def test_seeds(make):
+    blob = make.blob(2)
+    for variant in (CloudVariant("noisy", 0.1), CloudVariant("thinned", 0.5), CloudVariant("resampled", 200)):
+        first, again, other = (make_cloud(blob, variant, seed=seed).shape.points for seed in (0, 0, 1))
+        assert np.array_equal(first, again)
+        assert not np.array_equal(first, other)

@@ -1,0 +1,110 @@
+"""Which shapes are found in which folders, and in which pairs."""
+
+import itertools
+
+import pytest
+
+from homolog.errors import DataError
+from homolog.shapes import write_shape
+from homolog.training.data import TrainingSet
+
+
+@pytest.fixture
+def parts(tmp_path, make):
+    """Complete and partial shapes, in folders as the SHREC'16 benchmark has them."""
+    blob = make.blob(1)
+    for place in ("null/cat", "null/wild_cat", "null/dog", "cuts/cuts_cat_shape_1", "cuts/cuts_wild_cat_shape_1"):
+        (tmp_path / place).parent.mkdir(exist_ok=True)
+        write_shape(tmp_path / f"{place}.off", blob)
+    write_shape(tmp_path / "cuts" / "cuts_dog_shape_1.off", blob)
+    write_shape(tmp_path / "cuts" / "cuts_dog_shape_2.off", blob)
+    return tmp_path
+
+
+def test_a_folder_with_ground_truth(meshes, small):
+    found = TrainingSet.open(meshes, small(validation={"score_every": 1}))
+    assert found.names == ("ape", "bee", "cat", "dog") == found.used
+    assert found.pairs == ()
+    assert len(found.held_out) == 2
+    assert found.truth is not None
+    assert found.shape("bee").n_points == 642
+    assert TrainingSet.open(meshes, small()).truth is None
+
+
+def test_held_out_shapes_are_not_trained_on(meshes, small):
+    found = TrainingSet.open(meshes, small(validation={"shapes": 2, "pairs": 9}))
+    held_out = set(itertools.chain.from_iterable(found.held_out))
+    assert found.names == ("ape", "cat")
+    assert held_out == {"bee", "dog"}
+    assert set(found.held_out) == {("bee", "dog"), ("dog", "bee")}
+    assert set(found.used) == {"ape", "bee", "cat", "dog"}
+
+
+def test_a_folder_of_meshes_alone(meshes, tmp_path, small):
+    for file in (meshes / "off").iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    (tmp_path / "notes.txt").write_text("not a shape")
+    (tmp_path / ".hidden.off").write_text("")
+    found = TrainingSet.open(tmp_path, small(data={"split": "train", "leave_out": ["d*"]}))
+    assert found.names == ("ape", "bee", "cat")
+    (tmp_path / "ape.ply").write_text("")
+    with pytest.raises(DataError, match=r"ape\.off and ape\.ply|ape\.ply and ape\.off"):
+        TrainingSet.open(tmp_path, small())
+
+
+def test_splits(meshes, tmp_path, small):
+    (tmp_path / "off").symlink_to(meshes / "off")
+    (tmp_path / "train.txt").write_text("dog\nbee\n")
+    assert TrainingSet.open(tmp_path, small(data={"split": "train"})).names == ("bee", "dog")
+
+
+def test_parts_find_their_complete_shapes(parts, small):
+    found = TrainingSet.open(parts, small(partial={}))
+    assert set(found.pairs) == {
+        ("cat", "cuts_cat_shape_1"),
+        ("wild_cat", "cuts_wild_cat_shape_1"),
+        ("dog", "cuts_dog_shape_1"),
+        ("dog", "cuts_dog_shape_2"),
+    }
+    kept = TrainingSet.open(parts, small(partial={}, data={"leave_out": ["*_2"]}, validation={"shapes": 2}))
+    assert len(kept.pairs) == 1
+    assert len(kept.held_out) == 2
+    assert not set(kept.pairs) & set(kept.held_out)
+    assert kept.files["dog"].parent.name == "null"
+
+
+def test_partial_pairs_may_be_listed(meshes, tmp_path, small):
+    (tmp_path / "off").symlink_to(meshes / "off")
+    everything = TrainingSet.open(tmp_path, small(partial={}))
+    assert everything.pairs == () and len(everything.names) == 4
+    (tmp_path / "pairs.txt").write_text("ape,bee\ncat,ape\ndog,dog\n")
+    assert TrainingSet.open(tmp_path, small(partial={})).pairs == (("ape", "bee"), ("cat", "ape"))
+
+
+def test_what_is_wrong_is_said(meshes, parts, tmp_path, small):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    cases = [
+        (tmp_path / "gone", {}, "no such folder"),
+        (empty, {}, "no meshes"),
+        (meshes, {"data": {"leave_out": ["[abc]*"]}}, "1 shapes are left"),
+        (meshes, {"validation": {"shapes": 4}}, "0 shapes are left"),
+        (parts, {"partial": {"parts": "holes"}}, "no 'holes'"),
+        (parts, {"partial": {}, "validation": {"shapes": 4}}, "no pair is left"),
+    ]
+    for root, changes, words in cases:
+        with pytest.raises(DataError, match=words):
+            TrainingSet.open(root, small(**changes))
+    (parts / "cuts" / "lone.off").write_bytes((parts / "null" / "cat.off").read_bytes())
+    with pytest.raises(DataError, match="lone: no complete shape"):
+        TrainingSet.open(parts, small(partial={}))
+    (parts / "cuts" / "cat.off").write_bytes((parts / "null" / "cat.off").read_bytes())
+    with pytest.raises(DataError, match="have one name"):
+        TrainingSet.open(parts, small(partial={}))
+
+
+def test_clouds_cannot_be_trained_on(tmp_path, make, small):
+    for name in ("a", "b"):
+        write_shape(tmp_path / f"{name}.ply", make.blob(1).as_cloud())
+    with pytest.raises(DataError, match="has no faces"):
+        TrainingSet.open(tmp_path, small()).shape("a")

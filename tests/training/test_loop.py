@@ -1,0 +1,282 @@
+"""Training: what is written, that it can be stopped anywhere, and that pairs and processes add up."""
+
+import json
+import multiprocessing
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import load_file
+
+from homolog.errors import ArgumentError, TrainingError
+from homolog.geometry import OperatorCache
+from homolog.network import load_weights
+from homolog.training import loop
+from homolog.training.data import TrainingSet
+from homolog.training.objective import Losses, pair_losses
+from homolog.training.plan import Plan
+from homolog.training.state import TrainingState
+
+WRITTEN = {"last.safetensors", "best.safetensors", "weights.safetensors", "report.json"}
+
+
+def written(run):
+    return {path.name for path in run.iterdir() if not path.name.startswith("events.out")}
+
+
+def tensors_of(run, name="last"):
+    return load_file(run / f"{name}.safetensors")
+
+
+def alike(run, other, name="last"):
+    one, two = tensors_of(run, name), tensors_of(other, name)
+    return one.keys() == two.keys() and all(torch.equal(tensor, two[key]) for key, tensor in one.items())
+
+
+@pytest.fixture(scope="module")
+def trained(meshes, small, tmp_path_factory):
+    """A short training, with all kinds of clouds and an average of the weights."""
+    recipe = small(
+        clouds={"noise": [0.01], "thinned": [0.5], "resampled": [700]},
+        optimiser={"average": 0.9},
+        validation={"score_every": 6, "score_pairs": 1},
+    )
+    run = tmp_path_factory.mktemp("runs") / "trained"
+    told = []
+    state = loop.train(recipe, meshes, run, device="cpu", progress=lambda *progress: told.append(progress))
+    return recipe, run, state, told
+
+
+def test_what_a_training_writes(trained):
+    _, run, state, told = trained
+    assert written(run) == {*WRITTEN, "scored-pairs.txt"}
+    assert any(path.name.startswith("events.out") for path in run.iterdir())
+    assert told[0] == (1, 4, "operators of ape") and told[-1][:2] == (6, 6)
+    report = json.loads((run / "report.json").read_text())
+    assert (report["steps"], report["shapes"], report["device"]) == (6, 4, "cpu")
+    assert [record["step"] for record in report["validations"]] == [3, 6]
+    assert report["validations"] == state.records
+    assert 0 < report["validations"][1]["geodesic error/mesh"] < 100
+    assert 0 < report["validations"][1]["geodesic error/cloud"] < 100
+    assert report["best_validation_loss"] == min(record["validation/total"] for record in state.records)
+    assert report["recipe"]["optimiser"]["average"] == 0.9
+
+
+def test_the_weights_are_the_best_ones(trained):
+    _, run, _, _ = trained
+    network, info = load_weights(run / "weights.safetensors")
+    assert (info.name, info.licence, info.upright) == ("small", "CC0-1.0", True)
+    assert (info.n_eigenpairs, info.map_eigenpairs, info.laplacian) == (24, 12, "robust")
+    best = tensors_of(run, "best")
+    for name, weight in network.named_parameters():
+        assert torch.equal(weight, best[f"average.{name}"])
+    assert not torch.equal(best["average.last.bias"], best["weights.last.bias"])
+
+
+def test_the_loss_falls(meshes, small, tmp_path):
+    recipe = small(
+        training={"steps": 40},
+        validation={"every": 5, "pairs": 4},
+        optimiser={"learning_rate": 0.005, "warmup_steps": 5},
+    )
+    records = loop.train(recipe, meshes, tmp_path / "run", device="cpu").records
+    first, last = records[0], records[-1]
+    assert last["validation/total"] < 0.9 * first["validation/total"]
+
+
+def test_the_same_recipe_gives_the_same_weights(meshes, small, tmp_path):
+    for name, threads in (("one", 1), ("two", 3)):
+        recipe = small(data={"workers": threads}, clouds={"noise": [0.01]})
+        state = loop.train(recipe, meshes, tmp_path / name, device="cpu")
+    assert state.step == 6
+    assert alike(tmp_path / "one", tmp_path / "two")
+
+
+def test_a_finished_run_stays_as_it_is(trained, meshes):
+    recipe, run, _, _ = trained
+    before = {path: path.read_bytes() for path in run.iterdir()}
+    state = loop.train(recipe, meshes, run, device="cpu", resume=True)
+    assert state.step == 6
+    assert {path: path.read_bytes() for path in run.iterdir()} == before
+
+
+def test_nothing_is_overwritten(meshes, small, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for run, words in ((tmp_path, "holds files already"), (tmp_path / "file", "cannot be made a folder")):
+        with pytest.raises(ArgumentError, match=words):
+            loop.train(small(), meshes, run, device="cpu")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_without_validation_the_latest_weights_are_kept(meshes, small, tmp_path):
+    loop.train(small(validation={"pairs": 0}, training={"steps": 2}), meshes, tmp_path, device="cpu")
+    assert written(tmp_path) == WRITTEN - {"best.safetensors"}
+    network, _ = load_weights(tmp_path / "weights.safetensors")
+    assert torch.equal(network.last.bias, tensors_of(tmp_path)["weights.last.bias"])
+
+
+# ---- one step
+
+
+def gradient_after(meshes, recipe, run, monkeypatch):
+    """The gradient of the first step, before it is clipped, and its losses."""
+    kept = []
+
+    def clip(self, norm):
+        kept.append(self.gradient.clone())
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop._Training, "_clip", clip)
+        loop.train(recipe, meshes, run, device="cpu")
+    return kept
+
+
+def test_a_step_of_several_pairs_is_the_mean_of_single_ones(meshes, small, tmp_path, monkeypatch):
+    """Computed here from the losses alone; the shapes are of unequal sizes."""
+    recipe = small(training={"steps": 1, "pairs_per_step": 3}, clouds={"resampled": [700]}, samples={"points": 0})
+    found = gradient_after(meshes, recipe, tmp_path / "run", monkeypatch)[0]
+    network = TrainingState.new(recipe).network
+    bank = loop.ShapeBank(TrainingSet.open(meshes, recipe), recipe, OperatorCache.default().operators)
+    expected = torch.zeros_like(found)
+    for pair in bank.pairs(Plan(bank.shapes, recipe).draws(0)):
+        network.zero_grad()
+        losses = pair_losses(
+            network,
+            pair.x,
+            pair.y,
+            settings=recipe.loss,
+            augmentation=recipe.augmentation,
+            generator=torch.Generator().manual_seed(pair.draw.seed),
+        )
+        losses.total.backward()
+        expected += torch.cat([weight.grad.flatten() for weight in network.parameters()]) / 3
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5 * float(expected.abs().max()))
+
+
+@pytest.mark.parametrize("longest", [0.0, 1e-3, 1e6])
+def test_gradients_are_clipped(meshes, small, tmp_path, monkeypatch, longest):
+    recipe = small(training={"steps": 1}, optimiser={"gradient_clip": longest}, validation={"pairs": 0})
+    whole = gradient_after(meshes, recipe, tmp_path / "whole", monkeypatch)[0]
+    seen = []
+    take = TrainingState.take_step
+
+    def take_step(self, *given):
+        seen.append(torch.cat([weight.grad.flatten() for weight in self.network.parameters()]))
+        take(self, *given)
+
+    monkeypatch.setattr(TrainingState, "take_step", take_step)
+    loop.train(recipe, meshes, tmp_path / "clipped", device="cpu")
+    expected = whole * min(1.0, longest / float(whole.norm())) if longest else whole
+    torch.testing.assert_close(seen[0], expected)
+
+
+def test_a_loss_that_is_not_finite_stops_and_names_the_pair(meshes, small, tmp_path, monkeypatch):
+    recipe = small(training={"pairs_per_step": 2})
+    bad = Plan(TrainingSet.open(meshes, recipe), recipe).draws(3)[1]
+
+    def losses_with_one_bad(network, x, y, **options):
+        losses = pair_losses(network, x, y, **options)
+        if options.get("generator") is not None and options["generator"].initial_seed() == bad.seed:
+            return Losses(losses.bijectivity * float("nan"), *[losses.contrast] * 4)
+        return losses
+
+    monkeypatch.setattr(loop, "pair_losses", losses_with_one_bad)
+    with pytest.raises(TrainingError, match=f"step 4: the loss of {bad} is not finite"):
+        loop.train(recipe, meshes, tmp_path / "run", device="cpu")
+    last = tensors_of(tmp_path / "run")
+    assert all(torch.isfinite(tensor).all() for tensor in last.values())
+    with safe_open(tmp_path / "run" / "last.safetensors", framework="pt") as file:
+        assert json.loads(file.metadata()["progress"])["step"] == 3
+
+
+# ---- stopping and going on
+
+START = [sys.executable, "-m", "homolog", "train"]
+SLOW = {"training": {"steps": 30, "pairs_per_step": 2}, "validation": {"every": 7}, "optimiser": {"average": 0.9}}
+
+
+def steps_done(run):
+    try:
+        with safe_open(run / "last.safetensors", framework="pt") as file:
+            return json.loads(file.metadata()["progress"])["step"]
+    except FileNotFoundError:
+        return 0
+
+
+def wait_for(run, step, is_alive):
+    while steps_done(run) < step and is_alive():
+        time.sleep(0.001)
+
+
+def kill_at(step, recipe, meshes, run):
+    """Train in a process of its own, and kill that as soon as its checkpoint has so many steps."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["homolog.training.loop", "lightning_fabric", "torch.utils.tensorboard"])
+    process = context.Process(
+        target=loop.train, args=(recipe, meshes, run), kwargs={"device": "cpu", "resume": True}, daemon=True
+    )
+    process.start()
+    wait_for(run, step, process.is_alive)
+    process.kill()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
+def test_killed_twice_it_ends_as_if_it_had_not_been(meshes, small, tmp_path):
+    recipe = small(**SLOW)
+    for step in sorted(random.Random(0).sample(range(3, 24), 2)):
+        kill_at(step, recipe, meshes, tmp_path / "run")
+        assert step <= steps_done(tmp_path / "run") < 30
+    state = loop.train(recipe, meshes, tmp_path / "run", device="cpu", resume=True)
+    whole = loop.train(recipe, meshes, tmp_path / "whole", device="cpu")
+    assert state.step == whole.step == 30
+    for name in ("last", "best", "weights"):
+        assert alike(tmp_path / "run", tmp_path / "whole", name)
+    found, expected = ([{**record, "minutes": 0} for record in one.records] for one in (state, whole))
+    assert found == expected
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
+def test_a_polite_stop_saves_first(meshes, as_toml, tmp_path):
+    changes = {"training": {"steps": 3000, "checkpoint_minutes": 0.01}}
+    (tmp_path / "long.toml").write_text(as_toml(**changes))
+    run = tmp_path / "run"
+    command = [*START, tmp_path / "long.toml", "--data", meshes, "--out", run, "--device", "cpu"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            wait_for(run, 5, lambda: process.poll() is None)
+            process.send_signal(signal.SIGTERM)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert (process.returncode, out) == (130, "")
+    said, last = err.splitlines()
+    step = steps_done(run)
+    assert said == f"Stopped after step {step} of 3000 and saved; --resume goes on from there."
+    assert last.startswith("Interrupted")
+    assert json.loads((run / "report.json").read_text())["steps"] == step
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="gloo needs other settings there")
+def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path):
+    changes = {"training": {"steps": 1, "pairs_per_step": 4}, "validation": {"pairs": 0}}
+    (tmp_path / "four.toml").write_text(as_toml(**changes))
+    loop.train(small(**changes), meshes, tmp_path / "one", device="cpu")
+    options = ["--data", meshes, "--out", tmp_path / "two", "--device", "cpu", "--processes", "2"]
+    ended = subprocess.run(
+        [*START, tmp_path / "four.toml", *map(str, options)], capture_output=True, text=True, timeout=100, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.splitlines() == [str(tmp_path / "two" / "weights.safetensors")]
+    assert ended.stderr.count("Trained 1 steps") == 1
+    one, two = tensors_of(tmp_path / "one"), tensors_of(tmp_path / "two")
+    for name, tensor in one.items():
+        if name.startswith("exp_avg."):  # a tenth of the first gradient
+            assert (tensor - two[name]).norm() <= 1e-4 * tensor.norm(), name
+    assert one["exp_avg.last.weight"].norm() > 0

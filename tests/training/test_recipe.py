@@ -1,0 +1,116 @@
+"""Recipes: what is read is what was written, and every mistake is one line that says where."""
+
+from dataclasses import fields, is_dataclass
+
+import pytest
+
+from homolog.errors import ArgumentError
+from homolog.training.recipe import CloudSettings, PartialSettings, Recipe, find_recipe, read_recipe, shipped_recipes
+
+
+def written(tmp_path, text):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    return path
+
+
+def test_an_empty_recipe_is_the_default(tmp_path):
+    assert read_recipe(written(tmp_path, "")) == Recipe()
+
+
+def test_values_arrive_with_their_types(tmp_path):
+    found = read_recipe(
+        written(
+            tmp_path,
+            """
+            name = "bones"
+            seed = 7
+            [clouds]
+            noise = [0.01, 1]
+            resampled = [2000]
+            [optimiser]
+            learning_rate = 1
+            betas = [0.8, 0.95]
+            schedule = "one-cycle"
+            [loss]
+            raw_products = true
+            [partial]
+            """,
+        )
+    )
+    assert (found.name, found.seed, found.loss.raw_products) == ("bones", 7, True)
+    assert found.clouds == CloudSettings(noise=(0.01, 1.0), resampled=(2000,))
+    assert isinstance(found.clouds.noise[1], float)
+    assert isinstance(found.optimiser.learning_rate, float)
+    assert (found.optimiser.betas, found.optimiser.schedule) == ((0.8, 0.95), "one-cycle")
+    assert found.partial == PartialSettings()
+    assert Recipe().partial is None
+
+
+MISTAKES = {
+    "[optimiser]\nlearning_rte = 1": ["[optimiser]", "unknown key 'learning_rte'", "did you mean 'learning_rate'?"],
+    "[optimizer]\nlearning_rate = 1": ["unknown key 'optimizer'", "did you mean 'optimiser'?"],
+    "[training]\nzzz = 1": ["[training]", "unknown key 'zzz'", "it knows steps, pairs_per_step"],
+    "[training]\nsteps = 1.5": ["[training] steps is 1.5", "a whole number"],
+    "[training]\nsteps = true": ["[training] steps is True", "a whole number"],
+    "[training]\nsteps = 0": ["[training] steps is 0", "at least 1"],
+    "[training]\nprecision = '16'": ["[training] precision is '16'", "32, bf16"],
+    "[training]\nprecision = 32": ["[training] precision is 32", "one of '32', 'bf16'"],
+    "[optimiser]\nlearning_rate = nan": ["[optimiser] learning_rate is nan", "a positive number"],
+    "[optimiser]\nlearning_rate = 'high'": ["[optimiser] learning_rate is 'high'", "a number"],
+    "[optimiser]\nbetas = [0.9]": ["[optimiser] betas is [0.9]", "a list of 2"],
+    "[optimiser]\nbetas = [0.9, 1.0]": ["[optimiser] betas is 1.0", "below 1"],
+    "[optimiser]\nschedule = 'cosin'": ["[optimiser] schedule is 'cosin'", "did you mean 'cosine'?"],
+    "[clouds]\nnoise = 0.01": ["[clouds] noise is 0.01", "a list, each of them a number"],
+    "[clouds]\nnoise = [0.01, 'x']": ["[clouds] noise", "a list, each of them a number"],
+    "[clouds]\nthinned = [1.5]": ["[clouds] thinned is 1.5", "between 0 and 1"],
+    "[augmentation]\nturn = 'sideways'": ["[augmentation] turn is 'sideways'", "vertical"],
+    "[validation]\nshapes = 1": ["[validation] shapes is 1", "at least 2"],
+    "training = 3": ["training is 3", "a section [training]"],
+    "seed = -1": ["seed is -1", "at least 0"],
+    "name = 3": ["name is 3", "a text in quotes"],
+    "seed = ": ["not valid TOML"],
+}
+
+
+@pytest.mark.parametrize("text", MISTAKES)
+def test_a_mistake_is_one_line_that_says_where(tmp_path, text):
+    path = written(tmp_path, text)
+    with pytest.raises(ArgumentError) as caught:
+        read_recipe(path)
+    message = str(caught.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    for words in MISTAKES[text]:
+        assert words in message
+
+
+def test_a_recipe_that_is_not_there(tmp_path):
+    with pytest.raises(ArgumentError, match=r"recipe is 'quik'.*did you mean 'quick'.*TOML file"):
+        find_recipe("quik")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ArgumentError, match="cannot be read"):
+        read_recipe(tmp_path / "binary.toml")
+
+
+@pytest.mark.parametrize("name", ["faust", "scape", "quick", "cuts", "holes", "people"])
+def test_shipped_recipes_can_be_read(name):
+    recipe = read_recipe(name)
+    assert shipped_recipes()[name].stem == name
+    assert recipe.name == name
+    assert recipe.licence != "unknown"
+    assert (recipe.partial is not None) == (name in ("cuts", "holes"))
+
+
+def test_every_setting_is_documented():
+    """Each field of each section is named in its docstring."""
+
+    def check(settings):
+        for field in fields(settings):
+            assert f"{field.name}: " in settings.__doc__, f"{settings.__name__}.{field.name}"
+            value = getattr(settings(), field.name)
+            if is_dataclass(value):
+                check(type(value))
+
+    check(Recipe)
+    check(PartialSettings)
