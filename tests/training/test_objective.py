@@ -49,7 +49,12 @@ def pair(make) -> tuple[TrainingShape, TrainingShape]:
 
 def reordered(basis: Basis, order: Tensor) -> Basis:
     return Basis(
-        basis.points[order], basis.mass[order], basis.eigenvalues, basis.synthesis[order], basis.analysis[:, order]
+        basis.points[order],
+        basis.mass[order],
+        basis.eigenvalues,
+        basis.eigenvectors[order],
+        basis.gradients[order],
+        basis.analysis[:, order],
     )
 
 

@@ -23,26 +23,22 @@ class Basis:
         points: centred and scaled positions (n, 3), the network's input.
         mass: lumped mass (n,).
         eigenvalues: the k lowest (k,).
-        synthesis: per point the eigenvectors, and the two components of their gradients in its tangent frame (n, 3, k):
-            what takes coefficients to a function and its gradient.
+        eigenvectors: what takes coefficients to a function (n, k).
+        gradients: what takes them to the two components of its gradient, in each point's tangent frame (n, 2, k).
         analysis: what takes a function's values to its coefficients (k, n).
     """
 
     points: Float[Tensor, "n 3"]
     mass: Float[Tensor, " n"]
     eigenvalues: Float[Tensor, " k"]
-    synthesis: Float[Tensor, "n 3 k"]
+    eigenvectors: Float[Tensor, "n k"]
+    gradients: Float[Tensor, "n 2 k"]
     analysis: Float[Tensor, "k n"]
 
     @property
     def n_points(self) -> int:
         """Number of points n."""
         return len(self.points)
-
-    @property
-    def eigenvectors(self) -> Float[Tensor, "n k"]:
-        """The eigenvectors at the points."""
-        return self.synthesis[:, 0]
 
     @torch.inference_mode(False)
     def sampled(self, kept: Int[Tensor, " s"]) -> Basis:
@@ -55,18 +51,19 @@ class Basis:
         nearest = KDTree(self.points[kept].cpu().numpy()).query(self.points.cpu().numpy())[1]
         owner = torch.from_numpy(nearest).to(self.mass.device)
         mass = torch.zeros_like(self.mass[kept]).index_add_(0, owner, self.mass)
-        synthesis = self.synthesis[kept]
-        return Basis(self.points[kept], mass, self.eigenvalues, synthesis, _least_squares(synthesis[:, 0], mass))
+        eigenvectors, gradients = self.eigenvectors[kept], self.gradients[kept]
+        analysis = _least_squares(eigenvectors, mass)
+        return Basis(self.points[kept], mass, self.eigenvalues, eigenvectors, gradients, analysis)
 
     def scaled(self, factor: float) -> Basis:
         """The basis of the same shape with all lengths multiplied by a factor."""
         # Eigenvectors of unit norm shrink as the root of the mass grows; their gradients by one factor more.
-        shrunk = self.synthesis.new_tensor([1 / factor, 1 / factor**2, 1 / factor**2])
         return Basis(
             self.points * factor,
             self.mass * factor**2,
             self.eigenvalues / factor**2,
-            self.synthesis * shrunk[:, None],
+            self.eigenvectors / factor,
+            self.gradients / factor**2,
             self.analysis * factor,
         )
 
@@ -77,7 +74,8 @@ class Basis:
             self.points.to(device),
             self.mass.to(device),
             self.eigenvalues.to(device),
-            self.synthesis.to(device),
+            self.eigenvectors.to(device),
+            self.gradients.to(device),
             self.analysis.to(device),
         )
 

@@ -81,7 +81,8 @@ class Operators:
                 self.points.clone(),
                 self.mass.clone(),
                 self.eigenvalues.clone(),
-                torch.stack([self.eigenvectors, *gradients], dim=1),
+                self.eigenvectors.clone(),
+                torch.stack(gradients, dim=1),
                 (self.mass[:, None] * self.eigenvectors).T.contiguous(),
             )
 

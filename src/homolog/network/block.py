@@ -46,7 +46,7 @@ def diffusion_block(
         dropout: None to keep everything.
     """
     output: Tensor = _Block.apply(  # type: ignore[no-untyped-call]
-        hidden, basis.synthesis, basis.analysis, decay, mixing, *perceptron, dropout
+        hidden, basis.eigenvectors, basis.gradients, basis.analysis, decay, mixing, *perceptron, dropout
     )
     return output
 
@@ -56,7 +56,8 @@ class _Block(torch.autograd.Function):
     def forward(
         ctx: Any,
         hidden: Tensor,
-        synthesis: Tensor,
+        eigenvectors: Tensor,
+        gradients: Tensor,
         analysis: Tensor,
         decay: Tensor,
         mixing: Tensor,
@@ -68,24 +69,23 @@ class _Block(torch.autograd.Function):
         b2: Tensor,
         dropout: Dropout | None,
     ) -> Tensor:
-        width = hidden.shape[1]
         growth = dropout.growth if dropout else 1.0
+        of_hidden, of_diffused, of_features = w0.chunk(3, dim=1)
         coefficients = analysis @ hidden
-        # Per point: the diffused channels, then the x and the y components of their gradients.
         decayed = decay * coefficients
-        spread = (synthesis.flatten(0, 1) @ decayed).view(len(hidden), 3 * width)
-        diffused, gradient = spread[:, :width], spread[:, width:]
-        # Channels are mixed while they are coefficients: k rows instead of n, and a third less to derive.
-        mixed = synthesis[:, 1:].flatten(1, 2) @ (decayed @ mixing).flatten(0, 1)
-        features = _inner_products(gradient, mixed).tanh_()
-        first = torch.addmm(b0, hidden, w0[:, :width].T)
-        first.addmm_(diffused, w0[:, width : 2 * width].T).addmm_(features, w0[:, 2 * width :].T)
+        # What is linear is done to the coefficients: they have k rows instead of n, and so has all that is derived.
+        vectors = (gradients.flatten(0, 1) @ decayed).view(len(hidden), -1)
+        partners = gradients.flatten(1, 2) @ (decayed @ mixing).flatten(0, 1)
+        features = _inner_products(vectors, partners).tanh_()
+        first = torch.addmm(b0, hidden, of_hidden.T)
+        first.addmm_(eigenvectors, decayed @ of_diffused.T).addmm_(features, of_features.T)
         _rectify(first, dropout.first if dropout else None)
         second = torch.addmm(b1, first, w1.T, alpha=growth)
         _rectify(second, dropout.second if dropout else None)
         output = torch.addmm(hidden, second, w2.T, alpha=growth).add_(b2)
+        fixed = eigenvectors, gradients, analysis
         ctx.save_for_backward(
-            hidden, synthesis, analysis, decay, mixing, w0, w1, w2, coefficients, spread, mixed, features, first, second
+            *fixed, hidden, decay, mixing, w0, w1, w2, coefficients, vectors, partners, features, first, second
         )
         ctx.growth = growth
         return output
@@ -93,30 +93,26 @@ class _Block(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        saved = ctx.saved_tensors
-        hidden, synthesis, analysis, decay, mixing, w0, w1, w2, coefficients, spread, mixed, features, first, second = (
-            saved
+        eigenvectors, gradients, analysis, hidden, decay, mixing, w0, w1, w2, *kept = ctx.saved_tensors
+        coefficients, vectors, partners, features, first, second = kept
+        of_hidden, of_diffused, of_features = w0.chunk(3, dim=1)
+        decayed, growth = decay * coefficients, ctx.growth
+        grad_second = _rectify_backward(grad @ (growth * w2), second)
+        grad_first = _rectify_backward(grad_second @ (growth * w1), first)
+        grad_products = torch.ops.aten.tanh_backward(grad_first @ of_features, features)
+        grad_mixed = (gradients.flatten(1, 2).T @ _weighted(vectors, grad_products)).view(2, *decayed.shape[:1], -1)
+        grad_diffused = eigenvectors.T @ grad_first
+        grad_decayed = (gradients.flatten(0, 1).T @ _weighted(partners, grad_products).view(-1, decayed.shape[1])).add_(
+            grad_diffused @ of_diffused
         )
-        width, growth = hidden.shape[1], ctx.growth
-        diffused, gradient = spread[:, :width], spread[:, width:]
-        grad_second = _rectify_backward(torch.mm(grad, w2 * growth), second)
-        grad_first = _rectify_backward(torch.mm(grad_second, w1 * growth), first)
-        grad_products = torch.ops.aten.tanh_backward(grad_first @ w0[:, 2 * width :], features)
-        grad_combined = _components(synthesis[:, 1:].flatten(1, 2).T @ _weighted(gradient, grad_products))
-        grad_spread = torch.empty_like(spread)
-        torch.mm(grad_first, w0[:, width : 2 * width], out=grad_spread[:, :width])
-        _weighted(mixed, grad_products, out=grad_spread[:, width:])
-        grad_decayed = synthesis.flatten(0, 1).T @ grad_spread.view(-1, width)
-        grad_decayed += (grad_combined @ mixing.mT).sum(dim=0)
-        decayed = decay * coefficients
-        grad_hidden = torch.addmm(grad, grad_first, w0[:, :width]).addmm_(analysis.T, grad_decayed * decay)
-        grad_w0 = torch.cat([grad_first.T @ part for part in (hidden, diffused, features)], dim=1)
+        grad_decayed += (grad_mixed @ mixing.mT).sum(dim=0)
+        grad_hidden = torch.addmm(grad, grad_first, of_hidden).addmm_(analysis.T, grad_decayed * decay)
+        grad_w0 = torch.cat([grad_first.T @ hidden, grad_diffused.T @ decayed, grad_first.T @ features], dim=1)
         return (
             grad_hidden,
-            None,
-            None,
+            *(None, None, None),
             grad_decayed * coefficients,
-            decayed.T @ grad_combined,
+            decayed.T @ grad_mixed,
             grad_w0,
             grad_first.sum(dim=0),
             growth * (grad_second.T @ first),
@@ -127,25 +123,16 @@ class _Block(torch.autograd.Function):
         )
 
 
-def _inner_products(gradient: Float[Tensor, "n 2w"], mixed: Float[Tensor, "n 2w"]) -> Float[Tensor, "n w"]:
+def _inner_products(vectors: Float[Tensor, "n 2w"], partners: Float[Tensor, "n 2w"]) -> Float[Tensor, "n w"]:
     """Per point and channel, the inner product of two vectors of the tangent plane."""
-    (x, y), (u, v) = gradient.chunk(2, dim=1), mixed.chunk(2, dim=1)
+    (x, y), (u, v) = vectors.chunk(2, dim=1), partners.chunk(2, dim=1)
     return (x * u).addcmul_(y, v)
 
 
-def _components(stacked: Float[Tensor, "2k 2w"]) -> Float[Tensor, "2 k 2w"]:
-    return stacked.view(2, -1, stacked.shape[1])
-
-
-def _weighted(
-    vectors: Float[Tensor, "n 2w"], weights: Float[Tensor, "n w"], out: Float[Tensor, "n 2w"] | None = None
-) -> Float[Tensor, "n 2w"]:
+def _weighted(vectors: Float[Tensor, "n 2w"], weights: Float[Tensor, "n w"]) -> Float[Tensor, "n 2w"]:
     """Both components of each vector times its weight."""
-    out = torch.empty_like(vectors, memory_format=torch.contiguous_format) if out is None else out
-    width = weights.shape[1]
-    torch.mul(vectors[:, :width], weights, out=out[:, :width])
-    torch.mul(vectors[:, width:], weights, out=out[:, width:])
-    return out
+    n, width = weights.shape
+    return (vectors.view(n, 2, width) * weights[:, None]).view(n, 2 * width)
 
 
 def _rectify(activation: Float[Tensor, "n w"], kept: Bool[Tensor, "n w"] | None) -> None:
