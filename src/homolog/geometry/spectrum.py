@@ -162,13 +162,13 @@ def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
 
 def _iterate(problem: _Problem, inverse: Inverse, shift: float, k: int, block: int) -> _Pairs | None:
     wanted = k + 1  # one more, to know where the next eigenvalue begins
-    krylov = BlockLanczos(
-        inverse, problem.kernel, block=block, capacity=min(4 * wanted + 12 * block, problem.size - len(problem.kernel))
-    )
-    check_at = 2.0 * wanted + 2 * block
+    capacity = min(4 * wanted + 12 * block, problem.size - len(problem.kernel))
+    krylov = BlockLanczos(inverse, problem.kernel, block=block, capacity=capacity)
+    # Bodies, spheres and boxes need this many vectors, for 30 to 200 eigenpairs.
+    check_at = min(1.6 * wanted + 9 * block, capacity - 3 * block)
     while krylov.grow():
         if krylov.size >= check_at:
-            check_at = krylov.size + wanted / 16
+            check_at = krylov.size + 2 * block
             pairs = _converged(problem, krylov, shift, wanted)
             if pairs is not None:
                 return _complete(problem, pairs, k)
