@@ -16,8 +16,8 @@ from homolog.errors import DataError
 from homolog.shapes import READABLE, Shape, read_shape
 from homolog.training.recipe import DataSettings, Recipe
 
-# What tells this choice at random from the others that are made with the recipe's seed.
-_VALIDATION = 1
+# What tells the choices at random from one another that are made with the recipe's seed.
+_HELD_OUT, _VALIDATION = 0, 1
 
 # Suffixes of files that hold points alone, or anything at all.
 _NO_MESHES = (".xyz", ".txt", ".csv", ".npy", ".npz", ".pcd")
@@ -56,7 +56,7 @@ class TrainingSet:
             raise DataError(f"{root}: there is no such folder; give one that holds meshes")
         complete, files = _complete_and_other_files(root, recipe)
         kept = sorted(name for name in files if not _left_out(name, recipe.data))
-        chosen = _evenly_spread(kept, recipe.validation.shapes)
+        chosen = _held_out(kept, recipe)
         trained = tuple(name for name in kept if name not in chosen)
         listed = _listed_pairs(root, kept, complete, recipe)
         watched = tuple(pair for pair in listed if not chosen.isdisjoint(pair))
@@ -124,10 +124,10 @@ def _left_out(name: str, settings: DataSettings) -> bool:
     return any(fnmatchcase(name, pattern) for pattern in settings.leave_out)
 
 
-def _evenly_spread(names: Sequence[str], number: int) -> set[str]:
-    """So many of the names, at equal distances: neighbours in name order often are one person or one pose."""
-    places = (np.arange(number) + 0.5) * len(names) / max(number, 1)
-    return {names[int(place)] for place in places}
+def _held_out(names: Sequence[str], recipe: Recipe) -> set[str]:
+    """Shapes to validate on, drawn at random: in name order, every tenth one often has the same pose."""
+    random = np.random.default_rng([recipe.seed, _HELD_OUT])
+    return {str(name) for name in random.permutation(np.array(names, dtype=object))[: recipe.validation.shapes]}
 
 
 def _listed_pairs(root: Path, names: Sequence[str], complete: dict[str, Path], recipe: Recipe) -> tuple[Pair, ...]:

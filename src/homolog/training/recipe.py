@@ -160,7 +160,7 @@ class ValidationSettings:
     """How training is watched, on pairs that it does not use.
 
     Args:
-        shapes: how many shapes of the split are kept out of training for it, spread evenly over their names. With 0,
+        shapes: how many shapes of the split are kept out of training for it, drawn at random. With 0,
             shapes that are trained on are used.
         pairs: how many pairs of these; 0 for no validation.
         every: steps between validations by the training's own loss, without dropout or augmentation. The weights with
