@@ -30,7 +30,7 @@ import trimesh
 from rich.console import Console
 from rich.table import Table
 
-from homolog.geometry import compute_operators
+from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import (
     functional_map,
     most_similar,
@@ -39,8 +39,9 @@ from homolog.maps import (
     resolvent_mask,
     sinkhorn_matches,
 )
-from homolog.network import DiffusionNet, WeightsInfo, save_weights
-from homolog.shapes import Shape, read_shape, write_shape
+from homolog.network import AugmentationSettings, DiffusionNet, WeightsInfo, save_weights
+from homolog.shapes import Shape, farthest_points, read_shape, write_shape
+from homolog.training import LossSettings, TrainingShape, pair_losses
 
 ROOT = Path(__file__).parents[1]
 DEMO = ROOT / "src" / "homolog" / "demo_data" / "off"
@@ -55,9 +56,15 @@ STEPS = (
     "nearest_map",
     "match_cold",
     "match_warm",
+    "train_step",
 )
 # Sinkhorn between clouds of this size is measured once, for its memory.
 LARGE_CLOUD = 50_000
+# A step of training on so many samples of each shape is what the recipes take.
+SAMPLES = 1_200
+# Steps that are not measured at every size, and sizes that are measured for one step only.
+LARGEST = {"cloud_map": LARGE_CLOUD, "train_step": 20_000}
+EXTRA = (("cloud_map", LARGE_CLOUD), ("train_step", SAMPLES))
 _EIGENPAIRS = 80
 
 
@@ -122,6 +129,35 @@ def spread_features(n_points: int, seed: int) -> torch.Tensor:
     return normalised(torch.tanh(low @ torch.randn(16, 128, generator=torch.Generator().manual_seed(0))))
 
 
+def train_step(n_points: int) -> Callable[[], object]:
+    """One step of training on a pair: the paper's losses, dropout and augmentation, their gradient, and Adam's step."""
+    x, y = (training_shape(body(name, max(n_points, 5_000)), n_points) for name in ("amber", "boris"))
+    network, generator = untrained_network().train(), torch.Generator().manual_seed(0)
+    optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)
+    settings, augmentation = LossSettings(), AugmentationSettings()
+
+    def run() -> None:
+        with torch.inference_mode(False), torch.enable_grad():
+            optimiser.zero_grad()
+            losses = pair_losses(network, x, y, settings=settings, augmentation=augmentation, generator=generator)
+            torch.autograd.backward(losses.total)
+            torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+            optimiser.step()
+
+    return run
+
+
+def training_shape(shape: Shape, n_samples: int) -> TrainingShape:
+    """A mesh and its own points as a cloud, at so many samples of them."""
+    length = unit_frame(shape).length
+    bases = [compute_operators(each, length=length).basis for each in (shape, shape.as_cloud())]
+    if n_samples < shape.n_points:
+        kept = torch.from_numpy(farthest_points(bases[0].points.numpy(), n_samples, seed=0))
+        bases = [basis.sampled(kept) for basis in bases]
+    mesh, cloud = bases
+    return TrainingShape(shape.name, mesh, cloud)
+
+
 def step(name: str, n_points: int) -> Callable[[], object]:
     """The function to time, everything it needs made beforehand."""
     if name.startswith("operators"):
@@ -135,6 +171,8 @@ def step(name: str, n_points: int) -> Callable[[], object]:
     if name == "cloud_map" and n_points == LARGE_CLOUD:
         x, y = spread_features(n_points, 1), spread_features(n_points, 2)
         return lambda: sinkhorn_matches(y, x, temperature=0.1)
+    if name == "train_step":
+        return train_step(n_points)
     pair = Pair(n_points)
     x, y = (normalised(f) for f in pair.features)
     return {
@@ -221,11 +259,9 @@ def main() -> None:
         measuring = measure_match if arguments.one.startswith("match") else measure
         print(json.dumps(measuring(arguments.one, arguments.points[0])))
         return
-    cases = [
-        (name, n) for n in arguments.points for name in arguments.only if not (name == "cloud_map" and n > LARGE_CLOUD)
-    ]
-    if "cloud_map" in arguments.only and tuple(arguments.points) == SIZES:
-        cases.append(("cloud_map", LARGE_CLOUD))
+    cases = [(name, n) for n in arguments.points for name in arguments.only if n <= LARGEST.get(name, n)]
+    if tuple(arguments.points) == SIZES:
+        cases += [case for case in EXTRA if case[0] in arguments.only]
     rows = []
     for name, n_points in cases:
         rows.append(measured_apart(name, n_points))

@@ -38,9 +38,10 @@ def test_tiles_stay_small_where_much_memory_is_allowed() -> None:
     assert (first.stop - first.start) * 4000 <= 4 * 2**20
 
 
-def test_long_rows_still_come_in_sixteens_where_they_fit() -> None:
-    with working_memory(1024):
-        assert next(row_tiles(100, bytes_per_row=2**22)) == slice(0, 16)
+@pytest.mark.parametrize(("mebibytes", "height"), [(1024, 128), (600, 128), (500, 16), (64, 16), (63, 1)])
+def test_long_rows_still_come_by_the_hundred_or_in_sixteens_where_they_fit(mebibytes: float, height: int) -> None:
+    with working_memory(mebibytes):
+        assert next(row_tiles(1000, bytes_per_row=2**22)) == slice(0, height)
 
 
 def test_fits_compares_with_the_bound_in_mebibytes() -> None:

@@ -13,6 +13,8 @@ _bound = 1024.0
 # Rows are worked on in tiles of about this size even where more would fit: a tile then stays in the processor's cache
 # between the product that makes it and the reductions that read it.
 _TILE_BYTES = 4 * _MEBIBYTE
+# But of at least so many rows, the first number that the bound allows.
+_ENOUGH_ROWS = (128, 16)
 
 
 def set_working_memory(mebibytes: float) -> None:
@@ -55,8 +57,8 @@ def row_tiles(n_rows: int, bytes_per_row: float) -> Iterator[slice]:
     """Slices that cut ``n_rows`` into tiles of at least a row, within the bound and small enough for the cache."""
     budget = min(_TILE_BYTES, get_working_memory() * _MEBIBYTE)
     height = max(1, int(budget // max(bytes_per_row, 1)))
-    # Few rows make a matrix product slow; that many are affordable whatever the bound, short of absurd ones.
-    if fits(16 * bytes_per_row):
-        height = max(height, 16)
+    # Few rows make a matrix product slow, which weighs more than the cache where rows are long.
+    affordable = (rows for rows in _ENOUGH_ROWS if fits(rows * bytes_per_row))
+    height = max(height, next(affordable, 1))
     for start in range(0, n_rows, height):
         yield slice(start, min(start + height, n_rows))

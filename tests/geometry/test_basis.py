@@ -91,6 +91,17 @@ def test_fewer_samples_than_eigenvectors_still_give_bounded_coefficients(basis: 
     assert (samples.analysis @ values).norm() < 2 * random(24, 3).norm()
 
 
+def test_samples_of_a_small_part_give_bounded_coefficients_even_for_noise(basis: Basis) -> None:
+    kept = (basis.points - basis.points[5]).norm(dim=1).argsort()[:60]
+    samples = basis.sampled(kept)
+    weighted = samples.mass.sqrt()[:, None] * samples.eigenvectors
+    # No singular value s of these leads to more than s / (s^2 + ridge), which is at most 1 / (2 sqrt(ridge)).
+    ridge = 1e-4 * weighted.square().sum() / 24
+    gain = torch.linalg.matrix_norm(samples.analysis / samples.mass.sqrt(), ord=2)
+    assert gain <= 1.001 / (2 * ridge.sqrt())
+    assert 1 / torch.linalg.svdvals(weighted).min() > 10 * gain
+
+
 def test_every_point_s_mass_goes_to_its_nearest_sample(basis: Basis) -> None:
     kept = spread(basis, 60)
     nearest = torch.cdist(basis.points.double(), basis.points[kept].double()).argmin(dim=1)

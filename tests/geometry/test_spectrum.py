@@ -195,6 +195,48 @@ def test_the_last_resorts_say_what_they_did(make, monkeypatch) -> None:
     assert_agrees(found, laplacian, mass, 20)
 
 
+def test_the_last_resort_says_when_it_missed_an_eigenpair(make, monkeypatch, caplog) -> None:
+    laplacian, mass = laplacian_of(make.blob(3))
+    whole = sparse_linalg.eigsh
+
+    def forgetful(matrix, k, **options):
+        values, vectors = whole(matrix, k + 1, **options)
+        kept = np.argsort(values) != 5
+        return values[kept], vectors[:, kept]
+
+    monkeypatch.setattr(spectrum, "_shift_and_invert", lambda *_: None)
+    monkeypatch.setattr(spectrum, "_DENSE_LIMIT", 600)
+    monkeypatch.setattr(spectrum.sparse_linalg, "eigsh", forgetful)
+    found = lowest_eigenpairs(laplacian, mass, 20)
+    assert found.method == "ARPACK, incomplete, after block Lanczos failed"
+    assert "missed" in caplog.text
+    assert found.eigenvectors.shape == (len(mass), 20)
+
+
+def test_solves_in_several_threads_give_the_same_eigenpairs(make, monkeypatch) -> None:
+    laplacian, mass = laplacian_of(make.blob(3))
+    monkeypatch.setattr(spectrum, "_ONE_THREAD_POINTS", 0)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 3)  # blocks of eight do not divide by it
+    found = lowest_eigenpairs(laplacian, mass, 30)
+    assert found.method == "block Lanczos, blocks of 8"
+    assert_agrees(found, laplacian, mass, 30)
+
+
+def test_the_shift_follows_the_pivots_where_weyls_law_is_off() -> None:
+    # A strip: its eigenvalues are those of a line, not of a surface.
+    along, across = np.meshgrid(np.linspace(0, 8, 401), [0.0, 0.01], indexing="ij")
+    first = np.arange(0, 800, 2)[:, None]
+    faces = np.concatenate([first + np.array(corners) for corners in ([0, 1, 2], [2, 1, 3])])
+    laplacian, mass = mesh_laplacian(np.stack([along, across, 0 * along], axis=2).reshape(-1, 3), faces)
+    problem = spectrum._Problem.build(laplacian, mass)
+    shift, _ = spectrum._shifted(problem, 40)
+    assert shift < 0.2 * 0.62 * problem.expected_eigenvalue(40)
+    found = lowest_eigenpairs(laplacian, mass, 40)
+    assert found.method == "block Lanczos, blocks of 8"
+    assert_agrees(found, laplacian, mass, 40)
+    np.testing.assert_allclose(found.eigenvalues[:20], (np.pi / 8 * np.arange(20)) ** 2, rtol=0.01, atol=1e-9)
+
+
 def test_when_nothing_works_the_message_says_what_to_do(make, monkeypatch) -> None:
     def fails(*_args, **_options):
         raise sparse_linalg.ArpackError(-1)

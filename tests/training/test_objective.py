@@ -118,14 +118,14 @@ def test_a_complete_pair_s_losses_and_gradients_are_the_paper_s(pair) -> None:
         contrast=3.0,
         commutativity=500.0,
         soft_temperature=0.15,
-        soft_iterations=6,
+        soft_iterations=1,
         contrast_temperature=0.1,
     )
     network = network_of()
     slow = slow_losses(network, *pair, settings)
     expected = Losses(**{name: getattr(settings, name) * slow[name] for name in NAMES})
     found = pair_losses(network, *pair, settings=settings)
-    assert min(found.as_dict().values()) > 0.01
+    assert min(found.as_dict().values()) > 0.1
     assert_same(found, expected, rel=1e-3)
     true = gradients(network, expected)
     for name, gradient in gradients(network, found).items():

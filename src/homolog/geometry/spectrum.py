@@ -55,10 +55,10 @@ class Spectrum:
 def lowest_eigenpairs(laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"], n_eigenpairs: int) -> Spectrum:
     """The ``n_eigenpairs`` lowest eigenpairs of L phi = lambda M phi (at most n).
 
-    Small problems are solved densely. Others by a shift-and-invert block Lanczos iteration whose shift lies in the
-    middle of the wanted eigenvalues, with the functions that are constant on a connected component known beforehand;
-    Sylvester's law of inertia then tells whether any eigenpair was missed. If one was, larger blocks are tried, then
-    ARPACK, then a dense solve where that is affordable; ``method`` says which.
+    Small problems are solved densely. Others by a shift-and-invert block Lanczos iteration whose shift lies among the
+    wanted eigenvalues, with the functions that are constant on a connected component known beforehand; Sylvester's law
+    of inertia then tells whether any eigenpair was missed. If one was, larger blocks are tried, then a dense solve
+    where that is affordable, else ARPACK; ``method`` says which, and whether what ARPACK found is incomplete.
 
     Raises:
         ArgumentError: if ``n_eigenpairs`` is not positive.
@@ -162,13 +162,13 @@ def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
 
 def _iterate(problem: _Problem, inverse: Inverse, shift: float, k: int, block: int) -> _Pairs | None:
     wanted = k + 1  # one more, to know where the next eigenvalue begins
-    krylov = BlockLanczos(
-        inverse, problem.kernel, block=block, capacity=min(4 * wanted + 12 * block, problem.size - len(problem.kernel))
-    )
-    check_at = 2.0 * wanted + 2 * block
+    capacity = min(4 * wanted + 12 * block, problem.size - len(problem.kernel))
+    krylov = BlockLanczos(inverse, problem.kernel, block=block, capacity=capacity)
+    # Bodies, spheres and boxes need this many vectors, for 30 to 200 eigenpairs.
+    check_at = min(1.6 * wanted + 9 * block, capacity - 3 * block)
     while krylov.grow():
         if krylov.size >= check_at:
-            check_at = krylov.size + wanted / 16
+            check_at = krylov.size + 2 * block
             pairs = _converged(problem, krylov, shift, wanted)
             if pairs is not None:
                 return _complete(problem, pairs, k)
@@ -233,7 +233,8 @@ def _last_resort(problem: _Problem, k: int) -> Spectrum:
     pairs = (torch.from_numpy(values[order]), torch.from_numpy(vectors[:, order]))
     if problem.residual(pairs) > 100 * _TOLERANCE:
         raise ShapeError("the eigenvalues of the Laplacian are too inaccurate; remesh the shape")
-    if _complete(problem, pairs, k) is None:
-        _log.warning("some of the lowest eigenpairs of the Laplacian were missed; remesh the shape")
-        return problem.spectrum((pairs[0][:k], pairs[1][:, :k]), "ARPACK, incomplete, after block Lanczos failed")
-    return problem.spectrum((pairs[0][:k], pairs[1][:, :k]), "ARPACK, after block Lanczos failed")
+    complete = _complete(problem, pairs, k)
+    if complete is not None:
+        return problem.spectrum(complete, "ARPACK, after block Lanczos failed")
+    _log.warning("some of the lowest eigenpairs of the Laplacian were missed; remesh the shape")
+    return problem.spectrum((pairs[0][:k], pairs[1][:, :k]), "ARPACK, incomplete, after block Lanczos failed")

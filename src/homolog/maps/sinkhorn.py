@@ -72,8 +72,11 @@ class Kernel:
 
     def tiles(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
         """Row tiles of K; each is to be used before the next is asked for."""
-        for rows in self._slices():
-            yield rows, self.whole[rows] if self.whole is not None else self._exponentials(rows)
+        if self.whole is not None:
+            yield from ((rows, self.whole[rows]) for rows in self._slices())
+            return
+        for rows, logits in self.logits():
+            yield rows, self._exponentials(rows, logits)
 
     def relative(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> _Scalings:
         """Scalings u and v with exp(L + f + g) = diag(u) K diag(v)."""
@@ -98,9 +101,12 @@ class Kernel:
         return a - row_sums.log(), b - column_sums.log()
 
     def logits(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
-        """Row tiles of L."""
-        for rows in self._slices():
-            yield rows, self.left[rows] @ self.right
+        """Row tiles of L; each is to be used before the next is asked for, and may be written to."""
+        tiles = list(self._slices())
+        # One place for all tiles: fresh memory costs as much as the products themselves.
+        scratch = self.left.new_empty(tiles[0].stop if tiles else 0, self.right.shape[1])
+        for rows in tiles:
+            yield rows, torch.mm(self.left[rows], self.right, out=scratch[: rows.stop - rows.start])
 
     def exact_iteration(self, g: Float[Tensor, " n_x"]) -> _Scalings:
         """``iterate`` in the logarithm, from the logits: slow, and right wherever the scalings may lie."""
@@ -120,8 +126,7 @@ class Kernel:
         # Up to three arrays of a tile's size live at once.
         return row_tiles(len(self.left), bytes_per_row=3 * self.right.shape[1] * self.left.element_size())
 
-    def _exponentials(self, rows: slice, out: Tensor | None = None) -> Float[Tensor, "t n_x"]:
-        logits = torch.mm(self.left[rows], self.right, out=out)
+    def _exponentials(self, rows: slice, logits: Float[Tensor, "t n_x"]) -> Float[Tensor, "t n_x"]:
         if self.absorbed is not None:
             logits.add_(self.absorbed[0][rows, None]).add_(self.absorbed[1])
         return logits.exp_()
@@ -132,7 +137,7 @@ class Kernel:
             return self
         whole = self.left.new_empty(n_y, n_x) if memory is None else memory
         for rows in self._slices():
-            self._exponentials(rows, out=whole[rows])
+            self._exponentials(rows, torch.mm(self.left[rows], self.right, out=whole[rows]))
         return Kernel(self.left, self.right, self.absorbed, whole)
 
 
