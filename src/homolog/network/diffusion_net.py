@@ -104,6 +104,10 @@ class DiffusionBlock(nn.Module):
         if self.training and self.dropped:
             kept = _kept(hidden, self.dropped, generator), _kept(hidden, self.dropped, generator)
             dropout = Dropout(*kept, growth=256 / (256 - self.dropped))
+        if self.training:
+            # The times begin at zero, and an optimiser may step below it, where no gradient would bring them back.
+            with torch.no_grad():
+                self.times.clamp_(min=_SHORTEST_TIME)
         decay = heat_decay(basis.eigenvalues, self.times)
         return diffusion_block(hidden, basis, decay, self._mixing(), list(self.perceptron.parameters()), dropout)
 
