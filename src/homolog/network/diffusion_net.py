@@ -6,7 +6,7 @@ Sharp, Attaiki, Crane and Ovsjanikov, "DiffusionNet: Discretization Agnostic Lea
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from jaxtyping import Bool, Float
@@ -104,10 +104,6 @@ class DiffusionBlock(nn.Module):
         if self.training and self.dropped:
             kept = _kept(hidden, self.dropped, generator), _kept(hidden, self.dropped, generator)
             dropout = Dropout(*kept, growth=256 / (256 - self.dropped))
-        if self.training:
-            # The times begin at zero, and an optimiser may step below it, where no gradient would bring them back.
-            with torch.no_grad():
-                self.times.clamp_(min=_SHORTEST_TIME)
         decay = heat_decay(basis.eigenvalues, self.times)
         return diffusion_block(hidden, basis, decay, self._mixing(), list(self.perceptron.parameters()), dropout)
 
@@ -120,7 +116,22 @@ class DiffusionBlock(nn.Module):
 
 def heat_decay(eigenvalues: Float[Tensor, " k"], times: Float[Tensor, " c"]) -> Float[Tensor, "k c"]:
     """By what heat diffusion multiplies the coefficients of functions, each for its own time."""
-    return torch.exp(-eigenvalues[:, None] * times.clamp(min=_SHORTEST_TIME))
+    positive: Tensor = _AtLeastShortest.apply(times)  # type: ignore[no-untyped-call]
+    return torch.exp(-eigenvalues[:, None] * positive)
+
+
+class _AtLeastShortest(torch.autograd.Function):
+    """Times bounded from below, with a gradient that can lift those below the bound: all begin at zero."""
+
+    @staticmethod
+    def forward(ctx: Any, times: Tensor) -> Tensor:
+        ctx.save_for_backward(times)
+        return times.clamp(min=_SHORTEST_TIME)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> Tensor:
+        (times,) = ctx.saved_tensors
+        return torch.where((times < _SHORTEST_TIME) & (grad > 0), 0.0, grad)
 
 
 def _kept(like: Float[Tensor, "n w"], dropped: int, generator: torch.Generator | None) -> Bool[Tensor, "n w"]:
