@@ -1,12 +1,14 @@
 """The matcher's settings, routes, steps and complaints."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 from homolog.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
-from homolog.matching import Matcher, MatcherSettings, choose_device
+from homolog.matching import Correspondence, Matcher, MatcherSettings, choose_device
 from homolog.matching import matcher as matcher_module
 from homolog.network import WeightsInfo
 from homolog.shapes import Shape
@@ -134,14 +136,29 @@ def test_weights_from_a_file(build, blobs, weights):
 def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method):
     asked = []
 
-    def one_warning(features, source, target, *, lengths):
-        asked.append((source.name, target.name, lengths))
+    def one_warning(features, source, target, *, lengths, device):
+        asked.append((source.name, target.name, lengths, device))
         return ["it lies on its side"]
 
     monkeypatch.setattr(matcher_module, "orientation_warnings", one_warning)
     found = build(method, info=WeightsInfo(upright=True, map_eigenpairs=40)).match(blobs.source, blobs.target)
     assert found.warnings == ("it lies on its side",)
-    assert asked == [("source", "target", (unit_frame(blobs.source).length, unit_frame(blobs.target).length))]
+    lengths = unit_frame(blobs.source).length, unit_frame(blobs.target).length
+    assert asked == [("source", "target", lengths, torch.device("cpu"))]
+
+
+def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_counterpart():
+    """Three of four source points have none; the others and all target points are trusted."""
+    found = Correspondence(
+        source_to_target=np.array([0, -1, -1, -1]),
+        target_to_source=np.array([0, 0]),
+        source_confidence=np.array([0.9, 0, 0, 0]),
+        target_confidence=np.array([0.9, 0.8]),
+        route="features",
+    )
+    assert matcher_module._doubts(found) == matcher_module._doubts(found.swapped()) == ()
+    unsure = replace(found, target_confidence=np.array([0.1, 0.2]))
+    assert "doubtful" in matcher_module._doubts(unsure)[0] and "doubtful" in matcher_module._doubts(unsure.swapped())[0]
 
 
 def test_orientation_does_not_matter_to_all_weights(build, blobs, monkeypatch):

@@ -1,6 +1,7 @@
 """What a match leaves on disk."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -105,6 +106,26 @@ def test_colours_follow_the_position():
     assert position_colours(points[:3])[:, 2].tolist() == [40, 40, 40]
 
 
+def test_a_point_that_has_no_match_does_not_stretch_the_colours(shapes, found):
+    stray = Shape(np.concatenate([shapes[0].points, [[1e6, 1e6, 1e6]]]))
+    longer = replace(
+        found,
+        source_to_target=np.append(found.source_to_target, -1),
+        source_confidence=np.append(found.source_confidence, 0.0),
+    )
+    source, target = matched_colours(stray, longer)
+    expected = matched_colours(shapes[0], found)
+    np.testing.assert_array_equal(source[:-1], expected[0])
+    np.testing.assert_array_equal(target, expected[1])
+
+
+def test_a_correspondence_is_saved_under_the_name_given(found, tmp_path):
+    found.save(tmp_path / "maps")
+    assert [path.name for path in tmp_path.iterdir()] == ["maps"]
+    with np.load(tmp_path / "maps") as saved:
+        np.testing.assert_array_equal(saved["source_to_target"], found.source_to_target)
+
+
 def test_matched_colours_have_one_row_per_point(shapes, found):
     source, target = matched_colours(shapes[0], found)
     assert source.shape == (162, 3)
@@ -158,8 +179,8 @@ def test_writing_that_stops_leaves_all_as_it_was(shapes, found, tmp_path, monkey
     """Amid the first file or the second: no file of the result changes, and no other trace is left."""
     with_former_result(tmp_path / "result", before)
 
-    def half(path, *args, **kwargs):
-        path.write_bytes(b"half")
+    def half(place, *args, **kwargs):
+        place.write_bytes(b"half") if isinstance(place, Path) else place.write(b"half")
         raise error
 
     monkeypatch.setattr(broken, half)
@@ -175,12 +196,12 @@ def test_writing_that_stops_leaves_all_as_it_was(shapes, found, tmp_path, monkey
 def test_landing_that_stops_is_undone(shapes, found, tmp_path, monkeypatch, error, landed, before, links):
     """All files are written, and the renaming stops at one of them; also where a file has no second name."""
     with_former_result(tmp_path / "result", before)
-    replace, count = Path.replace, iter(range(100))
+    rename, count = Path.replace, iter(range(100))
 
     def stopping(path, target):
         if next(count) == landed:
             raise error
-        return replace(path, target)
+        return rename(path, target)
 
     def refused(path, target):
         raise OSError(95, "Operation not supported")

@@ -47,9 +47,10 @@ class Correspondence:
 
     def save(self, path: str | Path) -> None:
         """Write the four arrays as a ``.npz`` file, whole or not at all."""
-        with atomic_path(path) as temporary:
+        # NumPy adds a suffix to a name that has none, but not to a file.
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(
-                temporary,
+                file,
                 source_to_target=self.source_to_target,
                 target_to_source=self.target_to_source,
                 source_confidence=self.source_confidence,

@@ -335,7 +335,8 @@ class Matcher:
         if not self.info.upright:
             return ()
         lengths = source.operators.length, target.operators.length
-        return tuple(orientation_warnings(self.network, source.repaired.shape, target.repaired.shape, lengths=lengths))
+        shapes = source.repaired.shape, target.repaired.shape
+        return tuple(orientation_warnings(self.network, *shapes, lengths=lengths, device=self.device))
 
     @torch.inference_mode()
     def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
@@ -436,8 +437,10 @@ def _refuse_repairs(repaired: Repaired) -> None:
 
 
 def _doubts(found: Correspondence) -> tuple[str, ...]:
-    """A warning if the maps contradict themselves nearly everywhere."""
-    mean = float(found.target_confidence.mean())
+    """A warning if the maps contradict themselves nearly everywhere; points without a counterpart do not count."""
+    sides = (found.source_to_target, found.source_confidence), (found.target_to_source, found.target_confidence)
+    means = [float(confidence[indices >= 0].mean()) for indices, confidence in sides if (indices >= 0).any()]
+    mean = min(means, default=0.0)
     if mean >= _DOUBTFUL:
         return ()
     return (f"the match is doubtful: its mean confidence is {mean:.2f}; are the shapes of one kind, and dense enough?",)

@@ -68,7 +68,12 @@ _TURNS = (
 
 
 def orientation_warnings(
-    features: Features, source: Shape, target: Shape, *, lengths: tuple[float, float]
+    features: Features,
+    source: Shape,
+    target: Shape,
+    *,
+    lengths: tuple[float, float],
+    device: torch.device | str = "cpu",
 ) -> list[str]:
     """Say if the features of two shapes fit better when one of them, or both, are turned by quarters.
 
@@ -77,11 +82,18 @@ def orientation_warnings(
         source: a clean shape.
         target: another.
         lengths: the inner units of both.
+        device: where the network is.
 
     Returns:
         At most one line, that names the shape and the turn that would help most.
     """
-    fits = _Fits(features, _sampled(source, lengths[0]), _sampled(target, lengths[1]))
+    fits = _Fits(
+        features,
+        *(
+            _sampled(shape, length, torch.device(device))
+            for shape, length in zip((source, target), lengths, strict=True)
+        ),
+    )
     (who, turn), gain = max(fits.gains().items(), key=lambda item: item[1])
     if gain < 0:
         return []
@@ -163,6 +175,6 @@ def _turned_features(features: Features, operators: Operators) -> dict[Turn | No
     return found
 
 
-def _sampled(shape: Shape, length: float) -> Operators:
+def _sampled(shape: Shape, length: float, device: torch.device) -> Operators:
     chosen = np.sort(np.random.default_rng(0).permutation(shape.n_points)[:_SAMPLES])
-    return compute_operators(Shape(shape.points[chosen], name=shape.name), length=length)
+    return compute_operators(Shape(shape.points[chosen], name=shape.name), length=length).to(device)

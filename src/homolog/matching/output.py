@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 from homolog.errors import ArgumentError
 from homolog.files import all_or_nothing, atomic_path
@@ -52,18 +52,29 @@ def matched_colours(
     source: Shape, correspondence: Correspondence
 ) -> tuple[UInt8[np.ndarray, "n_source 3"], UInt8[np.ndarray, "n_target 3"]]:
     """Colours by the source's position, and the same on the target by its map to the source; grey without a match."""
-    by_position = position_colours(source.points)
+    has_match = correspondence.source_to_target >= 0
+    has_match[correspondence.target_to_source[correspondence.target_to_source >= 0]] = True
+    by_position = position_colours(source.points, spanned_by=has_match)
     source_colours = np.where(correspondence.source_to_target[:, None] >= 0, by_position, _grey())
     return source_colours, _carried(by_position, correspondence.target_to_source)
 
 
-def position_colours(points: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
-    """Smooth colours from positions: the bounding box becomes the colour cube, a little lightened."""
+def position_colours(
+    points: Float[np.ndarray, "n 3"], *, spanned_by: Bool[np.ndarray, " n"] | None = None
+) -> UInt8[np.ndarray, "n 3"]:
+    """Smooth colours from positions: the bounding box becomes the colour cube, a little lightened.
+
+    Args:
+        points: those that are not finite become grey.
+        spanned_by: the points whose bounding box counts, if there are any; all by default. Stray ones would leave one
+            colour for the rest.
+    """
     finite = np.isfinite(points).all(axis=1)
     colours = np.full(points.shape, _NO_COLOUR, dtype=np.uint8)
-    low, high = points[finite].min(axis=0), points[finite].max(axis=0)
+    counted = finite if spanned_by is None or not (finite & spanned_by).any() else finite & spanned_by
+    low, high = points[counted].min(axis=0), points[counted].max(axis=0)
     share = (points[finite] - low) / np.where(high > low, high - low, 1.0)
-    colours[finite] = np.round(40 + 215 * share)
+    colours[finite] = np.round(40 + 215 * share.clip(0, 1))
     return colours
 
 
