@@ -162,3 +162,11 @@ def test_neighbouring_points_of_a_cloud_are_a_setting(blob: Shape) -> None:
         operators = compute_operators(blob.as_cloud(), settings=settings)
         counts[n_neighbours] = operators.gradient_x.values().numel() / blob.n_points
     assert counts == {8: 9, 15: 16}  # the point itself too
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"n_neighbours": 0}, {"n_neighbours": 2}, {"n_eigenpairs": 0}, {"laplacian": "robst"}]
+)
+def test_settings_that_cannot_be_are_refused(wrong: dict) -> None:
+    with pytest.raises(ArgumentError, match=next(iter(wrong))):
+        OperatorSettings(**wrong)

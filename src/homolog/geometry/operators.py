@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 import scipy.sparse as sparse
@@ -12,6 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.errors import bad_choice, bad_value
 from homolog.geometry.basis import Basis
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.scale import unit_frame
@@ -28,6 +30,9 @@ from homolog.shapes import Shape
 
 # Components with less than this share of the mass are debris.
 _SMALLEST_COMPONENT = 0.01
+
+# With fewer, a point's neighbours make no triangles, on which the library for clouds ends the process.
+_FEWEST_NEIGHBOURS = 3
 
 # A sparse matrix of shape (n, n) in torch's compressed-row layout.
 SparseMatrix = Tensor
@@ -129,6 +134,13 @@ class OperatorSettings:
     n_eigenpairs: int = 128
     laplacian: LaplacianKind = "robust"
     n_neighbours: int = CLOUD_NEIGHBOURS
+
+    def __post_init__(self) -> None:
+        if self.laplacian not in get_args(LaplacianKind):
+            raise bad_choice("laplacian", self.laplacian, get_args(LaplacianKind))
+        for name, least in (("n_eigenpairs", 1), ("n_neighbours", _FEWEST_NEIGHBOURS)):
+            if getattr(self, name) < least:
+                raise bad_value(name, getattr(self, name), f"at least {least}")
 
 
 def compute_operators(
