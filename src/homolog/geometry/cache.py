@@ -134,9 +134,9 @@ def _read(path: Path) -> Operators | None:
         if notes.pop("checksum", None) != _checksum(tensors, notes):
             raise ValueError("its checksum does not match")
         operators = _operators(tensors, length=float.fromhex(notes["length"]), method=notes["method"])
-    except FileNotFoundError:
-        return None
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
+        if not path.exists():  # never there, or thrown out by another process amid the reading
+            return None
         _log.warning("the cached operators %s are damaged (%s) and are computed anew", path, error)
         return None
     with suppress(OSError):
