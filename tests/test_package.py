@@ -17,7 +17,7 @@ GROUND = {"errors", "memory", "arrays", "files", "steps", "versions"}
 FLOORS = {
     "errors": set(),
     "memory": {"errors"},
-    "arrays": set(),
+    "arrays": {"errors"},
     "files": {"errors"},
     "steps": set(),
     "versions": set(),
@@ -161,3 +161,10 @@ def test_version_is_that_of_the_package():
 
     assert versions()["homolog"] == version_of("homolog") is not None
     assert version_of("no-such-package-as-this") is None
+    assert homolog.__version__ == version_of("homolog")
+
+
+def test_lazy_names_are_listed():
+    program = "import homolog; print(*dir(homolog))"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
+    assert {*homolog.__all__, "__version__"} <= set(ended.stdout.split())

@@ -64,9 +64,16 @@ _HOMES = ("errors", "memory", "shapes", "geometry", "maps", "network", "matching
 
 def __getattr__(name: str) -> Any:
     """Find a public name in the package that it comes from."""
+    if name == "__version__":
+        return import_module("homolog.versions").version_of("homolog")
     if name in __all__:
         for home in _HOMES:
             module = import_module(f"homolog.{home}")
             if hasattr(module, name):
                 return getattr(module, name)
     raise AttributeError(f"module 'homolog' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """All names, loaded or not."""
+    return sorted({*globals(), *__all__, "__version__"})

@@ -15,11 +15,18 @@ Listener = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Step:
-    """One finished step: its name, seconds of wall time, and the process' peak memory by its end, in MB."""
+    """One finished step.
+
+    Args:
+        name: what was done.
+        seconds: of wall time.
+        process_peak_mb: the most memory that the process has held from its start to the end of this step, in MB (2^20
+            bytes); it never falls from step to step, and only where it rises has a step needed more than all before.
+    """
 
     name: str
     seconds: float
-    peak_mb: float
+    process_peak_mb: float
 
 
 @dataclass

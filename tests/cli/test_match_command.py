@@ -3,12 +3,15 @@
 import hashlib
 import json
 import pickle
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from homolog.cli import match as match_module
+from homolog.errors import ShapeError
 from homolog.matching import Matcher, MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
 
@@ -95,6 +98,7 @@ def test_report(homolog, files, tmp_path):
         "method": "auto",
         "as_cloud": "target",
         "partial": "target",
+        "part_scale": 1.0,
         "up": {"source": "z", "target": "y"},
         "strict": False,
     }
@@ -110,19 +114,97 @@ def test_report(homolog, files, tmp_path):
     assert found["weights"]["map_eigenpairs"] == 20
     steps = [step["name"] for step in found["steps"]]
     assert steps[:2] == ["read source", "read target"]
-    assert steps[-2:] == ["map", "check orientation"]
-    assert len(steps) == 10
+    assert steps[-3:] == ["map", "check orientation", "write"]
+    assert len(steps) == 11
     for step in found["steps"]:
         assert 0 <= step["seconds"] < 600
-        assert 10 < step["peak_mb"] < 1e6
+        assert 10 < step["process_peak_mb"] < 1e6
     assert {"python", "homolog", "torch", "numpy", "scipy", "robust-laplacian"} <= set(found["versions"])
     assert found["versions"]["torch"] == torch.__version__
     matched = found["matched"]
     assert matched["source_points"] == 165
-    assert matched["source_points_without_counterpart"] == np.sum(arrays["source_to_target"] < 0) >= 1
-    assert matched["target_points_without_counterpart"] == np.sum(arrays["target_to_source"] < 0) == 0
+    assert matched["source_points_left_out"] == 1  # used by no face; the two duplicates get what they repeat
+    assert matched["source_points_without_counterpart"] == np.sum(arrays["source_to_target"] < 0) - 1
+    assert matched["target_points_left_out"] == matched["target_points_without_counterpart"] == 0
+    assert np.sum(arrays["target_to_source"] < 0) == 0
     assert matched["source_mean_confidence"] == pytest.approx(arrays["source_confidence"].mean())
     assert matched["target_mean_confidence"] == pytest.approx(arrays["target_confidence"].mean())
+
+
+def test_points_left_out_are_told_from_those_without_a_counterpart(homolog, files, tmp_path):
+    ended = homolog("match", files.dirty, files.other, "-o", tmp_path / "whole")
+    assert "source 165 points, 1 left out by repair, mean confidence" in ended.err
+    assert "target 162 points, all matched, mean confidence" in ended.err
+    clean = read_shape(files.mesh)
+    upper = clean.faces[(clean.points[clean.faces, 1] > 0).all(axis=1)]
+    write_shape(tmp_path / "upper.ply", Shape(clean.points, upper))
+    ended = homolog("match", files.dirty, tmp_path / "upper.ply", "-o", tmp_path, "--partial", "target")
+    matched = report(tmp_path)["matched"]
+    missing = matched["source_points_without_counterpart"]
+    assert missing == np.sum(maps(tmp_path)["source_to_target"] < 0) - 1 > 10
+    assert f"source 165 points, 1 left out by repair, {missing} without a counterpart, mean confidence" in ended.err
+    assert matched["target_points_left_out"] == 162 - len(np.unique(upper))
+
+
+def test_part_scale(homolog, files, tmp_path):
+    """A part in other units than the whole: warned of, refused as strict, and put right by the factor."""
+    clean = read_shape(files.other)
+    upper = clean.faces[(clean.points[clean.faces, 1] > 0).all(axis=1)]
+    write_shape(tmp_path / "part.ply", Shape(clean.points, upper))
+    write_shape(tmp_path / "part_mm.ply", Shape(1000 * clean.points, upper))
+    same, other = [
+        ("match", files.mesh, tmp_path / name, "--partial", "target") for name in ("part.ply", "part_mm.ply")
+    ]
+    assert "units" not in homolog(*same, "-o", tmp_path / "same").err
+    weights = ["--weights", files.weights, "--method", "features"]
+    ended = homolog(*other, "-o", tmp_path / "wrong", *weights)
+    (warning,) = (line for line in ended.err.splitlines() if "units" in line)
+    assert warning.startswith("Warning: the partial shape's area is ")
+    assert "--part-scale" in warning
+    assert report(tmp_path / "wrong")["warnings"][0] == warning.removeprefix("Warning: ")
+    assert homolog(*other, "-o", tmp_path / "strict", "--strict").code == 2
+    ended = homolog(*other, "--part-scale", "0.001", "-o", tmp_path / "right")
+    assert "units" not in ended.err
+    assert report(tmp_path / "right")["options"]["part_scale"] == 0.001
+    for name in ("source_to_target", "target_to_source"):
+        right, expected = (maps(tmp_path / folder)[name] for folder in ("right", "same"))
+        assert np.mean(right == expected) > 0.99
+
+
+def test_a_match_that_fails_for_its_units_says_so(homolog, files, tmp_path, monkeypatch):
+    """And not what came of them; a match in the same units fails with its own reason."""
+    clean = read_shape(files.other)
+    write_shape(tmp_path / "large.ply", Shape(1000 * clean.points, clean.faces))
+    monkeypatch.setattr(Matcher, "match_prepared", raising(ShapeError("it falls into pieces")))
+    ended = homolog("match", files.mesh, tmp_path / "large.ply", "--partial", "target", "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint()
+    assert "their units seem to differ; give part_scale (--part-scale)" in ended.err
+    ended = homolog("match", files.mesh, files.other, "--partial", "target", "-o", tmp_path / "out")
+    assert ended.err == "Error: it falls into pieces\n"
+
+
+@pytest.mark.parametrize("options", [["0"], ["-1"], ["nan"], ["inf"], ["2"]])
+def test_part_scales_that_cannot_be(homolog, files, tmp_path, options):
+    partial = [] if options == ["2"] else ["--partial", "target"]
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--part-scale", *options, *partial)
+    assert ended.is_one_line_of_complaint(), ended
+    assert "part_scale is " in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_weights_that_the_method_does_not_use_are_said_and_leave_no_trace(homolog, files, tmp_path, caplog):
+    """With ``--quiet`` it is not said either."""
+    options = ["--method", "axiomatic", "--weights", files.weights]
+    homolog("match", files.mesh, files.other, "-o", tmp_path / "with", *options)
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert "does not use weights; the given ones, untrained, are left aside" in said
+    assert report(tmp_path / "with")["weights"] is None
+    homolog("match", files.mesh, files.other, "-o", tmp_path / "without", "--method", "axiomatic")
+    for name, array in maps(tmp_path / "without").items():
+        np.testing.assert_array_equal(maps(tmp_path / "with")[name], array)
+    caplog.clear()
+    homolog("match", files.mesh, files.other, "-o", tmp_path / "with", *options, "--quiet")
+    assert not caplog.records
 
 
 def test_report_without_weights(homolog, files, tmp_path):
@@ -169,6 +251,16 @@ def test_up(homolog, files, tmp_path, up, turn):
     assert np.mean(swapped["target_to_source"] == plain["source_to_target"]) > 0.9
     assert np.mean(untold["source_to_target"] == plain["source_to_target"]) < 0.5
     np.testing.assert_array_equal(read_shape(tmp_path / "told" / "source.ply").points, turned.points)
+
+
+def test_following_the_advice_on_the_up_axis_ends_the_warning(homolog, demo, demo_folder, tmp_path):
+    """It names what to give for the file as it is, whatever was given; tests of the orientation try every axis."""
+    lying = replace(demo.boris, points=demo.boris.points @ rotation_about(0, 90).T)
+    write_shape(tmp_path / "lying.ply", lying)
+    files = demo_folder / "off" / "amber.off", tmp_path / "lying.ply"
+    ended = homolog("match", *files, "--target-up", "x", "-o", tmp_path / "out")
+    (up,) = re.findall(r"Warning: the target seems .* give ([xyz]) as the target's up axis\n", ended.err)
+    assert "Warning" not in homolog("match", *files, "--target-up", up, "-o", tmp_path / "out").err
 
 
 def test_warnings_are_shown_and_kept(homolog, files, tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import homolog as homolog_package
 from homolog.cli import demo as demo_module
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, write_shape
@@ -175,6 +176,11 @@ def test_info_writes_nothing(homolog, files, tmp_path, monkeypatch):
 
 
 # ---- doctor, demo, help
+
+
+def test_version(homolog):
+    ended = homolog("--version")
+    assert (ended.code, ended.out, ended.err) == (0, f"homolog {homolog_package.__version__}\n", "")
 
 
 def test_doctor(homolog, tmp_path, monkeypatch):

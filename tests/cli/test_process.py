@@ -1,7 +1,9 @@
 """``homolog`` as a process of its own: exit codes, streams, signals."""
 
 import json
+import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 
 START = [sys.executable, "-m", "homolog"]
+FILES = ("correspondence.npz", "source.ply", "target.ply", "report.json")
 
 # A command that stops amid writing the maps, says so, and waits to be interrupted.
 STUCK = """
@@ -51,7 +54,7 @@ def run(*arguments):
 def test_match_from_files_to_files(files, tmp_path):
     ended = run("match", files.mesh, files.dirty, "-o", tmp_path / "out")
     assert ended.returncode == 0, ended.stderr
-    paths = [tmp_path / "out" / name for name in ("correspondence.npz", "source.ply", "target.ply", "report.json")]
+    paths = [tmp_path / "out" / name for name in FILES]
     assert ended.stdout.splitlines() == list(map(str, paths))
     assert ended.stderr.startswith("Matched by axiomatic")
     with np.load(paths[0]) as stored:
@@ -92,6 +95,43 @@ def test_a_reader_that_leaves_early_is_no_error(files):
     assert process.returncode == 1
 
 
+def shown_on_a_terminal(*arguments):
+    """What a command writes to a terminal that is its stderr, with control sequences, and to stdout."""
+    import pty
+
+    terminal, inside = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    command = [*START, *map(str, arguments)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=inside, env=environment) as process:
+        os.close(inside)
+        shown = b""
+        try:
+            while part := os.read(terminal, 4096):
+                shown += part
+        except OSError:  # what Linux says at the end
+            pass
+        os.close(terminal)
+        out = process.stdout.read().decode()
+    return process.returncode, shown.decode(), out
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other terminals")
+def test_the_progress_bar_and_the_lines_above_it_do_not_mix(files, tmp_path):
+    """Of the library's log there is a line, too: weights that are not used."""
+    options = ["--method", "axiomatic", "--weights", files.weights, "--verbose", "-o", tmp_path]
+    code, shown, out = shown_on_a_terminal("match", files.mesh, files.other, *options)
+    assert code == 0
+    assert out.splitlines() == [str(tmp_path / name) for name in FILES]
+    assert "━" in shown  # there was a bar
+    lines = [
+        "The axiomatic method does not use weights",
+        *(f"{step} \\.\\.\\." for step in ("read source", "map", "write")),
+    ]
+    for line in lines:
+        # Each begins on a line that is new, or from which the bar was just wiped, and is ended before the bar's return.
+        assert re.search(rf"(^|\n|\x1b\[2K){line}[^━]*?\r?\n", shown), (line, shown)
+
+
 def interrupted(program, number, arguments):
     """Start a program, wait for it to say that it is in the middle, and signal it."""
     command = [sys.executable, "-c", program, *map(str, arguments)]
@@ -111,6 +151,6 @@ def interrupted(program, number, arguments):
 def test_interrupts_leave_nothing_half_written(files, tmp_path, number, program, said):
     out = tmp_path / "out"
     code, shown, complaint = interrupted(program, number, ["match", files.mesh, files.other, "-o", out])
-    assert (code, shown) == (130, said)
+    assert (code, shown) == ({signal.SIGINT: 130, signal.SIGTERM: 143}[number], said)
     assert complaint == "Interrupted; nothing was left half-written.\n"
     assert not out.exists() or list(out.iterdir()) == []

@@ -1,6 +1,7 @@
 """The matcher's settings, routes, steps and complaints."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.matching import Correspondence, Matcher, MatcherSettings, choose_device
 from homolog.matching import matcher as matcher_module
 from homolog.network import WeightsInfo
+from homolog.network import weights as weights_module
 from homolog.shapes import Shape
 from homolog.steps import Steps
 
@@ -120,7 +122,7 @@ def test_steps_are_measured_in_order(build, blobs):
     }
     assert len(names) == 8
     assert names[-2:] == ["map", "check orientation"]
-    assert all(step.seconds > 0 and step.peak_mb > 10 for step in steps.finished)
+    assert all(step.seconds > 0 and step.process_peak_mb > 10 for step in steps.finished)
 
 
 def test_weights_from_a_file(build, blobs, weights):
@@ -136,15 +138,16 @@ def test_weights_from_a_file(build, blobs, weights):
 def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method):
     asked = []
 
-    def one_warning(features, source, target, *, lengths, device):
-        asked.append((source.name, target.name, lengths, device))
+    def one_warning(features, source, target, *, lengths, ups, device):
+        asked.append((source.name, target.name, lengths, ups, device))
         return ["it lies on its side"]
 
     monkeypatch.setattr(matcher_module, "orientation_warnings", one_warning)
-    found = build(method, info=WeightsInfo(upright=True, map_eigenpairs=40)).match(blobs.source, blobs.target)
-    assert found.warnings == ("it lies on its side",)
-    lengths = unit_frame(blobs.source).length, unit_frame(blobs.target).length
-    assert asked == [("source", "target", lengths, torch.device("cpu"))]
+    matcher = build(method, info=WeightsInfo(upright=True, map_eigenpairs=40))
+    found = matcher.match(blobs.source, blobs.target, source_up="x", target_up="z")
+    assert found.warnings[0] == "it lies on its side"
+    lengths = pytest.approx((unit_frame(blobs.source).length, unit_frame(blobs.target).length))
+    assert asked == [("source", "target", lengths, ("x", "z"), torch.device("cpu"))]
 
 
 def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_counterpart():
@@ -169,9 +172,12 @@ def test_orientation_does_not_matter_to_all_weights(build, blobs, monkeypatch):
 
 def test_the_axiomatic_route_warns_by_its_own_lights(build, blobs, monkeypatch):
     monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["the network's view"])
-    monkeypatch.setattr(matcher_module, "axiomatic_warnings", lambda source, target: [f"{len(source.points)} turned"])
+    monkeypatch.setattr(
+        matcher_module, "axiomatic_warnings", lambda source, target, *, ups: [f"{len(source.points)} turned {ups}"]
+    )
     for matcher in (build("axiomatic", info=WeightsInfo(upright=True)), build("auto", with_network=False)):
-        assert matcher.match(blobs.source, blobs.target).warnings == ("480 turned",)
+        found = matcher.match(blobs.source, blobs.target, target_up="x")
+        assert found.warnings == ("480 turned ('y', 'x')",)
 
 
 @pytest.mark.parametrize("given", [None, OperatorSettings(n_eigenpairs=50)])
@@ -197,6 +203,8 @@ def test_methods_that_need_weights(method):
         (lambda m, s: choose_device("gpu9"), ["device is 'gpu9'", "auto, cpu, cuda"]),
         (lambda m, s: m.match(s, s, partial="sorce"), ["partial is 'sorce'", "did you mean 'source'?"]),
         (lambda m, s: m.match(s, s, partial=""), ["partial is ''", "source, target"]),
+        (lambda m, s: m.match(s, s, source_up="w"), ["source_up is 'w'", "x, y, z"]),
+        (lambda m, s: m.match(s, s, target_up=None), ["target_up is 'None'"]),
         (lambda m, s: m.match(s, s, as_cloud="sorce"), ["as_cloud is 'sorce'", "did you mean 'source'?"]),
         (
             lambda m, s: m.match_prepared(m.prepare(s), m.prepare(s), partial="targt"),
@@ -280,5 +288,47 @@ def test_unusable_shapes_are_named(build, blobs):
 
 
 def test_weights_that_are_not_there():
-    with pytest.raises(WeightsError, match="no such weight file"):
+    with pytest.raises(WeightsError, match=r"no weights 'nowhere\.safetensors'"):
         Matcher.from_weights("nowhere.safetensors")
+
+
+def test_weights_by_name(weights, tmp_path, monkeypatch):
+    """As the command line finds them."""
+    (tmp_path / "blobs.safetensors").write_bytes(weights.read_bytes())
+    monkeypatch.setattr(weights_module, "_SHIPPED", tmp_path)
+    assert Matcher.from_weights("blobs", device="cpu").info.name == "blobs"
+    with pytest.raises(WeightsError, match=r"no weights 'people'; give one of the shipped weights \(blobs\)"):
+        Matcher.from_weights("people")
+
+
+KINDS = {
+    "path": (
+        lambda m, s: m.match("a.ply", s),
+        "source is a str, but must be a Shape; read files with homolog.read_shape",
+    ),
+    "Path": (lambda m, s: m.match(s, Path("b.ply")), f"target is a {type(Path()).__name__}, but must be a Shape"),
+    "array": (lambda m, s: m.prepare(s.points), "shape is a ndarray, but must be a Shape"),
+    "operators": (lambda m, s: m.operators("a.ply"), "shape is a str, but must be a Shape"),
+    "features": (lambda m, s: m.features(s), "operators is a Shape, but must be Operators; compute them"),
+    "unprepared": (lambda m, s: m.match_prepared(s, s), "source is a Shape, but must be a prepared shape; make one"),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_arguments_of_another_kind(build, blobs, kind):
+    call, said = KINDS[kind]
+    with pytest.raises(ArgumentError) as caught:
+        call(build("axiomatic", with_network=False), blobs.source)
+    assert str(caught.value).startswith(said)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_axiomatic_method_has_its_own_operators_whatever_weights_are_given(blobs, network):
+    """Weights of other operators do not change what it finds."""
+    info = WeightsInfo(n_eigenpairs=60, laplacian="cotangent")
+    settings = MatcherSettings(method="axiomatic")
+    given, none = Matcher(network, info, settings=settings, device="cpu"), Matcher(settings=settings, device="cpu")
+    assert given.operator_settings == none.operator_settings == OperatorSettings()
+    assert given.network is None
+    own = MatcherSettings(method="axiomatic", operators=OperatorSettings(70))
+    assert Matcher(network, info, settings=own, device="cpu").operator_settings == OperatorSettings(70)

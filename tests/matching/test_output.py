@@ -1,7 +1,7 @@
 """What a match leaves on disk."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import pytest
 from homolog.errors import ArgumentError
 from homolog.matching import Correspondence, matched_colours, position_colours, write_result
 from homolog.shapes import Shape, read_shape
+from homolog.steps import Steps
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
 GREY = [160, 160, 160]
@@ -81,6 +82,19 @@ def test_the_four_files(shapes, found, tmp_path):
         if given.faces is not None:
             np.testing.assert_array_equal(written.faces, given.faces)
     assert json.loads(paths[3].read_text()) == {"answer": 42}
+
+
+def test_writing_is_a_step_of_the_report(shapes, found, tmp_path):
+    heard = []
+    steps = Steps(listener=heard.append)
+    with steps.step("map"):
+        pass
+    paths = write_result(tmp_path, *shapes, found, {"answer": 42}, steps=steps)
+    report = json.loads(paths[3].read_text())
+    assert report["answer"] == 42
+    assert [step["name"] for step in report["steps"]] == heard == ["map", "write"]
+    assert report["steps"] == [asdict(step) for step in steps.finished]
+    assert report["steps"][1]["seconds"] > 0
 
 
 def test_same_colour_same_point(shapes, found, tmp_path):

@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy.spatial import KDTree
 
+from homolog.errors import ArgumentError
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import covered
 from homolog.matching import Matcher, PointMaps
@@ -151,3 +152,47 @@ def test_whole_pairs_have_no_missing_points(build, blobs, method):
     found = build(method).match(blobs.source, blobs.target)
     assert found.source_to_target.min() >= 0
     assert found.target_to_source.min() >= 0
+
+
+def told_units(build, cut, factor, as_cloud=None, **options):
+    """What a match of the part, its points multiplied, warns of regarding units, and its maps."""
+    matcher = build("features", kind=Told)
+    matcher.truth = cut
+    part = Shape(cut.part.points * factor, cut.part.faces)
+    found = matcher.match(cut.whole, part, partial="target", as_cloud=as_cloud, **options)
+    return [warning for warning in found.warnings if "units" in warning], found
+
+
+@pytest.mark.parametrize(("kind", "as_cloud"), KINDS)
+def test_a_part_in_other_units_is_named_and_scaled(build, cut, kind, as_cloud):
+    """Its area and the whole one's, both in the units of the whole."""
+    for factor in (1000.0, 0.01):
+        (warning,), _ = told_units(build, cut, factor, as_cloud)
+        area = factor**2 * unit_frame(cut.part).length ** 2
+        whole = unit_frame(cut.whole).length ** 2
+        assert f"the partial shape's area is {area:.3g}, the complete one's {whole:.3g}:" in warning
+        assert "part_scale (--part-scale)" in warning
+        assert "\n" not in warning
+        _, plain = told_units(build, cut, 1.0, as_cloud)
+        none, found = told_units(build, cut, factor, as_cloud, part_scale=1 / factor)
+        assert none == []
+        np.testing.assert_array_equal(found.source_to_target >= 0, plain.source_to_target >= 0)
+        np.testing.assert_array_equal(found.target_to_source, plain.target_to_source)
+
+
+def test_a_raw_cloud_as_part_is_judged_too(build, cut):
+    clouds = Cut(cut.whole.as_cloud(), cut.part.as_cloud(), cut.part_to_whole, cut.kept)
+    assert told_units(build, clouds, 1.0)[0] == []
+    assert len(told_units(build, clouds, 1000.0)[0]) == 1
+    assert told_units(build, clouds, 1000.0, part_scale=0.001)[0] == []
+
+
+@pytest.mark.parametrize("part_scale", [0, -2, float("nan"), float("inf"), "mm", None, True])
+def test_part_scales_that_are_none(build, cut, part_scale):
+    with pytest.raises(ArgumentError, match=r"part_scale is .*, but must be a positive finite number"):
+        build("features").match(cut.whole, cut.part, partial="target", part_scale=part_scale)
+
+
+def test_a_part_scale_needs_a_part(build, cut):
+    with pytest.raises(ArgumentError, match=r"part_scale is 10, but neither shape is partial"):
+        build("features").match(cut.whole, cut.part, part_scale=10)

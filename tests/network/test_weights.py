@@ -89,8 +89,8 @@ def test_a_published_checkpoint_is_read_by_its_own_names(tmp_path: Path) -> None
 
 
 def test_a_missing_file_or_a_folder_is_refused(tmp_path: Path) -> None:
-    refuses(tmp_path / "none.safetensors", "no such weight file")
-    refuses(tmp_path, "no such weight file")
+    refuses(tmp_path / "none.safetensors", "there are no weights")
+    refuses(tmp_path, "there are no weights")
 
 
 @pytest.mark.parametrize("suffix", [".safetensors", ".pth", ".pt", ".bin"])

@@ -256,7 +256,7 @@ def test_a_polite_stop_saves_first(meshes, as_toml, tmp_path):
             out, err = process.communicate(timeout=60)
         finally:
             process.kill()
-    assert (process.returncode, out) == (130, "")
+    assert (process.returncode, out) == (143, "")
     said, last = err.splitlines()
     step = steps_done(run)
     assert said == f"Stopped after step {step} of 3000 and saved; --resume goes on from there."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
 from homolog.cli.demo import demo
@@ -10,6 +12,7 @@ from homolog.cli.evaluate import evaluate
 from homolog.cli.info import info
 from homolog.cli.match import match
 from homolog.cli.train import train
+from homolog.versions import version_of
 
 app = typer.Typer(
     name="homolog",
@@ -17,7 +20,24 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
-    help="Find dense correspondences between non-rigid 3D shapes: meshes and point clouds, whole or partial.",
 )
+
+
+def _print_version(*, asked: bool) -> None:
+    if asked:
+        typer.echo(f"homolog {version_of('homolog')}")
+        raise typer.Exit
+
+
+@app.callback()
+def homolog(
+    *,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
+    ] = False,
+) -> None:
+    """Find dense correspondences between non-rigid 3D shapes: meshes and point clouds, whole or partial."""
+
+
 for command in (match, train, evaluate, info, doctor, demo):
     app.command()(command)

@@ -46,8 +46,7 @@ def demo(
     with progress_bar(quiet=quiet) as progress:
         steps = Steps(listener=counted(progress))
         outcome = job.run(steps)
-        with steps.step("write"):
-            paths = outcome.write(output, steps, described(job.matcher, None))
+        paths = outcome.write(output, steps, described(job.matcher, None))
     found = outcome.found
     source = folder.shape(_SOURCE)
     truth, asked = folder.common_points(_SOURCE), folder.common_points(_TARGET)

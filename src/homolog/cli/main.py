@@ -20,10 +20,23 @@ _OUT_OF_MEMORY = re.compile("out of memory|not enough memory|can't allocate memo
 class _Interrupted(BaseException):
     """Ctrl-C or a polite kill; not an ``Exception``, so that nothing on the way takes it for a failure."""
 
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.exit_code = 128 + number  # as shells have it: 130 for SIGINT, 143 for SIGTERM
+
+
+class _Log(logging.Handler):
+    """Prints what the library logs, above the progress bar."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        from homolog.cli.progress import say  # loaded with the commands anyway, but not before Ctrl-C works
+
+        say(self.format(record))
+
 
 def main() -> None:
-    """Run the command line; a user's mistake is one line on stderr and exit code 2, Ctrl-C is exit code 130."""
-    logging.basicConfig(format="%(message)s", level=logging.WARNING)
+    """Run the command line; a user's mistake is one line on stderr and exit code 2, a signal 128 and its number."""
+    logging.basicConfig(format="%(message)s", level=logging.WARNING, handlers=[_Log()])
     if not sys.warnoptions:
         # What libraries tell programmers is noise to users; `python -W default -m homolog` shows it.
         warnings.simplefilter("ignore")
@@ -36,8 +49,8 @@ def main() -> None:
         status = app(standalone_mode=False)
     except HomologError as error:
         _end(f"Error: {error}", 2)
-    except _Interrupted:
-        _end("Interrupted; nothing was left half-written.", 130)
+    except _Interrupted as interrupted:
+        _end("Interrupted; nothing was left half-written.", interrupted.exit_code)
     except BrokenPipeError:
         # Whoever read the output, such as `head`, has seen enough; nothing more can be written, not even at the exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -69,7 +82,7 @@ def _complaint(error: Exception) -> str | None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise _Interrupted
+    raise _Interrupted(number)
 
 
 def _end(message: str, code: int) -> NoReturn:

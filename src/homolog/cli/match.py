@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
-from rich.console import Console
+from jaxtyping import Float, Int
 
 from homolog.cli.options import (
     DeviceOption,
@@ -21,11 +22,11 @@ from homolog.cli.options import (
     described,
     set_verbosity,
 )
-from homolog.cli.progress import Report, progress_bar
+from homolog.cli.progress import Report, progress_bar, say
 from homolog.errors import ShapeError
 from homolog.files import sha256
 from homolog.matching import AsCloud, Correspondence, Matcher, Prepared, Side, write_result
-from homolog.shapes import Shape, Up, read_shape, stand_upright
+from homolog.shapes import Shape, Up, read_shape
 from homolog.steps import Listener, Steps
 from homolog.versions import versions
 
@@ -44,8 +45,15 @@ def match(
     as_cloud: Annotated[AsCloud | None, typer.Option(help="Use only the points of this shape.")] = None,
     partial: Annotated[
         Side | None,
-        typer.Option(help="This shape is a part of one like the other, in the same units; points may have no match."),
+        typer.Option(help="This shape is a part of one like the other, whose points may then have no match."),
     ] = None,
+    part_scale: Annotated[
+        float,
+        typer.Option(
+            metavar="FACTOR",
+            help="What the partial shape's lengths are multiplied by to be in the complete one's units.",
+        ),
+    ] = 1.0,
     up: Annotated[Up, typer.Option(help="The axis that points up in both files.")] = "y",
     source_up: Annotated[Up | None, typer.Option(help="The axis that points up in the source, if it differs.")] = None,
     target_up: Annotated[Up | None, typer.Option(help="The axis that points up in the target, if it differs.")] = None,
@@ -65,6 +73,8 @@ def match(
 
       homolog match scan.ply template.obj -o result --partial source --source-up z
 
+      homolog match part.stl whole.glb -o out --partial source --part-scale 0.001
+
       homolog match a.ply b.xyz -o result --method axiomatic
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -73,34 +83,49 @@ def match(
     with progress_bar(quiet=quiet) as progress:
         steps = Steps(listener=counted(progress, verbose=verbose))
         job = Job({"source": source, "target": target}, ups, build_matcher(weights, method, device, no_cache=no_cache))
-        outcome = job.run(steps, as_cloud=as_cloud, partial=partial, strict=strict)
-        options = {"method": method, "as_cloud": as_cloud, "partial": partial, "up": ups, "strict": strict}
-        with steps.step("write"):
-            paths = outcome.write(output, steps, {"options": options, **described(job.matcher, weights)})
+        outcome = job.run(steps, as_cloud=as_cloud, partial=partial, part_scale=part_scale, strict=strict)
+        options = {
+            "method": method,
+            "as_cloud": as_cloud,
+            "partial": partial,
+            "part_scale": part_scale,
+            "up": ups,
+            "strict": strict,
+        }
+        paths = outcome.write(output, steps, {"options": options, **described(job.matcher, weights)})
     if not quiet:
-        _summary(outcome.found, steps, paths, verbose=verbose)
+        _summary(outcome, steps, paths, verbose=verbose)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a job read and found, and what is to be reported of its inputs."""
+    """What a job read and found, what is to be reported of its inputs, and how many points repair left out."""
 
     shapes: dict[Side, Shape]
     found: Correspondence
     inputs: dict[Side, dict[str, Any]]
+    left_out: dict[Side, int]
+
+    @property
+    def matched(self) -> dict[Side, dict[str, int | float]]:
+        """What became of the points of each shape."""
+        found = self.found
+        return {
+            "source": _matched(found.source_to_target, found.source_confidence, self.left_out["source"]),
+            "target": _matched(found.target_to_source, found.target_confidence, self.left_out["target"]),
+        }
 
     def write(self, output: Path, steps: Steps, setup: dict[str, Any]) -> list[Path]:
-        """Write the result and its report."""
+        """Write the result, as one more step, and its report."""
         report = {
             "inputs": self.inputs,
             "route": self.found.route,
             "warnings": list(self.found.warnings),
             **setup,
-            "matched": _matched(self.found),
-            "steps": [asdict(step) for step in steps.finished],
+            "matched": {f"{side}_{name}": n for side, matched in self.matched.items() for name, n in matched.items()},
             "versions": versions(),
         }
-        return write_result(output, self.shapes["source"], self.shapes["target"], self.found, report)
+        return write_result(output, self.shapes["source"], self.shapes["target"], self.found, report, steps=steps)
 
 
 @dataclass(frozen=True)
@@ -112,7 +137,13 @@ class Job:
     matcher: Matcher
 
     def run(
-        self, steps: Steps, *, as_cloud: AsCloud | None = None, partial: Side | None = None, strict: bool = False
+        self,
+        steps: Steps,
+        *,
+        as_cloud: AsCloud | None = None,
+        partial: Side | None = None,
+        part_scale: float = 1.0,
+        strict: bool = False,
     ) -> Outcome:
         """Read and match; in strict mode anything repaired or warned of is an error."""
         shapes: dict[Side, Shape] = {}
@@ -121,14 +152,21 @@ class Job:
             with steps.step(f"read {side}"):
                 shapes[side], digest = _read(file)
             inputs[side] = {"file": str(file), "sha256": digest}
-        upright = {side: stand_upright(shape, self.ups[side]) for side, shape in shapes.items()}
         source, target = self.matcher.prepare_pair(
-            upright["source"], upright["target"], as_cloud=as_cloud, partial=partial, strict=strict, steps=steps
+            shapes["source"],
+            shapes["target"],
+            as_cloud=as_cloud,
+            partial=partial,
+            part_scale=part_scale,
+            source_up=self.ups["source"],
+            target_up=self.ups["target"],
+            strict=strict,
+            steps=steps,
         )
         inputs["source"] |= _described(source)
         inputs["target"] |= _described(target)
         found = self.matcher.match_checked(source, target, partial=partial, strict=strict, steps=steps)
-        return Outcome(shapes, found, inputs)
+        return Outcome(shapes, found, inputs, {"source": source.n_left_out, "target": target.n_left_out})
 
 
 def _read(file: Path) -> tuple[Shape, str]:
@@ -148,20 +186,19 @@ def _described(prepared: Prepared) -> dict[str, Any]:
     return {**prepared.repaired.report.to_dict(), "eigenpairs": eigenpairs}
 
 
-def _matched(found: Correspondence) -> dict[str, Any]:
+def _matched(
+    indices: Int[np.ndarray, " n"], confidence: Float[np.ndarray, " n"], left_out: int
+) -> dict[str, int | float]:
     return {
-        "source_points": len(found.source_to_target),
-        "source_points_without_counterpart": int((found.source_to_target < 0).sum()),
-        "source_mean_confidence": float(found.source_confidence.mean()),
-        "target_points": len(found.target_to_source),
-        "target_points_without_counterpart": int((found.target_to_source < 0).sum()),
-        "target_mean_confidence": float(found.target_confidence.mean()),
+        "points": len(indices),
+        "points_left_out": left_out,
+        "points_without_counterpart": int((indices < 0).sum()) - left_out,
+        "mean_confidence": float(confidence.mean()),
     }
 
 
 def counted(progress: Report, *, verbose: bool = False) -> Listener:
     """A listener for the steps of a job that moves the progress bar on, and prints their names if ``verbose``."""
-    console = Console(stderr=True, highlight=False)
     count = 0
 
     def listen(name: str) -> None:
@@ -169,28 +206,25 @@ def counted(progress: Report, *, verbose: bool = False) -> Listener:
         progress(count, _STEPS, name)
         count += 1
         if verbose:
-            console.print(f"{name} ...")
+            say(f"{name} ...")
 
     return listen
 
 
-def _summary(found: Correspondence, steps: Steps, paths: list[Path], *, verbose: bool) -> None:
-    console = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
-    for warning in found.warnings:
-        console.print(f"Warning: {warning}")
+def _summary(outcome: Outcome, steps: Steps, paths: list[Path], *, verbose: bool) -> None:
+    for warning in outcome.found.warnings:
+        say(f"Warning: {warning}")
     if verbose:
         for step in steps.finished:
-            console.print(f"{step.name:<24} {step.seconds:8.2f} s   peak {step.peak_mb:7.0f} MB")
+            say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")
     seconds = sum(step.seconds for step in steps.finished)
-    sides = "; ".join(_side_summary(side, _matched(found)) for side in ("source", "target"))
-    console.print(f"Matched by {found.route} in {seconds:.1f} s: {sides}.")
+    sides = "; ".join(f"{side} {_in_words(matched)}" for side, matched in outcome.matched.items())
+    say(f"Matched by {outcome.found.route} in {seconds:.1f} s: {sides}.")
     for path in paths:
         typer.echo(path)
 
 
-def _side_summary(side: str, matched: dict[str, Any]) -> str:
-    without = matched[f"{side}_points_without_counterpart"]
-    found = f"{without} without a counterpart" if without else "all matched"
-    return (
-        f"{side} {matched[f'{side}_points']} points, {found}, mean confidence {matched[f'{side}_mean_confidence']:.2f}"
-    )
+def _in_words(matched: dict[str, int | float]) -> str:
+    reasons = {"points_left_out": "left out by repair", "points_without_counterpart": "without a counterpart"}
+    missing = [f"{matched[name]} {reason}" for name, reason in reasons.items() if matched[name]] or ["all matched"]
+    return f"{matched['points']} points, {', '.join(missing)}, mean confidence {matched['mean_confidence']:.2f}"

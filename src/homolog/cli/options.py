@@ -14,7 +14,6 @@ import typer
 from homolog.errors import ArgumentError
 from homolog.geometry import OperatorCache, compute_operators
 from homolog.matching import RESULT_FILES, Device, Matcher, MatcherSettings, Method
-from homolog.network import find_weights, load_weights
 
 Weights = Annotated[
     str | None,
@@ -29,7 +28,7 @@ MethodOption = Annotated[
     Method,
     typer.Option(
         help="How maps are found. auto: functional maps between meshes, features wherever a cloud takes part. "
-        "axiomatic needs no weights."
+        "axiomatic neither needs nor uses weights."
     ),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
@@ -44,8 +43,7 @@ def build_matcher(weights: str | None, method: Method, device: Device, *, no_cac
     settings = MatcherSettings(method=method)
     if weights is None:
         return Matcher(settings=settings, device=device, operators=operators)
-    network, info = load_weights(find_weights(weights))
-    return Matcher(network, info, settings=settings, device=device, operators=operators)
+    return Matcher.from_weights(weights, settings=settings, device=device, operators=operators)
 
 
 def described(matcher: Matcher, weights: str | None) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from homolog.arrays import takes_arrays
 from homolog.geometry import Operators
 
 # Neighbours of a point that its match is judged with.
@@ -21,6 +22,7 @@ _COVERAGE_SPACINGS = 2.0
 _COVERED = 0.5
 
 
+@takes_arrays
 def confidence(
     points_y: Float[Tensor, "n_y 3"],
     points_x: Float[Tensor, "n_x 3"],
@@ -38,6 +40,7 @@ def confidence(
     return torch.exp(-(home[near].mean(dim=1) + stretch) / _SCALE)
 
 
+@takes_arrays
 def local_stretch(
     points: Float[Tensor, "n 3"], images: Float[Tensor, "n 3"], near: Int[Tensor, "n j"]
 ) -> Float[Tensor, " n"]:

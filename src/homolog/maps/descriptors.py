@@ -6,9 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from homolog.arrays import takes_arrays
 from homolog.geometry import Operators
 
 
+@takes_arrays
 def wave_kernel_signature(
     eigenvalues: Float[Tensor, " k"], eigenvectors: Float[Tensor, "n k"], *, n_energies: int = 100
 ) -> Float[Tensor, "n e"]:

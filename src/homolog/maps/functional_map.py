@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from homolog.arrays import takes_arrays
+from homolog.arrays import takes_arrays, takes_arrays_of_any_precision
 from homolog.errors import ArgumentError
 from homolog.maps.nearest import nearest_neighbour
 
@@ -21,7 +21,7 @@ from homolog.maps.nearest import nearest_neighbour
 _SMALLEST_PIVOT = 1e-10
 
 
-@takes_arrays
+@takes_arrays_of_any_precision
 def resolvent_mask(
     eigenvalues_x: Float[Tensor, "*batch k_x"], eigenvalues_y: Float[Tensor, "*batch k_y"], *, gamma: float = 0.5
 ) -> Float[Tensor, "*batch k_y k_x"]:
@@ -38,7 +38,7 @@ def resolvent_mask(
     return real**2 + imaginary**2
 
 
-@takes_arrays
+@takes_arrays_of_any_precision
 def functional_map(
     coefficients_x: Float[Tensor, "*batch k_x c"],
     coefficients_y: Float[Tensor, "*batch k_y c"],
@@ -101,10 +101,19 @@ def _solved(factors: Float[Tensor, "*batch k k"], right: Float[Tensor, "*batch k
 
 @takes_arrays
 def point_map_from_functional_map(
-    c_xy: Float[Tensor, "k_y k_x"], eigenvectors_x: Float[Tensor, "n_x k"], eigenvectors_y: Float[Tensor, "n_y k"]
+    c_xy: Float[Tensor, "k_y k_x"], eigenvectors_x: Float[Tensor, "n_x m_x"], eigenvectors_y: Float[Tensor, "n_y m_y"]
 ) -> Int[Tensor, " n_y"]:
-    """For each point of y its point of x: nearest neighbours between the rows of Phi_y and of Phi_x C_xy^T."""
+    """For each point of y its point of x: nearest neighbours between the rows of Phi_y and of Phi_x C_xy^T.
+
+    Raises:
+        ArgumentError: if there are fewer eigenvectors than the functional map is for.
+    """
     k_y, k_x = c_xy.shape
+    if eigenvectors_x.shape[1] < k_x or eigenvectors_y.shape[1] < k_y:
+        raise ArgumentError(
+            f"c_xy has shape {(k_y, k_x)}, so eigenvectors_x must have at least {k_x} columns and eigenvectors_y "
+            f"{k_y}, but they have {eigenvectors_x.shape[1]} and {eigenvectors_y.shape[1]}"
+        )
     carried = eigenvectors_x[:, :k_x] @ c_xy.T
     return nearest_neighbour(eigenvectors_y[:, :k_y], carried).index
 

@@ -35,7 +35,9 @@ def orthogonality_loss(c_xy: Float[Tensor, "k_y k_x"], c_yx: Float[Tensor, "k_x 
 
 
 @takes_arrays
-def partial_bijectivity_loss(c_xy: Float[Tensor, "k k"], c_yx: Float[Tensor, "k k"], *, rank: int) -> Float[Tensor, ""]:
+def partial_bijectivity_loss(
+    c_xy: Float[Tensor, "k_y k_x"], c_yx: Float[Tensor, "k_x k_y"], *, rank: int
+) -> Float[Tensor, ""]:
     """For y a part of x: |C_xy C_yx - I_r|^2, where the first r diagonal entries of I_r are one.
 
     Args:
@@ -47,13 +49,13 @@ def partial_bijectivity_loss(c_xy: Float[Tensor, "k k"], c_yx: Float[Tensor, "k 
 
 
 @takes_arrays
-def partial_orthogonality_loss(c_xy: Float[Tensor, "k k"], *, rank: int) -> Float[Tensor, ""]:
+def partial_orthogonality_loss(c_xy: Float[Tensor, "k_y k_x"], *, rank: int) -> Float[Tensor, ""]:
     """For y a part of x: |C_xy C_xy^T - I_r|^2; see ``partial_bijectivity_loss``."""
     return _off_identity(c_xy @ c_xy.mT, rank)
 
 
 @takes_arrays
-def partial_rank(eigenvalues_x: Float[Tensor, " k"], eigenvalues_y: Float[Tensor, " k"]) -> int:
+def partial_rank(eigenvalues_x: Float[Tensor, " k_x"], eigenvalues_y: Float[Tensor, " k_y"]) -> int:
     """How many functions of a complete shape x its part y can still tell apart, both at one scale.
 
     A part's eigenvalues grow faster, in the ratio of the areas (Weyl's law): those below the largest of the complete

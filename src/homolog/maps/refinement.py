@@ -13,10 +13,11 @@ from homolog.maps.functional_map import functional_map_from_point_map, point_map
 _SAMPLES = 2000
 
 
+@takes_arrays
 def zoom_out(
-    c_xy: Float[Tensor, "k k"],
-    eigenvectors_x: Float[Tensor, "n_x m"],
-    eigenvectors_y: Float[Tensor, "n_y m"],
+    c_xy: Float[Tensor, "k_y k_x"],
+    eigenvectors_x: Float[Tensor, "n_x m_x"],
+    eigenvectors_y: Float[Tensor, "n_y m_y"],
     *,
     step: int = 20,
     largest: int | None = None,
@@ -45,8 +46,8 @@ def zoom_out(
 @takes_arrays
 def refined_point_map(
     y_to_x: Int[Tensor, " n_y"],
-    eigenvectors_x: Float[Tensor, "n_x m"],
-    eigenvectors_y: Float[Tensor, "n_y m"],
+    eigenvectors_x: Float[Tensor, "n_x m_x"],
+    eigenvectors_y: Float[Tensor, "n_y m_y"],
     mass_y: Float[Tensor, " n_y"],
     *,
     smallest: int = 20,

@@ -30,6 +30,7 @@ class SoftMatches:
     column_scaling: Float[Tensor, " n_x"]
 
 
+@takes_arrays
 def normalised(features: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
     """Features of unit length per point: those of meshes and clouds differ in length by a factor of ten."""
     return torch.nn.functional.normalize(features, dim=-1)

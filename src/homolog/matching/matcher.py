@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -12,7 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.errors import ArgumentError, ShapeError, bad_choice, bad_value
+from homolog.errors import ArgumentError, HomologError, ShapeError, bad_choice, bad_value
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
     confidence,
@@ -29,9 +31,12 @@ from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.map_problem import MapProblem
 from homolog.matching.orientation import axiomatic_warnings, orientation_warnings
+from homolog.matching.part_units import unit_warnings
 from homolog.network import DiffusionNet, WeightsInfo, load_weights
-from homolog.shapes import Modality, Repaired, Shape, repair
+from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
 from homolog.steps import Steps
+
+_log = logging.getLogger(__name__)
 
 Method = Literal["auto", "functional-map", "features", "axiomatic"]
 Side = Literal["source", "target"]
@@ -119,11 +124,18 @@ class Prepared:
         repaired: the clean shape and the way back to the one given.
         operators: of the clean shape.
         features: per clean point (n, d): the network's, or descriptors for the axiomatic route.
+        up: the axis of the shape as given that was turned to +y.
     """
 
     repaired: Repaired
     operators: Operators
     features: Float[Tensor, "n d"]
+    up: Up = "y"
+
+    @property
+    def n_left_out(self) -> int:
+        """How many points of the shape as given repair left out, so that nothing was asked of them."""
+        return int((self.repaired.clean_index < 0).sum())
 
     @property
     def modality(self) -> Modality:
@@ -146,7 +158,7 @@ class Matcher:
     ``match_prepared``; ``match`` is all of them.
 
     Args:
-        network: a trained network, or None for the axiomatic route alone.
+        network: a trained network, or None for the axiomatic route alone, which does not use any.
         info: what its weights expect.
         settings: how maps are made.
         device: where the network and the maps run.
@@ -164,8 +176,13 @@ class Matcher:
     ) -> None:
         self.settings = settings or MatcherSettings()
         self.device = choose_device(device)
-        self.network = None if network is None else network.to(self.device).eval()
         self.info = info or WeightsInfo()
+        if network is not None and self.settings.method == "axiomatic":
+            _log.warning(
+                "The axiomatic method does not use weights; the given ones, %s, are left aside.", self.info.name
+            )
+            network, self.info = None, WeightsInfo()
+        self.network = None if network is None else network.to(self.device).eval()
         self._operators = operators
         if network is None and self.settings.method in ("functional-map", "features"):
             raise ArgumentError(
@@ -181,10 +198,10 @@ class Matcher:
         device: Device = "auto",
         operators: OperatorSource = compute_operators,
     ) -> Matcher:
-        """A matcher with weights from a file.
+        """A matcher with weights from a file, or with weights that ship with the package, by their name.
 
         Raises:
-            WeightsError: if the file does not hold weights.
+            WeightsError: if there are no such weights, or the file does not hold any.
         """
         network, info = load_weights(weights)
         return cls(network, info, settings=settings, device=device, operators=operators)
@@ -207,6 +224,7 @@ class Matcher:
         shape: Shape,
         *,
         as_cloud: bool = False,
+        up: Up = "y",
         length: float | None = None,
         strict: bool = False,
         steps: Steps | None = None,
@@ -217,17 +235,20 @@ class Matcher:
         Args:
             shape: as it was read.
             as_cloud: leave the faces out, but keep the scale that they give.
+            up: which of its axes points up.
             length: the file length of one inner unit; by default sqrt(surface area).
             strict: refuse a shape that needs repair.
             steps: collects time and memory of the steps.
             label: what the steps call the shape.
 
         Raises:
+            ArgumentError: if it is no shape, or ``up`` no axis.
             ShapeError: if the shape cannot be used, or is refused.
         """
+        _check_kind(label, shape, Shape)
         steps = steps or Steps()
         with steps.step(f"repair {label}"):
-            repaired, as_cloud = _repaired(shape, as_cloud=as_cloud)
+            repaired, as_cloud = _repaired(stand_upright(shape, up), as_cloud=as_cloud)
             if strict:
                 _refuse_repairs(repaired)
         with steps.step(f"operators of {label}"):
@@ -236,10 +257,11 @@ class Matcher:
             features = self.features(operators)
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
-        return Prepared(repaired, operators, features)
+        return Prepared(repaired, operators, features, up)
 
     def operators(self, shape: Shape, *, as_cloud: bool = False, length: float | None = None) -> Operators:
         """The operators of a clean shape, on this matcher's device."""
+        _check_kind("shape", shape, Shape)
         if as_cloud:
             length = length or unit_frame(shape).length
             shape = shape.as_cloud()
@@ -249,7 +271,8 @@ class Matcher:
     @torch.inference_mode()
     def features(self, operators: Operators) -> Float[Tensor, "n d"]:
         """The network's features per point (n, d), or descriptors where the route is axiomatic."""
-        if self.network is None or self.settings.method == "axiomatic":
+        _check_kind("operators", operators, Operators)
+        if self.network is None:
             return axiomatic_descriptors(operators)
         features: Tensor = self.network(operators.points, operators)
         return features
@@ -261,6 +284,9 @@ class Matcher:
         *,
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
+        part_scale: float = 1.0,
+        source_up: Up = "y",
+        target_up: Up = "y",
         strict: bool = False,
         steps: Steps | None = None,
     ) -> Correspondence:
@@ -270,17 +296,31 @@ class Matcher:
             source: a mesh or cloud in any state; never changed.
             target: another.
             as_cloud: which of the two to use without its faces.
-            partial: which of the two, if any, is a part of a shape like the other, in the same units. Points of the
-                complete one that have no counterpart then get -1.
+            partial: which of the two, if any, is a part of a shape like the other. Points of the complete one that have
+                no counterpart then get -1.
+            part_scale: by how much the partial shape's lengths are multiplied to be in the complete one's units: 0.001
+                for a part in millimetres of a whole in metres.
+            source_up: which axis of the source points up.
+            target_up: which axis of the target.
             strict: stop at anything to repair or to warn of.
             steps: collects time and memory of the steps.
 
         Raises:
-            ArgumentError: if ``as_cloud`` or ``partial`` is no such word.
+            ArgumentError: if something given is not a shape, such a word, or a factor.
             ShapeError: if a shape cannot be used, or ``strict`` forbids it.
         """
         steps = steps or Steps()
-        prepared = self.prepare_pair(source, target, as_cloud=as_cloud, partial=partial, strict=strict, steps=steps)
+        prepared = self.prepare_pair(
+            source,
+            target,
+            as_cloud=as_cloud,
+            partial=partial,
+            part_scale=part_scale,
+            source_up=source_up,
+            target_up=target_up,
+            strict=strict,
+            steps=steps,
+        )
         return self.match_checked(*prepared, partial=partial, strict=strict, steps=steps)
 
     def prepare_pair(
@@ -290,22 +330,31 @@ class Matcher:
         *,
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
+        part_scale: float = 1.0,
+        source_up: Up = "y",
+        target_up: Up = "y",
         strict: bool = False,
         steps: Steps | None = None,
     ) -> tuple[Prepared, Prepared]:
         """Prepare two shapes for each other: a partial one takes its partner's scale; see ``match``."""
         _check_word("as_cloud", as_cloud, get_args(AsCloud))
         _check_word("partial", partial, get_args(Side))
+        _check_part_scale(part_scale, partial)
         shapes: dict[Side, Shape] = {"source": source, "target": target}
+        ups: dict[Side, Up] = {"source": source_up, "target": target_up}
+        for side in shapes:
+            _check_kind(side, shapes[side], Shape)
+            if ups[side] not in get_args(Up):
+                raise bad_choice(f"{side}_up", str(ups[side]), get_args(Up))
         order: tuple[Side, Side] = ("target", "source") if partial == "source" else ("source", "target")
         prepared: dict[Side, Prepared] = {}
         length: float | None = None
         for side in order:
             flat = as_cloud in (side, "both")
             prepared[side] = self.prepare(
-                shapes[side], as_cloud=flat, length=length, strict=strict, steps=steps, label=side
+                shapes[side], as_cloud=flat, up=ups[side], length=length, strict=strict, steps=steps, label=side
             )
-            length = prepared[side].operators.length if partial else None
+            length = prepared[side].operators.length / part_scale if partial else None
         return prepared["source"], prepared["target"]
 
     def match_checked(
@@ -317,12 +366,13 @@ class Matcher:
         strict: bool = False,
         steps: Steps | None = None,
     ) -> Correspondence:
-        """Match two prepared shapes, and check the result and how the shapes stand; see ``match``."""
+        """Match two prepared shapes, and check the result, their units and how they stand; see ``match``."""
         steps = steps or Steps()
-        with steps.step("map"):
+        units = _unit_warnings(source, target, partial)
+        with steps.step("map"), _blaming(units):
             found = self.match_prepared(source, target, partial=partial)
         with steps.step("check orientation"):
-            warnings = (*self.orientation_warnings(source, target), *_doubts(found))
+            warnings = (*units, *self.orientation_warnings(source, target), *_doubts(found))
         if strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")
         return replace(found, warnings=warnings)
@@ -331,17 +381,20 @@ class Matcher:
     def orientation_warnings(self, source: Prepared, target: Prepared) -> tuple[str, ...]:
         """What to tell the user if the shapes do not stand alike, or not as the weights expect."""
         if self.network is None or self.route(source.modality, target.modality) == "axiomatic":
-            return tuple(axiomatic_warnings(source.operators, target.operators))
+            return tuple(axiomatic_warnings(source.operators, target.operators, ups=(source.up, target.up)))
         if not self.info.upright:
             return ()
         lengths = source.operators.length, target.operators.length
         shapes = source.repaired.shape, target.repaired.shape
-        return tuple(orientation_warnings(self.network, *shapes, lengths=lengths, device=self.device))
+        ups = source.up, target.up
+        return tuple(orientation_warnings(self.network, *shapes, lengths=lengths, ups=ups, device=self.device))
 
     @torch.inference_mode()
     def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
         """Match two prepared shapes, without any check; see ``match``."""
         _check_word("partial", partial, get_args(Side))
+        _check_kind("source", source, Prepared)
+        _check_kind("target", target, Prepared)
         if partial == "source":
             return self.match_prepared(target, source, partial="target").swapped()
         route = self.route(source.modality, target.modality)
@@ -428,6 +481,46 @@ class Matcher:
 def _check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
     if found is not None and found not in allowed:
         raise bad_choice(name, str(found), allowed)
+
+
+# What to do about an argument of another kind than asked for.
+_WAYS_TO: dict[type, str] = {
+    Shape: "a Shape; read files with homolog.read_shape, or make one with homolog.Shape(points, faces)",
+    Operators: "Operators; compute them with Matcher.operators or homolog.compute_operators",
+    Prepared: "a prepared shape; make one with Matcher.prepare",
+}
+
+
+def _check_kind(name: str, found: object, kind: type) -> None:
+    if not isinstance(found, kind):
+        article = "an" if type(found).__name__[0] in "aeiouAEIOU" else "a"
+        raise ArgumentError(f"{name} is {article} {type(found).__name__}, but must be {_WAYS_TO[kind]}")
+
+
+def _check_part_scale(part_scale: float, partial: Side | None) -> None:
+    if not (_is_real(part_scale) and part_scale > 0):
+        raise bad_value("part_scale", part_scale, "a positive finite number")
+    if part_scale != 1 and partial is None:
+        raise ArgumentError(f"part_scale is {part_scale!r}, but neither shape is partial; say which one is, by partial")
+
+
+def _unit_warnings(source: Prepared, target: Prepared, partial: Side | None) -> list[str]:
+    if partial is None:
+        return []
+    part, complete = (source, target) if partial == "source" else (target, source)
+    unit = complete.operators.length
+    return unit_warnings(part.repaired, factor=unit / part.operators.length, complete_area=unit**2)
+
+
+@contextmanager
+def _blaming(warnings: Sequence[str]) -> Iterator[None]:
+    """Give what there is a warning of as the reason of a failure: of units that differ, other errors would mislead."""
+    try:
+        yield
+    except HomologError:
+        if warnings:
+            raise ShapeError(warnings[0]) from None
+        raise
 
 
 def _refuse_repairs(repaired: Repaired) -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
+from typing import get_args
 
 import numpy as np
 import torch
@@ -13,7 +16,7 @@ from torch import Tensor
 from homolog.geometry import Operators, compute_operators
 from homolog.maps import most_similar, normalised
 from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem, axis_agreement
-from homolog.shapes import Shape, rotation_about
+from homolog.shapes import Shape, Up, rotation_about, upright_rotation
 
 # A coarse cloud shows the pose well enough, at a fraction of the cost of the whole shape.
 _SAMPLES = 1000
@@ -32,39 +35,73 @@ _SPARSE_POWER = 1.25
 _CLEARLY_MORE_ALIKE = 0.25
 _CLEARLY_LOWER = 0.85
 
-_VERTICAL = 1
+_VERTICAL, _FORWARD = 1, 2
 
+# Axis and degrees of the turns to try, beside those that another up axis means.
+_QUARTERS = ((0, -90), (0, 90), (2, 90), (2, -90), (0, 180), (1, 90), (1, -90), (1, 180))
+
+Ups = tuple[Up, Up]
 Features = Callable[[Float[Tensor, "n 3"], Operators], Float[Tensor, "n d"]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Turn:
-    """A turn to try: degrees about an axis, what to advise if it helps, and whether to try it on both shapes too."""
+    """A turn to try on a shape that was stood upright, and what to advise for the shape as it was given.
 
-    axis: int
-    degrees: float
+    Args:
+        rotation: the turn as a matrix.
+        advice: what seems to be wrong and what to do, with places for ``{whose}``, ``{its}`` and ``{file}``.
+        tips: whether another axis comes to point up.
+    """
+
+    rotation: Float[np.ndarray, "3 3"]
     advice: str
-    try_on_both: bool = False
+    tips: bool
 
-    @property
-    def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """The turn as a matrix."""
-        return rotation_about(self.axis, self.degrees)
-
-    def __str__(self) -> str:
-        return f"{self.degrees:g} degrees about {'xyz'[self.axis]}"
+    @classmethod
+    def of(cls, rotation: Float[np.ndarray, "3 3"], up: Up) -> Turn:
+        """The turn of a shape whose ``up`` axis has been made +y."""
+        return cls(rotation, _advice(rotation, up), tips=rotation[_VERTICAL, _VERTICAL] != 1)
 
 
-_TURNS = (
-    Turn(0, -90, "as a shape with z up needs: give z as {whose} up axis", try_on_both=True),
-    Turn(0, 90, "so its -z seems to be up: turn the file", try_on_both=True),
-    Turn(2, 90, "as a shape with x up needs: give x as {whose} up axis"),
-    Turn(2, -90, "so its -x seems to be up: turn the file"),
-    Turn(0, 180, "so it seems to be upside down: turn the file"),
-    Turn(1, 90, "so that it faces +z: turn the file"),
-    Turn(1, -90, "so that it faces +z: turn the file"),
-    Turn(1, 180, "so that it faces +z: turn the file"),
-)
+def _advice(rotation: Float[np.ndarray, "3 3"], up: Up) -> str:
+    """In terms of the shape as it was given, of which the user has but the up axis in hand."""
+    stood = upright_rotation(up)
+    points_up = _axis((rotation @ stood)[_VERTICAL])
+    if points_up != up and not points_up.startswith("-"):
+        return f"{{its}} {points_up} seems to be up; give {points_up} as {{whose}} up axis"
+    turn = f"turn the {{file}} by {_in_words(stood.T @ rotation @ stood)}"
+    if points_up == up:
+        return f"it seems to face another way; {turn}, so that it faces {_axis(stood[_FORWARD], plus='+')}"
+    return f"{{its}} {points_up} seems to be up; {turn}"
+
+
+def _axis(direction: Float[np.ndarray, " 3"], plus: str = "") -> str:
+    """A direction along an axis in words, such as "-z"."""
+    number = int(np.abs(direction).argmax())
+    return f"{'-' if direction[number] < 0 else plus}{'xyz'[number]}"
+
+
+def _in_words(rotation: Float[np.ndarray, "3 3"]) -> str:
+    """A quarter or half turn about a coordinate axis."""
+    turns = product(range(3), (90, -90, 180))
+    axis, degrees = next(turn for turn in turns if np.array_equal(rotation_about(*turn), rotation))
+    return f"{degrees} degrees about {'xyz'[axis]}"
+
+
+@cache
+def _turns(up: Up) -> tuple[Turn, ...]:
+    """What to try on one shape: first what the other up axes would do, then quarters and halves about each axis."""
+    given = [upright_rotation(other) @ upright_rotation(up).T for other in get_args(Up) if other != up]
+    quarters = [rotation_about(axis, degrees) for axis, degrees in _QUARTERS]
+    others = [turn for turn in quarters if not any(np.array_equal(turn, known) for known in given)]
+    return tuple(Turn.of(rotation, up) for rotation in (*given, *others))
+
+
+def _turns_of_both(up: Up) -> tuple[Turn, ...]:
+    """What to try on both shapes at once: for files said to be y-up only z and -z, else the other up axes."""
+    turns = _turns(up)
+    return turns[:2] if up != "y" else tuple(turn for turn in turns if turn.rotation[_VERTICAL, _FORWARD])
 
 
 def orientation_warnings(
@@ -73,6 +110,7 @@ def orientation_warnings(
     target: Shape,
     *,
     lengths: tuple[float, float],
+    ups: Ups = ("y", "y"),
     device: torch.device | str = "cpu",
 ) -> list[str]:
     """Say if the features of two shapes fit better when one of them, or both, are turned by quarters.
@@ -82,31 +120,30 @@ def orientation_warnings(
         source: a clean shape.
         target: another.
         lengths: the inner units of both.
+        ups: the axes that pointed up in both as they were given, before they were stood upright.
         device: where the network is.
 
     Returns:
-        At most one line, that names the shape and the turn that would help most.
+        At most one line, that names the shape and what to do about it as it was given.
     """
-    fits = _Fits(
-        features,
-        *(
-            _sampled(shape, length, torch.device(device))
-            for shape, length in zip((source, target), lengths, strict=True)
-        ),
-    )
+    clouds = [
+        _sampled(shape, length, torch.device(device)) for shape, length in zip((source, target), lengths, strict=True)
+    ]
+    fits = _Fits(features, clouds[0], clouds[1], ups)
     (who, turn), gain = max(fits.gains().items(), key=lambda item: item[1])
     if gain < 0:
         return []
     return [_message(who, turn)]
 
 
-def axiomatic_warnings(source: Operators, target: Operators) -> list[str]:
+def axiomatic_warnings(source: Operators, target: Operators, *, ups: Ups = ("y", "y")) -> list[str]:
     """Say if another up-axis of one shape would fit the other much better, as the axiomatic route sees it.
 
-    It only needs the two shapes to stand alike; whether they face the same way this cannot tell.
+    It only needs the two shapes to stand alike; whether they face the same way this cannot tell. For ``ups`` see
+    ``orientation_warnings``.
     """
     agreement = axis_agreement(source, target).double().cpu().numpy()
-    heights = dict(_heights(agreement))
+    heights = dict(_heights(agreement, ups))
     who, turn = max(heights, key=lambda key: heights[key])
     if heights[who, turn] - agreement[_VERTICAL, _VERTICAL] < _CLEARLY_MORE_ALIKE:
         return []
@@ -114,12 +151,12 @@ def axiomatic_warnings(source: Operators, target: Operators) -> list[str]:
     return [_message(who, turn)] if _misfit(*turned) < _CLEARLY_LOWER * _misfit(source, target) else []
 
 
-def _heights(agreement: Float[np.ndarray, "3 3"]) -> Iterator[tuple[tuple[str, Turn], float]]:
+def _heights(agreement: Float[np.ndarray, "3 3"], ups: Ups) -> Iterator[tuple[tuple[str, Turn], float]]:
     """How well the heights of both shapes agree once one is turned."""
-    for turn in _TURNS:
-        if turn.axis != _VERTICAL:
-            yield ("source", turn), float((agreement @ turn.rotation.T)[_VERTICAL, _VERTICAL])
-            yield ("target", turn), float((turn.rotation @ agreement)[_VERTICAL, _VERTICAL])
+    for who, up, seen in (("source", ups[0], agreement.T), ("target", ups[1], agreement)):
+        for turn in _turns(up):
+            if turn.tips:
+                yield (who, turn), float((turn.rotation @ seen)[_VERTICAL, _VERTICAL])
 
 
 def _misfit(source: Operators, target: Operators) -> float:
@@ -127,13 +164,11 @@ def _misfit(source: Operators, target: Operators) -> float:
 
 
 def _message(who: str, turn: Turn) -> str:
-    subject, verb = {
-        "source": ("the source seems turned against the target", "it is"),
-        "target": ("the target seems turned against the source", "it is"),
-        "both": ("the shapes do not look upright", "both are"),
-    }[who]
-    whose = "their" if who == "both" else f"the {who}'s"
-    return f"{subject}: they fit better when {verb} turned by {turn}, {turn.advice.format(whose=whose)}"
+    if who == "both":
+        return "the shapes do not look upright: " + turn.advice.format(whose="their", its="their", file="files")
+    other = "target" if who == "source" else "source"
+    advice = turn.advice.format(whose=f"the {who}'s", its="its", file="file")
+    return f"the {who} seems turned against the {other}: {advice}"
 
 
 def _turned(operators: Operators, turn: Turn) -> Operators:
@@ -144,32 +179,30 @@ def _turned(operators: Operators, turn: Turn) -> Operators:
 class _Fits:
     """How well features match, as given and turned."""
 
-    def __init__(self, features: Features, source: Operators, target: Operators) -> None:
-        self._source = _turned_features(features, source)
-        self._target = _turned_features(features, target)
+    def __init__(self, features: Features, source: Operators, target: Operators, ups: Ups) -> None:
+        self._source = _turned_features(features, source, ups[0])
+        self._target = _turned_features(features, target, ups[1])
+        self._for_both = _turns_of_both(ups[0]) if ups[0] == ups[1] else ()
         self._as_given = self._similarity(None, None)
         self._strictness = (_SAMPLES / min(source.n_points, target.n_points)) ** _SPARSE_POWER
 
     def gains(self) -> Mapping[tuple[str, Turn], float]:
         """By how much each turn raises the similarity beyond what is needed for a warning."""
-        gains: dict[tuple[str, Turn], float] = {}
-        for_one, for_both = self._strictness * _CLEARLY_BETTER, self._strictness * _BETTER_FOR_BOTH
-        for turn in _TURNS:
-            gains["source", turn] = self._similarity(turn, None) - self._as_given - for_one
-            gains["target", turn] = self._similarity(None, turn) - self._as_given - for_one
-            if turn.try_on_both:
-                gains["both", turn] = self._similarity(turn, turn) - self._as_given - for_both
-        return gains
+        for_one, for_both = (self._as_given + self._strictness * more for more in (_CLEARLY_BETTER, _BETTER_FOR_BOTH))
+        of_source = {("source", turn): self._similarity(turn, None) - for_one for turn in self._source if turn}
+        of_target = {("target", turn): self._similarity(None, turn) - for_one for turn in self._target if turn}
+        of_both = {("both", turn): self._similarity(turn, turn) - for_both for turn in self._for_both}
+        return of_source | of_target | of_both
 
     def _similarity(self, source: Turn | None, target: Turn | None) -> float:
         x, y = self._source[source], self._target[target]
         return float(most_similar(x, y).value.mean() + most_similar(y, x).value.mean()) / 2
 
 
-def _turned_features(features: Features, operators: Operators) -> dict[Turn | None, Float[Tensor, "n d"]]:
+def _turned_features(features: Features, operators: Operators, up: Up) -> dict[Turn | None, Float[Tensor, "n d"]]:
     """Normalised features as given (None) and for each turn; the operators do not depend on the pose."""
     found: dict[Turn | None, Tensor] = {None: normalised(features(operators.points, operators))}
-    for turn in _TURNS:
+    for turn in _turns(up):
         turned = _turned(operators, turn)
         found[turn] = normalised(features(turned.points, turned))
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from homolog.errors import ArgumentError
 from homolog.files import all_or_nothing, atomic_path
 from homolog.matching.correspondence import Correspondence
 from homolog.shapes import Shape, write_shape
+from homolog.steps import Steps
 
 RESULT_FILES = ("correspondence.npz", "source.ply", "target.ply", "report.json")
 
@@ -21,30 +23,46 @@ _NO_COLOUR = (160, 160, 160)
 
 
 def write_result(
-    folder: str | Path, source: Shape, target: Shape, correspondence: Correspondence, report: dict[str, Any]
+    folder: str | Path,
+    source: Shape,
+    target: Shape,
+    correspondence: Correspondence,
+    report: dict[str, Any],
+    *,
+    steps: Steps | None = None,
 ) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
     The shapes are as given, coloured so that the same colour means the same point. The four files land together once
     all are written; on an error or an interrupt an earlier result stays as it was. Other files are left alone.
 
+    Args:
+        folder: where to.
+        source: as it was given.
+        target: likewise.
+        correspondence: between the two.
+        report: what ``report.json`` is to say.
+        steps: what was done before; the report tells of these steps, and of the writing of the other three files as
+            one more, "write".
+
     Raises:
         ArgumentError: if the folder cannot be made or written to.
     """
     folder = Path(folder).expanduser()
-    described = json.dumps(report, indent=2, allow_nan=False) + "\n"
-    source_colours, target_colours = matched_colours(source, correspondence)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ArgumentError(f"{folder} cannot be made a folder ({error.strerror}); give another one") from None
     paths = [folder / name for name in RESULT_FILES]
     with all_or_nothing():
-        correspondence.save(paths[0])
-        write_shape(paths[1], source, colours=source_colours)
-        write_shape(paths[2], target, colours=target_colours)
+        with (steps or Steps()).step("write"):
+            source_colours, target_colours = matched_colours(source, correspondence)
+            correspondence.save(paths[0])
+            write_shape(paths[1], source, colours=source_colours)
+            write_shape(paths[2], target, colours=target_colours)
+        told = {} if steps is None else {"steps": [asdict(step) for step in steps.finished]}
         with atomic_path(paths[3]) as temporary:
-            temporary.write_text(described, encoding="utf-8")
+            temporary.write_text(json.dumps(report | told, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return paths
 
 

@@ -2,7 +2,7 @@
 
 from homolog.network.augmentation import AugmentationSettings, augmented
 from homolog.network.diffusion_net import DiffusionNet, GradientProduct, NetworkSettings, heat_decay
-from homolog.network.weights import WeightsInfo, find_weights, load_weights, save_weights, shipped_weights
+from homolog.network.weights import WeightsInfo, load_weights, save_weights, shipped_weights
 
 __all__ = [
     "AugmentationSettings",
@@ -11,7 +11,6 @@ __all__ = [
     "NetworkSettings",
     "WeightsInfo",
     "augmented",
-    "find_weights",
     "heat_decay",
     "load_weights",
     "save_weights",

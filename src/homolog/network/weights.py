@@ -54,17 +54,18 @@ def save_weights(path: str | Path, network: DiffusionNet, info: WeightsInfo) -> 
         save_file(tensors, temporary, metadata=described)
 
 
-def load_weights(path: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
+def load_weights(weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
     """Read a network in evaluation mode from a safetensors file of ours or a ``.pth`` of the paper's authors.
 
     Neither can run code: a ``.pth`` is read for its tensors alone.
 
+    Args:
+        weights: the file, or the name of weights that ship with the package.
+
     Raises:
         WeightsError: if the file is missing, damaged, or not the weights of such a network.
     """
-    path = Path(path).expanduser()
-    if not path.is_file():
-        raise WeightsError(f"{path}: there is no such weight file; give the path of a .safetensors or .pth file")
+    path = _found(weights)
     read = _read_published if path.suffix.lower() in (".pth", ".pt") else _read_own
     try:
         settings, info, tensors = read(path)
@@ -136,12 +137,8 @@ def _known(settings: type, given: Mapping[str, Any]) -> dict[str, Any]:
     return dict(given)
 
 
-def find_weights(name: str | Path) -> Path:
-    """The file of the weights that a user named: a path, or the name of weights that ship with the package.
-
-    Raises:
-        WeightsError: if there is neither.
-    """
+def _found(name: str | Path) -> Path:
+    """The file of the weights that a user named: a path, or the name of weights that ship with the package."""
     path = Path(name).expanduser()
     if path.is_file():
         return path

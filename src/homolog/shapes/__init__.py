@@ -5,7 +5,7 @@ from homolog.shapes.reading import READABLE, read_shape
 from homolog.shapes.repairing import Repaired, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import Modality, Shape
-from homolog.shapes.upright import Up, rotation_about, stand_upright
+from homolog.shapes.upright import Up, rotation_about, stand_upright, upright_rotation
 from homolog.shapes.writing import WRITABLE, write_shape
 
 __all__ = [
@@ -24,5 +24,6 @@ __all__ = [
     "repair",
     "rotation_about",
     "stand_upright",
+    "upright_rotation",
     "write_shape",
 ]

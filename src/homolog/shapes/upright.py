@@ -24,10 +24,12 @@ def stand_upright(shape: Shape, up: Up) -> Shape:
     """
     if up not in get_args(Up):
         raise bad_choice("up", up, get_args(Up))
-    if up == "y":
-        return shape
-    turn = rotation_about(0, -90) if up == "z" else rotation_about(2, 90)
-    return replace(shape, points=shape.points @ turn.T)
+    return shape if up == "y" else replace(shape, points=shape.points @ upright_rotation(up).T)
+
+
+def upright_rotation(up: Up) -> Float[np.ndarray, "3 3"]:
+    """The turn that ``stand_upright`` makes."""
+    return {"x": rotation_about(2, 90), "y": np.eye(3), "z": rotation_about(0, -90)}[up]
 
 
 def rotation_about(axis: int, degrees: float) -> Float[np.ndarray, "3 3"]:
