@@ -1,7 +1,7 @@
 """What a shape is: reading, writing, checking and repairing meshes and point clouds."""
 
 from homolog.shapes.checking import Finding, Report, check
-from homolog.shapes.reading import READABLE, read_shape
+from homolog.shapes.reading import READABLE, files_of_shape, read_shape
 from homolog.shapes.repairing import Repaired, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import Modality, Shape
@@ -20,6 +20,7 @@ __all__ = [
     "add_noise",
     "check",
     "farthest_points",
+    "files_of_shape",
     "read_shape",
     "repair",
     "rotation_about",
