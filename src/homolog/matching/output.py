@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from homolog.errors import ArgumentError
 from homolog.files import all_or_nothing, atomic_path
 from homolog.matching.correspondence import Correspondence
-from homolog.shapes import Shape, write_shape
+from homolog.shapes import Shape, drawable, write_shape
 
 RESULT_FILES = ("correspondence.npz", "source.ply", "target.ply", "report.json")
 
@@ -25,8 +25,10 @@ def write_result(
 ) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
-    The shapes are as given, coloured so that the same colour means the same point. The four files land together once
-    all are written; on an error or an interrupt an earlier result stays as it was. Other files are left alone.
+    The shapes are as given, point by point, coloured so that the same colour means the same point; so that any program
+    opens them, faces that repair drops are left out, and points without a position lie at the mean of the others. The
+    four files land together once all are written; on an error or an interrupt an earlier result stays as it was. Other
+    files are left alone.
 
     Raises:
         ArgumentError: if the folder cannot be made or written to.
@@ -41,8 +43,8 @@ def write_result(
     paths = [folder / name for name in RESULT_FILES]
     with all_or_nothing():
         correspondence.save(paths[0])
-        write_shape(paths[1], source, colours=source_colours)
-        write_shape(paths[2], target, colours=target_colours)
+        write_shape(paths[1], drawable(source), colours=source_colours)
+        write_shape(paths[2], drawable(target), colours=target_colours)
         with atomic_path(paths[3]) as temporary:
             temporary.write_text(described, encoding="utf-8")
     return paths

@@ -2,7 +2,7 @@
 
 from homolog.shapes.checking import Finding, Report, check
 from homolog.shapes.reading import READABLE, files_of_shape, read_shape
-from homolog.shapes.repairing import Repaired, repair
+from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import Modality, Shape
 from homolog.shapes.upright import Up, rotation_about, stand_upright
@@ -19,6 +19,7 @@ __all__ = [
     "Up",
     "add_noise",
     "check",
+    "drawable",
     "farthest_points",
     "files_of_shape",
     "read_shape",
