@@ -7,7 +7,7 @@ Run from the root of the checkout::
 
 A yardstick is one 4096 x 4096 x 4096 float32 matrix product on the same machine. Each figure is measured in a process
 of its own, in turn with the yardstick, so that other work on the machine weighs on both; medians are reported. Prints a
-table and writes ``benchmarks/latest.json``.
+table, and puts its figures in the place of earlier ones of the same name and size in ``benchmarks/latest.json``.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ import trimesh
 from rich.console import Console
 from rich.table import Table
 
+from homolog.files import atomic_path
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import (
     functional_map,
@@ -44,6 +45,7 @@ from homolog.shapes import Shape, farthest_points, read_shape, write_shape
 from homolog.training import LossSettings, TrainingShape, pair_losses
 
 ROOT = Path(__file__).parents[1]
+LATEST = ROOT / "benchmarks" / "latest.json"
 DEMO = ROOT / "src" / "homolog" / "demo_data" / "off"
 SIZES = (5_000, 20_000, 100_000)
 STEPS = (
@@ -248,6 +250,14 @@ def measured_apart(name: str, n_points: int) -> dict[str, object]:
     return found
 
 
+def keep(rows: list[dict[str, object]], path: Path) -> None:
+    """Put figures beside those kept before, in the place of any of the same name and size."""
+    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
+    merged = {(kept["name"], kept["points"]): kept for kept in [*before, *rows]}
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(list(merged.values()), indent=1) + "\n", encoding="utf-8")
+
+
 def main() -> None:
     """Measure what is asked for, print it, and keep it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -266,7 +276,7 @@ def main() -> None:
     for name, n_points in cases:
         rows.append(measured_apart(name, n_points))
         print(rows[-1], file=sys.stderr)
-    (ROOT / "benchmarks" / "latest.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    keep(rows, LATEST)
     table = Table(title="homolog, in yardsticks")
     for column in ("name", "points", "seconds", "yardsticks", "peak_mb"):
         table.add_column(column, justify="left" if column == "name" else "right")

@@ -110,17 +110,23 @@ def _blamed(path: str | Path) -> Iterator[None]:
         raise ArgumentError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def sha256(path: str | Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal.
+def sha256(*paths: str | Path) -> str:
+    """SHA-256 of the bytes of a file, or of several one after the other, in hexadecimal.
 
     Raises:
-        ArgumentError: if it cannot be read.
+        ArgumentError: if one cannot be read.
     """
     digest = hashlib.sha256()
+    for path in paths:
+        for chunk in _chunks(path):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _chunks(path: str | Path) -> Iterator[bytes]:
     try:
         with Path(path).expanduser().open("rb") as file:
             while chunk := file.read(1 << 20):
-                digest.update(chunk)
+                yield chunk
     except OSError as error:
         raise ArgumentError(f"{path} cannot be read: {error.strerror or error}") from error
-    return digest.hexdigest()

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from homolog.cli import match as match_module
 from homolog.errors import ShapeError
@@ -482,6 +483,41 @@ def test_the_hash_is_that_of_the_bytes_read(homolog, files, tmp_path, monkeypatc
     monkeypatch.setattr(Matcher, "match_prepared", meddling)
     assert homolog("match", source, files.other, "-o", tmp_path / "out").code == 0
     assert report(tmp_path / "out")["inputs"]["source"]["sha256"] == hashlib.sha256(files.mesh.read_bytes()).hexdigest()
+
+
+@pytest.fixture
+def gltf(files, tmp_path):
+    """A glTF and the two files of its buffers."""
+    shape = read_shape(files.mesh)
+    mesh = trimesh.Trimesh(shape.points, shape.faces, process=False)
+    for name, content in mesh.export(file_type="gltf").items():
+        (tmp_path / name).write_bytes(content)
+    return [tmp_path / name for name in ("model.gltf", "gltf_buffer_0.bin", "gltf_buffer_1.bin")]
+
+
+def test_the_hash_of_a_gltf_is_that_of_all_its_files(homolog, files, gltf, tmp_path):
+    assert homolog("match", gltf[0], files.other, "-o", tmp_path / "out").code == 0
+    content = b"".join(file.read_bytes() for file in gltf)
+    assert report(tmp_path / "out")["inputs"]["source"]["sha256"] == hashlib.sha256(content).hexdigest()
+
+
+def test_a_buffer_that_changes_while_it_is_read_is_refused(homolog, files, gltf, tmp_path, monkeypatch):
+    def meddling(file):
+        shape = read_shape(file)
+        gltf[2].write_bytes(gltf[2].read_bytes()[::-1])
+        return shape
+
+    monkeypatch.setattr(match_module, "read_shape", meddling)
+    ended = homolog("match", gltf[0], files.other, "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint()
+    assert "model.gltf changed while it was read" in ended.err
+
+
+def test_a_gltf_without_its_buffer(homolog, files, gltf, tmp_path):
+    gltf[1].unlink()
+    ended = homolog("match", gltf[0], files.other, "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint()
+    assert "'gltf_buffer_0.bin', which is not beside it" in ended.err
 
 
 def test_an_input_that_changes_while_it_is_read_is_refused(homolog, files, tmp_path, monkeypatch):

@@ -11,6 +11,7 @@ import pytest
 
 import homolog as homolog_package
 from homolog.cli import demo as demo_module
+from homolog.cli.options import check_file
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, write_shape
 
@@ -53,7 +54,14 @@ def test_evaluate(homolog, data, tmp_path):
     assert len(found["pairs"]) == 4
     assert [pair["points"] for pair in found["pairs"]] == [50] * 4
     assert len(found["pck"]["thresholds"]) == len(found["pck"]["shares"])
-    assert found["protocol"] == {"modality": "mesh", "split": "test", "pairs_file": None, "noise": 0.0, "seed": 0}
+    assert found["protocol"] == {
+        "modality": "mesh",
+        "split": "test",
+        "pairs_file": None,
+        "n_pairs": None,
+        "noise": 0.0,
+        "seed": 0,
+    }
     assert found["weights"] is None
     assert found["command"] == ["homolog", "evaluate", str(data), "--json", str(tmp_path / "score.json")]
     assert found["versions"]["homolog"]
@@ -73,6 +81,16 @@ def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
     assert [(pair["source"], pair["target"]) for pair in first["pairs"]] == [("two", "one")]
     assert first["route"] == "features"
     assert first["mean_geodesic_error"] == second["mean_geodesic_error"] > 0
+
+
+def test_evaluate_on_pairs_drawn_at_random(homolog, data, tmp_path):
+    for name in ("first", "second"):
+        ended = homolog("evaluate", data, "--n-pairs", 1, "--seed", 4, "--json", tmp_path / name)
+        assert ended.code == 0
+    first, second = (strictly((tmp_path / name).read_text()) for name in ("first", "second"))
+    assert first["pairs"] == second["pairs"]
+    assert (first["protocol"]["n_pairs"], first["protocol"]["seed"]) == (1, 4)
+    assert {first["pairs"][0]["source"], first["pairs"][0]["target"]} == {"one", "two"}
 
 
 def with_long_truth(data):
@@ -102,6 +120,7 @@ MISTAKES = {
     "no pairs": (lambda d, t: [d, "--pairs", t / "gone.txt"], "no such list of pairs"),
     "truth": (lambda d, t: [with_long_truth(d)], "names vertex 163"),
     "no faces": (lambda d, t: [without_faces(d)], "one.off has no faces"),
+    "too many drawn": (lambda d, t: [d, "--n-pairs", 3], "n_pairs is 3"),
     "json folder": (lambda d, t: [d, "--json", t / "gone" / "score.json"], "cannot be written"),
     "json is folder": (lambda d, t: [d, "--json", t], "cannot be written"),
 }
@@ -121,6 +140,53 @@ def test_a_mistake_is_one_line(homolog, data, tmp_path, mistake):
 def test_a_place_for_the_score_is_asked_for_first(homolog, data, tmp_path, monkeypatch):
     monkeypatch.setattr(Matcher, "prepare", None)
     assert homolog("evaluate", data, "--json", tmp_path / "gone" / "x.json").is_one_line_of_complaint()
+
+
+def forbidden(monkeypatch, folder):
+    """Let a folder be one that may not be written to, also for the superuser."""
+    may = os.access
+    monkeypatch.setattr(os, "access", lambda path, mode: not (mode & os.W_OK and path == folder) and may(path, mode))
+
+
+@pytest.mark.parametrize("place", ["new.json", "old.json", "link.json"])
+def test_a_place_that_may_not_be_written_to_is_refused_first(homolog, data, tmp_path, monkeypatch, place):
+    monkeypatch.setattr(Matcher, "prepare", None)
+    kept, linked = tmp_path / "kept", tmp_path / "linked"
+    kept.mkdir()
+    linked.mkdir()
+    (kept / "old.json").write_text("old")
+    (linked / "link.json").symlink_to(kept / "new.json")
+    forbidden(monkeypatch, kept)
+    ended = homolog("evaluate", data, "--json", (linked if place == "link.json" else kept) / place)
+    assert ended.is_one_line_of_complaint()
+    assert f"{place} cannot be written: {kept} is read-only" in ended.err
+    assert [path.name for path in kept.iterdir()] == ["old.json"]
+    assert (kept / "old.json").read_text() == "old"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write everywhere")
+def test_a_read_only_folder(homolog, data, tmp_path):
+    (tmp_path / "kept").mkdir(mode=0o500)
+    ended = homolog("evaluate", data, "--json", tmp_path / "kept" / "x.json")
+    assert ended.is_one_line_of_complaint()
+
+
+def test_places_that_no_file_can_take(homolog, data, tmp_path, monkeypatch):
+    monkeypatch.setattr(Matcher, "prepare", None)
+    os.mkfifo(tmp_path / "pipe")
+    for place, said in ((tmp_path / "pipe", "no ordinary file"), (tmp_path / ("long" * 100), "too long")):
+        ended = homolog("evaluate", data, "--json", place)
+        assert ended.is_one_line_of_complaint()
+        assert said in ended.err
+
+
+def test_asking_for_a_place_leaves_no_trace(data, tmp_path):
+    before = sorted(tmp_path.rglob("*"))
+    check_file(tmp_path / "new.json")
+    (tmp_path / "old.json").write_text("old")
+    check_file(tmp_path / "old.json")
+    (tmp_path / "old.json").unlink()
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_negative_noise(homolog, data):

@@ -1,11 +1,12 @@
 """A folder of shapes: its splits, pairs and ground truth, and what can be wrong with it."""
 
 import itertools
+from collections import Counter
 
 import numpy as np
 import pytest
 
-from homolog.datasets import ShapeFolder
+from homolog.datasets import ShapeFolder, drawn_pairs
 from homolog.errors import ArgumentError, DataError
 from homolog.shapes import write_shape
 
@@ -192,3 +193,39 @@ def test_a_list_of_pairs_that_is_not_there(folder):
 def test_a_split_that_is_none(folder):
     with pytest.raises(ArgumentError, match=r"split is 'tset'.*did you mean 'test'"):
         ShapeFolder.open(folder).split("tset")
+
+
+# ---- pairs drawn at random
+
+
+def test_drawn_pairs_of_a_set_as_large_as_the_benchmarks(tmp_path):
+    pairs = many(tmp_path, 25).pairs("test")
+    drawn = drawn_pairs(pairs, 20, seed=0)
+    assert len(set(drawn)) == 20
+    assert set(drawn) < set(pairs)
+    assert all(source != target for source, target in drawn)
+    assert list(drawn) == sorted(drawn)
+    for side in (0, 1):
+        assert len({pair[side] for pair in drawn}) > 10
+    assert drawn == drawn_pairs(reversed(pairs), 20, seed=0)[::-1] == drawn_pairs([*pairs, *pairs], 20, seed=0)
+    assert set(drawn) < set(drawn_pairs(pairs, 30, seed=0))
+    assert len(set(drawn) & set(drawn_pairs(pairs, 20, seed=1))) < 8
+
+
+def test_drawn_pairs_stay_the_same_for_ever():
+    """Of ``printf '3 a,b' | sha256sum`` and so on, a,b, b,c and c,a give the smallest."""
+    pairs = list(itertools.product("abc", repeat=2))
+    assert drawn_pairs(pairs, 3, seed=3) == (("a", "b"), ("b", "c"), ("c", "a"))
+
+
+def test_every_pair_is_drawn_about_as_often():
+    pairs = list(itertools.product("abcde", repeat=2))
+    counts = Counter(pair for seed in range(1000) for pair in drawn_pairs(pairs, 5, seed=seed))
+    assert len(counts) == 20
+    assert all(190 < count < 310 for count in counts.values())
+
+
+@pytest.mark.parametrize("count", [0, -1, 7])
+def test_more_pairs_than_there_are(count):
+    with pytest.raises(ArgumentError, match=rf"n_pairs is {count}, but must be from 1 to the number of .*, 6"):
+        drawn_pairs(itertools.product("abc", repeat=2), count, seed=0)

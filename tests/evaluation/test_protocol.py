@@ -220,12 +220,6 @@ def test_clouds_are_measured_on_the_mesh(family, shifted):
         np.testing.assert_array_equal(found.errors, plain.errors)
 
 
-def unit(shape):
-    corners = shape.points[shape.faces]
-    areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    return (shape.points - shape.points.mean(axis=0)) / np.sqrt(areas.sum())
-
-
 @pytest.mark.parametrize(
     ("modality", "noise", "expected"),
     [
@@ -244,10 +238,12 @@ def test_every_shape_is_prepared_once_per_role_that_differs(family, modality, no
     for shape, as_cloud, length in stub.prepared:
         name = shape.name.removesuffix(".off")
         counts[name, as_cloud] = counts.get((name, as_cloud), 0) + 1
-        assert length == 1.0
         np.testing.assert_array_equal(shape.faces, family.shapes[name].faces)
-        if not (as_cloud and noise):
-            np.testing.assert_allclose(shape.points, unit(family.shapes[name]), atol=1e-9)
+        if as_cloud and noise:
+            assert length == pytest.approx(np.sqrt(brute_area(family.shapes[name])))
+        else:
+            assert length is None
+            np.testing.assert_array_equal(shape.points, family.shapes[name].points)
     assert counts == expected
     source, _, target = modality.partition("-to-")
     assert found.route == f"{source}, {target or source}"
@@ -258,8 +254,8 @@ def noise_of(family, protocol):
     stub = Stub(family.truth)
     evaluate(stub, family.folder, protocol)
     return {
-        (shape.name, number): shape.points - unit(family.shapes[shape.name.removesuffix(".off")])
-        for number, (shape, as_cloud, _) in enumerate(stub.prepared)
+        (shape.name, number): (shape.points - family.shapes[shape.name.removesuffix(".off")].points) / length
+        for number, (shape, as_cloud, length) in enumerate(stub.prepared)
         if as_cloud
     }
 
@@ -302,9 +298,9 @@ def test_noise_does_not_depend_on_what_else_is_evaluated(family, tmp_path):
 def test_meshes_get_no_noise(family):
     stub = Stub(family.truth)
     evaluate(stub, family.folder, Protocol(modality="mesh-to-cloud", split="all", noise=0.05))
-    for shape, as_cloud, _ in stub.prepared:
-        moved = np.abs(shape.points - unit(family.shapes[shape.name.removesuffix(".off")])).max()
-        assert (moved > 0.05) if as_cloud else (moved < 1e-9)
+    for shape, as_cloud, length in stub.prepared:
+        moved = np.abs(shape.points - family.shapes[shape.name.removesuffix(".off")].points).max()
+        assert (moved > 0.05 * length) if as_cloud else (moved == 0)
 
 
 def test_progress_counts_to_its_total(family):
@@ -343,6 +339,64 @@ def test_the_real_matcher_takes_the_same_road(make, tmp_path, modality):
     assert figures["pck_auc"] > 0.98
 
 
+def soiled(shape):
+    """A mesh with points that are NaN, far away and in no face, or there twice, and faces that do not fit."""
+    n = shape.n_points
+    points = np.concatenate([shape.points, [[np.nan] * 3, [1e7, 0, 0]], shape.points[:1]])
+    second = np.where(shape.faces[:9] == 0, n + 2, shape.faces[:9])
+    faces = [*second, *shape.faces[9:], [0, 1, n + 3], [1, 2, n], [0, 1, n + 2], [5, 5, 6]]
+    return Shape(points, faces, name=shape.name)
+
+
+@pytest.fixture
+def soiled_folder(family, tmp_path):
+    root = copied(family, tmp_path)
+    for name, shape in family.shapes.items():
+        write_shape(root / "off" / f"{name}.off", soiled(shape))
+    return ShapeFolder.open(root)
+
+
+def test_the_scale_is_that_of_the_repaired_shape(family, soiled_folder):
+    stub = Stub(family.truth)
+    evaluate(stub, soiled_folder, TINY)
+    assert len(stub.prepared) == 10
+    for shape, _, length in stub.prepared:
+        clean = family.shapes[shape.name.removesuffix(".off")]
+        assert length == pytest.approx(np.sqrt(brute_area(clean)))
+        assert (shape.points[:BASE_POINTS] - clean.points).std() == pytest.approx(0.01 * length, rel=0.12)
+
+
+def test_errors_are_those_on_the_repaired_shape(family, soiled_folder, shifted):
+    found = evaluate(Stub(shifted), soiled_folder, ALL)
+    for pair, expected in zip(found.pairs, expected_errors(family, shifted, family.folder.pairs("all")), strict=True):
+        np.testing.assert_allclose(pair.errors, expected, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize(("modality", "as_cloud"), [("mesh", None), ("cloud", "both"), ("mesh-to-cloud", "target")])
+def test_pairs_are_matched_as_by_themselves(soiled_folder, monkeypatch, modality, as_cloud):
+    matcher, found = Matcher(settings=MatcherSettings(method="axiomatic"), device="cpu"), []
+    expected = matcher.match(soiled_folder.shape("a"), soiled_folder.shape("b"), as_cloud=as_cloud)
+    match = Matcher.match_prepared
+    monkeypatch.setattr(Matcher, "match_prepared", lambda *given: found.append(match(*given)) or found[-1])
+    (soiled_folder.root / "pairs.txt").write_text("a,b\n")
+    evaluate(matcher, soiled_folder, Protocol(modality=modality))
+    np.testing.assert_array_equal(found[0].target_to_source, expected.target_to_source)
+    np.testing.assert_array_equal(found[0].target_confidence, expected.target_confidence)
+
+
+# ---- pairs drawn at random
+
+
+def test_drawn_pairs_are_scored(family):
+    stub = Stub(family.truth)
+    found = evaluate(stub, family.folder, Protocol(split="all", n_pairs=4, seed=2))
+    assert len(set(stub.matched)) == 4
+    assert set(stub.matched) < {("a", "b"), ("b", "a"), ("c", "b"), ("a", "c"), ("d", "e"), ("e", "d")}
+    assert [(pair["source"], pair["target"]) for pair in found.to_dict()["pairs"]] == stub.matched
+    with pytest.raises(ArgumentError, match=r"n_pairs is 7, but must be from 1 to the number of pairs .*, 6"):
+        evaluate(Stub(never), family.folder, Protocol(split="all", n_pairs=7))
+
+
 # ---- geodesic errors
 
 
@@ -361,6 +415,21 @@ def test_between_pieces_the_straight_distance_counts(make):
     area = 2 * brute_area(ball)
     truth, mapped = np.array([0, 5, 3]), np.array([42, 47, 3])
     np.testing.assert_allclose(geodesic_errors(both, truth, mapped), np.array([10, 10, 0]) / np.sqrt(area))
+
+
+def test_triangles_that_are_not_joined_are_joined_first(make):
+    blob = make.blob(2)
+    apart = Shape(blob.points[blob.faces].reshape(-1, 3), np.arange(3 * blob.n_faces).reshape(-1, 3))
+    corner = np.random.default_rng(0).integers(0, apart.n_points, (2, 300))
+    truth, mapped = blob.faces.ravel()[corner]
+    np.testing.assert_allclose(geodesic_errors(apart, *corner), brute_force(blob, truth, mapped), rtol=1e-9)
+
+
+def test_from_a_point_in_no_face_the_straight_distance_counts(make):
+    ball = make.sphere(1)
+    stray = Shape(np.concatenate([ball.points, [[0, 30, 40]]]), ball.faces)
+    expected = np.array([np.linalg.norm(ball.points[3] - [0, 30, 40]), 0]) / np.sqrt(brute_area(ball))
+    np.testing.assert_allclose(geodesic_errors(stray, np.array([42, 5]), np.array([3, 5])), expected)
 
 
 def brute_area(shape):
@@ -396,6 +465,13 @@ def test_ground_truth_beyond_the_shape(family, tmp_path):
         evaluate(Stub(never), ShapeFolder.open(root), ALL)
     (root / "corres" / "b.vts").write_text("1\n" * 89 + "162\n")
     evaluate(Stub(family.truth), ShapeFolder.open(root), ALL)
+
+
+def test_ground_truth_at_a_point_that_is_nowhere(soiled_folder):
+    (soiled_folder.root / "corres" / "b.vts").write_text("1\n" * 89 + f"{BASE_POINTS + 1}\n")
+    with pytest.raises(DataError, match=rf"b\.vts names vertex {BASE_POINTS + 1}, which is NaN or infinite") as caught:
+        evaluate(Stub(never), soiled_folder, ALL)
+    assert "\n" not in str(caught.value)
 
 
 def test_unequal_numbers_of_lines(family, tmp_path):

@@ -4,8 +4,10 @@ import json
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
+import trimesh
 
 from homolog.errors import ArgumentError
 from homolog.matching import Correspondence, matched_colours, position_colours, write_result
@@ -77,7 +79,8 @@ def test_the_four_files(shapes, found, tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == sorted(NAMES)
     for path, given in zip(paths[1:3], shapes, strict=True):
         written = read_shape(path)
-        np.testing.assert_array_equal(written.points, given.points)
+        finite = np.isfinite(given.points).all(axis=1)
+        np.testing.assert_array_equal(written.points[finite], given.points[finite])
         assert written.modality == given.modality
         if given.faces is not None:
             np.testing.assert_array_equal(written.faces, given.faces)
@@ -95,6 +98,51 @@ def test_writing_is_a_step_of_the_report(shapes, found, tmp_path):
     assert [step["name"] for step in report["steps"]] == heard == ["map", "write"]
     assert report["steps"] == [asdict(step) for step in steps.finished]
     assert report["steps"][1]["seconds"] > 0
+
+
+def broken(shape):
+    """Points that are NaN, infinite or equal, and every kind of face that repair drops, amid the good ones."""
+    n = shape.n_points
+    points = np.concatenate([shape.points, [[np.nan, 0, 0], [np.inf, 1, -np.inf]], shape.points[:2]])
+    bad = [[0, 1, n + 4], [-1, 0, 1], [0, 1, n], [n + 1, 1, 2], [3, 3, 4], [5, 5, 5], [0, n + 2, 5], shape.faces[0]]
+    return Shape(points, np.concatenate([bad[:4], shape.faces, bad[4:]]), name="broken")
+
+
+def test_other_programs_open_what_is_written_for_broken_meshes(shapes, found, tmp_path):
+    good, n = shapes[0], shapes[0].n_points
+    given = broken(good)
+    more = replace(
+        found,
+        source_to_target=np.append(found.source_to_target, [-1, -1, *found.source_to_target[:2]]),
+        source_confidence=np.append(found.source_confidence, np.zeros(4)),
+    )
+    paths = write_result(tmp_path, given, shapes[1], more, {})
+    ours, theirs, others = read_shape(paths[1]), trimesh.load(paths[1], process=False), meshio.read(paths[1])
+    for points, faces in (
+        (ours.points, ours.faces),
+        (theirs.vertices, theirs.faces),
+        (others.points, others.cells_dict["triangle"]),
+    ):
+        # The last face of all repeats the first one, which stays.
+        np.testing.assert_array_equal(faces, good.faces)
+        np.testing.assert_array_equal(points[:n], good.points)
+        np.testing.assert_array_equal(points[n + 2 :], good.points[:2])
+        centre = np.concatenate([good.points, good.points[:2]]).mean(axis=0)
+        np.testing.assert_allclose(points[n : n + 2], [centre, centre])
+    assert np.all(colours_in(paths[1])[n : n + 2] == GREY)
+    np.testing.assert_array_equal(theirs.visual.vertex_colors[:, :3], colours_in(paths[1]))
+    assert np.isnan(given.points[n, 0])
+    cloud = meshio.read(paths[2])
+    assert np.isfinite(cloud.points).all()
+    assert len(cloud.points) == shapes[1].n_points
+    assert trimesh.load(paths[2]).vertices.shape == cloud.points.shape
+
+
+def test_a_mesh_without_a_usable_face_is_written_as_a_cloud(shapes, found, tmp_path):
+    paths = write_result(tmp_path, Shape(shapes[0].points, [[0, 1, 999], [2, 2, 3]]), shapes[1], found, {})
+    written = read_shape(paths[1])
+    assert written.faces is None
+    np.testing.assert_array_equal(written.points, shapes[0].points)
 
 
 def test_same_colour_same_point(shapes, found, tmp_path):

@@ -291,6 +291,25 @@ def test_tables_with_cells_that_are_no_numbers(tmp_path, suffix):
     refused(put(tmp_path, "e" + suffix, "x,y,z\n"), "0 usable points")
 
 
+@pytest.mark.parametrize(
+    ("header", "named"),
+    [
+        ("id,lat,lon,height", "id, lat, lon, height"),
+        ("id,x,y,height", "id, x, y, height"),
+        ("x,y,z,x,y,z", "x, y, z, x, y, z"),
+        ("pos_x,x [mm],y,z", "pos_x, x[mm], y, z"),
+        ("label,nx,ny,nz", "label, nx, ny, nz"),
+        ("# id;lat;lon;height", "id, lat, lon, height"),
+        ("# fields: a b c d", "a, b, c, d"),
+    ],
+)
+@pytest.mark.parametrize("suffix", [".csv", ".xyz", ".txt"])
+def test_tables_whose_coordinates_cannot_be_told(tmp_path, suffix, header, named):
+    numbers = np.random.default_rng(0).random((9, named.count(",") + 1))
+    rows = [",".join(map(str, row)) for row in numbers.tolist()]
+    refused(put(tmp_path, "a" + suffix, "\n".join([header, *rows])), f"its columns are named {named};", "x, y, z")
+
+
 def test_too_few_or_equal_points(tmp_path):
     refused(put(tmp_path, "a.xyz", "0 0 0\n1 0 0\n0 1 0\n"), "3 usable points", "4")
     refused(put(tmp_path, "b.xyz", "0 0 0\n1 0 0\n0 1 0\nnan 0 0\n"), "3 usable points")
@@ -354,15 +373,18 @@ def test_memory_and_depth_become_one_line(tmp_path, monkeypatch):
         refused(put(tmp_path, "a.ply", "x"), "could not be read as PLY")
 
 
-@pytest.mark.parametrize(("suffix", "module", "extra"), [(".pcd", "pypcd4", "pcd"), (".vtp", "vtkmodules", "vtk")])
-def test_missing_package_names_its_extra(tmp_path, monkeypatch, suffix, module, extra):
+@pytest.mark.parametrize(
+    ("suffix", "module", "package", "extra"),
+    [(".pcd", "pypcd4", "pypcd4", "pcd"), (".vtp", "vtkmodules", "vtk", "vtk")],
+)
+def test_missing_package_names_its_extra(tmp_path, monkeypatch, suffix, module, package, extra):
     write_shape(tmp_path / f"a{suffix}", MESH.as_cloud())
     for name in [name for name in sys.modules if name.split(".")[0] == module]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingExtraError, match=rf"homolog\[{extra}\]"):
+    with pytest.raises(MissingExtraError, match=rf"the package {package}, .*homolog\[{extra}\]"):
         read_shape(tmp_path / f"a{suffix}")
-    with pytest.raises(MissingExtraError, match=rf"homolog\[{extra}\]"):
+    with pytest.raises(MissingExtraError, match=rf"the package {package}, .*homolog\[{extra}\]"):
         write_shape(tmp_path / f"b{suffix}", MESH.as_cloud())
     assert not (tmp_path / f"b{suffix}").exists()
 

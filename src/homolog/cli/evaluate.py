@@ -39,8 +39,11 @@ def evaluate(
     modality: Annotated[Modalities, typer.Option(help="What source and target are used as.")] = "mesh",
     split: Annotated[Split, typer.Option(help="Which shapes: train.txt or test.txt, or by order of name.")] = "test",
     pairs: Annotated[Path | None, typer.Option(help="A file of SOURCE,TARGET lines to use instead.")] = None,
+    n_pairs: Annotated[
+        int | None, typer.Option(help="Draw so many pairs of different shapes at random, by the seed.", min=1)
+    ] = None,
     noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of the noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the noise, and of the pairs drawn.")] = 0,
     json: Annotated[Path | None, typer.Option(metavar="OUT", help="Also write everything as JSON.")] = None,
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
@@ -55,13 +58,20 @@ def evaluate(
     Examples:
       homolog evaluate FAUST_r --weights people.safetensors
 
+      homolog evaluate FAUST_r --weights people.safetensors --n-pairs 20
+
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     if json is not None:
         check_file(json)
     protocol = Protocol(
-        modality=modality, split=split, pairs_file=None if pairs is None else str(pairs), noise=noise, seed=seed
+        modality=modality,
+        split=split,
+        pairs_file=None if pairs is None else str(pairs),
+        n_pairs=n_pairs,
+        noise=noise,
+        seed=seed,
     )
     matcher = build_matcher(weights, method, device, no_cache=no_cache)
     folder = ShapeFolder.open(data)

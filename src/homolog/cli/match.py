@@ -26,7 +26,7 @@ from homolog.cli.progress import Report, progress_bar, say
 from homolog.errors import ShapeError
 from homolog.files import sha256
 from homolog.matching import AsCloud, Correspondence, Matcher, Prepared, Side, write_result
-from homolog.shapes import Shape, Up, read_shape
+from homolog.shapes import Shape, Up, files_of_shape, read_shape
 from homolog.steps import Listener, Steps
 from homolog.versions import versions
 
@@ -170,10 +170,10 @@ class Job:
 
 
 def _read(file: Path) -> tuple[Shape, str]:
-    """A shape and the hash of the very bytes that it was read from."""
-    before = sha256(file) if file.expanduser().is_file() else None
+    """A shape and the hash of the very bytes that it was read from, be they in one file or in several."""
+    before = sha256(*files_of_shape(file))
     shape = read_shape(file)
-    digest = sha256(file)
+    digest = sha256(*files_of_shape(file))
     if digest != before:
         raise ShapeError(f"{file} changed while it was read; try again once it is complete")
     return shape, digest

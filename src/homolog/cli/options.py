@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import stat
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -76,7 +77,20 @@ def check_folder(output: Path, *, inputs: Iterable[Path] = ()) -> None:
 
 
 def check_file(output: Path) -> None:
-    """Refuse a result file that cannot be written, before any work is done for it."""
-    place = output.expanduser()
-    if place.is_dir() or not place.absolute().parent.is_dir():
-        raise ArgumentError(f"{output} cannot be written; give a file name in a folder that exists")
+    """Refuse a result file that cannot be written, before any work is done for it; nothing is made or changed."""
+    if fault := _fault(output.expanduser().resolve()):
+        raise ArgumentError(f"{output} cannot be written: {fault}")
+
+
+def _fault(place: Path) -> str:
+    """What is against writing a file to a place, if anything."""
+    if not place.parent.is_dir():
+        return f"the folder {place.parent} does not exist; create it first"
+    if not os.access(place.parent, os.W_OK | os.X_OK):
+        return f"{place.parent} is read-only; give a file in another folder"
+    try:
+        return "" if stat.S_ISREG(place.stat().st_mode) else "it is no ordinary file; give a file name"
+    except FileNotFoundError:
+        return ""
+    except OSError as error:
+        return str(error.strerror)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -11,7 +13,7 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Int
 
-from homolog.errors import DataError, bad_choice
+from homolog.errors import DataError, bad_choice, bad_value
 from homolog.shapes import Shape, read_shape
 
 Split = Literal["train", "test", "all"]
@@ -149,3 +151,20 @@ class ShapeFolder:
         if unknown:
             raise DataError(f"{listed} names {unknown[0]!r}, but {self.root / 'off'} has no {unknown[0]}.off")
         return names
+
+
+def drawn_pairs(pairs: Iterable[Pair], count: int, *, seed: int) -> tuple[Pair, ...]:
+    """Draw so many of the pairs of two different shapes at random, and give them in their order.
+
+    Those are drawn whose names and seed have the smallest SHA-256: the same on every machine and with every version of
+    any library, and among those of a larger draw with the same seed.
+
+    Raises:
+        ArgumentError: if there are not so many pairs.
+    """
+    different = [pair for pair in dict.fromkeys(pairs) if pair[0] != pair[1]]
+    if not 1 <= count <= len(different):
+        raise bad_value("n_pairs", count, f"from 1 to the number of pairs of different shapes, {len(different)}")
+    places = {pair: hashlib.sha256(f"{seed} {pair[0]},{pair[1]}".encode()).digest() for pair in different}
+    drawn = set(sorted(different, key=places.__getitem__)[:count])
+    return tuple(pair for pair in different if pair in drawn)

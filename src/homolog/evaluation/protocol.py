@@ -12,12 +12,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.datasets import Pair, ShapeFolder, Split
+from homolog.datasets import Pair, ShapeFolder, Split, drawn_pairs
 from homolog.errors import ArgumentError, DataError, bad_choice, bad_value
 from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
 from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
 from homolog.matching import Matcher, Prepared
-from homolog.shapes import Shape, add_noise
+from homolog.shapes import Shape, add_noise, repair
 
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
 
@@ -33,14 +33,16 @@ class Protocol:
         modality: of source and target.
         split: which shapes.
         pairs_file: a list of pairs to use instead of the split's.
+        n_pairs: how many of the pairs to draw at random, none of a shape with itself; by default all are used.
         noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
             on source and target.
-        seed: of the noise.
+        seed: of the noise, and of the pairs drawn.
     """
 
     modality: Modalities = "mesh"
     split: Split = "test"
     pairs_file: str | None = None
+    n_pairs: int | None = None
     noise: float = 0.0
     seed: int = 0
 
@@ -115,13 +117,16 @@ def evaluate(
 ) -> Evaluation:
     """Match every pair of a folder and measure the maps against its ground truth.
 
-    Each shape's operators and features are computed once. Shapes are scaled to unit area as meshes before any noise is
-    added and any face dropped, as the published protocol has it.
+    Each shape's operators and features are computed once. A shape's scale is that of its repaired mesh, before any
+    noise is added and any face dropped, as the published protocol has it.
 
     Raises:
+        ArgumentError: if more pairs are to be drawn than there are.
         DataError: if the ground truth does not fit the shapes, or not one of its points is matched.
     """
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
+    if protocol.n_pairs is not None:
+        pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
     run = _Run(matcher, folder, protocol, pairs, progress or (lambda done, total, what: None))
     return run.evaluation()
 
@@ -181,6 +186,12 @@ class _Run:
                 f"{self.folder.root / 'corres' / name}.vts names vertex {points.max() + 1}, "
                 f"but the shape has {self.shapes[name].n_points}"
             )
+        nowhere = points[~np.isfinite(self.shapes[name].points[points]).all(axis=1)]
+        if len(nowhere):
+            raise DataError(
+                f"{self.folder.root / 'corres' / name}.vts names vertex {nowhere[0] + 1}, which is NaN or infinite; "
+                "correct the shape, or leave that line out of every .vts file"
+            )
         return points
 
     def _check_lines(self, source: str, target: str) -> None:
@@ -198,12 +209,13 @@ class _Run:
 
     def _prepare(self, name: str, role: Literal["source", "target"]) -> Prepared:
         self._tick(name)
-        shape = self.shapes[name]
-        unit = Shape(unit_frame(shape).inside(shape.points), shape.faces, name=shape.name)
-        if self.protocol.is_cloud(role):
-            seed = zlib.crc32(f"{self.protocol.seed} {name} {role}".encode())
-            unit = add_noise(unit, self.protocol.noise, seed=seed)
-        return self.matcher.prepare(unit, as_cloud=self.protocol.is_cloud(role), length=1.0)
+        shape, cloud = self.shapes[name], self.protocol.is_cloud(role)
+        if not (cloud and self.protocol.noise):
+            return self.matcher.prepare(shape, as_cloud=cloud)
+        length = unit_frame(repair(shape).shape).length
+        seed = zlib.crc32(f"{self.protocol.seed} {name} {role}".encode())
+        noisy = add_noise(shape, self.protocol.noise * length, seed=seed)
+        return self.matcher.prepare(noisy, as_cloud=True, length=length)
 
     def _match(self, pair: Pair, prepared: dict[tuple[str, str, bool], Prepared]) -> _Queries:
         source, target = pair
@@ -244,15 +256,23 @@ def geodesic_errors(
 ) -> Float[np.ndarray, " q"]:
     """Distance along a mesh's edges from each true point to the one it was mapped to, in units of sqrt(area).
 
-    Between separate pieces, where there is no way along the surface, it is the straight one: the least it can be.
+    The mesh is the repaired one. Between separate pieces, and from points that no face uses, where there is no way
+    along the surface, it is the straight one: the least it can be.
 
     Raises:
         DataError: if the shape has no faces.
+        ShapeError: if it cannot be repaired.
     """
-    if shape.faces is None:
+    repaired = repair(shape)
+    clean = repaired.shape
+    if clean.faces is None:
         raise DataError(f"{shape.name} has no faces, but geodesic errors are measured along a surface")
-    unit = np.sqrt(surface_area(shape))
-    distances = pair_distances(edge_graph(shape.points / unit, shape.faces), truth, mapped)
+    unit = np.sqrt(surface_area(clean))
+    graph = edge_graph(clean.points / unit, clean.faces)
+    starts, ends = repaired.clean_index[truth], repaired.clean_index[mapped]
+    on_it = (starts >= 0) & (ends >= 0)
+    distances = np.full(len(truth), np.inf)
+    distances[on_it] = pair_distances(graph, starts[on_it], ends[on_it])
     apart = np.isinf(distances)
     distances[apart] = np.linalg.norm(shape.points[truth[apart]] - shape.points[mapped[apart]], axis=1) / unit
     return distances

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from homolog.errors import ArgumentError
 from homolog.files import all_or_nothing, atomic_path
 from homolog.matching.correspondence import Correspondence
-from homolog.shapes import Shape, write_shape
+from homolog.shapes import Shape, drawable, write_shape
 from homolog.steps import Steps
 
 RESULT_FILES = ("correspondence.npz", "source.ply", "target.ply", "report.json")
@@ -33,8 +33,10 @@ def write_result(
 ) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
-    The shapes are as given, coloured so that the same colour means the same point. The four files land together once
-    all are written; on an error or an interrupt an earlier result stays as it was. Other files are left alone.
+    The shapes are as given, point by point, coloured so that the same colour means the same point; so that any program
+    opens them, faces that repair drops are left out, and points without a position lie at the mean of the others. The
+    four files land together once all are written; on an error or an interrupt an earlier result stays as it was. Other
+    files are left alone.
 
     Args:
         folder: where to.
@@ -58,8 +60,8 @@ def write_result(
         with (steps or Steps()).step("write"):
             source_colours, target_colours = matched_colours(source, correspondence)
             correspondence.save(paths[0])
-            write_shape(paths[1], source, colours=source_colours)
-            write_shape(paths[2], target, colours=target_colours)
+            write_shape(paths[1], drawable(source), colours=source_colours)
+            write_shape(paths[2], drawable(target), colours=target_colours)
         told = {} if steps is None else {"steps": [asdict(step) for step in steps.finished]}
         with atomic_path(paths[3]) as temporary:
             temporary.write_text(json.dumps(report | told, indent=2, allow_nan=False) + "\n", encoding="utf-8")

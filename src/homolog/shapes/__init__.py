@@ -1,8 +1,8 @@
 """What a shape is: reading, writing, checking and repairing meshes and point clouds."""
 
 from homolog.shapes.checking import Finding, Report, check
-from homolog.shapes.reading import READABLE, read_shape
-from homolog.shapes.repairing import Repaired, repair
+from homolog.shapes.reading import READABLE, files_of_shape, read_shape
+from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import Modality, Shape
 from homolog.shapes.upright import Up, rotation_about, stand_upright, upright_rotation
@@ -19,7 +19,9 @@ __all__ = [
     "Up",
     "add_noise",
     "check",
+    "drawable",
     "farthest_points",
+    "files_of_shape",
     "read_shape",
     "repair",
     "rotation_about",

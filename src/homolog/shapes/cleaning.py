@@ -20,6 +20,7 @@ class Cleaning:
         faces: the faces left, in the order of the original; None for a point cloud.
         kept: index in the original of each point left.
         clean_index: for each original point the point left that stands for it, or -1.
+        kept_faces: index in the original of each face left; None for a point cloud.
         n_not_finite: points with a coordinate that is NaN or infinite.
         n_duplicates: points equal to an earlier one.
         n_unreferenced: points that no face uses once faces and equal points are dealt with.
@@ -34,6 +35,7 @@ class Cleaning:
     faces: Int[np.ndarray, "f 3"] | None
     kept: Int[np.ndarray, " k"]
     clean_index: Int[np.ndarray, " n"]
+    kept_faces: Int[np.ndarray, " f"] | None
     n_not_finite: int
     n_duplicates: int
     n_unreferenced: int = 0
@@ -55,13 +57,14 @@ def clean(shape: Shape) -> Cleaning:
     counts = {"n_not_finite": n_not_finite, "n_duplicates": shape.n_points - n_not_finite - n_own}
     if shape.faces is None:
         kept, clean_index = _renumber(own, representative)
-        return Cleaning(shape.points[kept], None, kept, clean_index, **counts)
-    faces, face_counts = _clean_faces(shape.faces, finite, representative)
+        return Cleaning(shape.points[kept], None, kept, clean_index, None, **counts)
+    kept_faces, face_counts = _clean_faces(shape.faces, finite, representative)
+    faces = representative[shape.faces[kept_faces]]
     referenced = np.zeros(shape.n_points, dtype=bool)
     referenced[faces] = True
     kept, clean_index = _renumber(referenced, representative)
     counts |= face_counts | {"n_unreferenced": n_own - len(kept)}
-    return Cleaning(shape.points[kept], clean_index[faces], kept, clean_index, **counts)
+    return Cleaning(shape.points[kept], clean_index[faces], kept, clean_index, kept_faces, **counts)
 
 
 def _renumber(
@@ -76,17 +79,17 @@ def _renumber(
 
 def _clean_faces(
     faces: Int[np.ndarray, "m 3"], finite: Bool[np.ndarray, " n"], representative: Int[np.ndarray, " n"]
-) -> tuple[Int[np.ndarray, "f 3"], dict[str, int]]:
-    """The faces left, over representatives. A thin face with three points of its own stays: no hole opens."""
-    in_range = faces[np.all((faces >= 0) & (faces < len(finite)), axis=1)]
-    whole = in_range[finite[in_range].all(axis=1)]
-    a, b, c = representative[whole].T
+) -> tuple[Int[np.ndarray, " f"], dict[str, int]]:
+    """Which faces are left. A thin face with three points of its own stays: no hole opens."""
+    in_range = np.flatnonzero(np.all((faces >= 0) & (faces < len(finite)), axis=1))
+    whole = in_range[finite[faces[in_range]].all(axis=1)]
+    a, b, c = representative[faces[whole]].T
     proper = whole[(a != b) & (b != c) & (c != a)]
-    merged = representative[proper]
+    merged = representative[faces[proper]]
     first = first_of_equal_rows(np.sort(merged, axis=1))
-    folded = _folded(proper, merged, first)
+    folded = _folded(faces[proper], merged, first)
     left = (first == np.arange(len(first))) & ~folded
-    return merged[left], {
+    return proper[left], {
         "n_out_of_range": len(faces) - len(in_range),
         "n_broken": len(in_range) - len(whole),
         "n_repeated": len(whole) - len(proper),

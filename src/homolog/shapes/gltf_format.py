@@ -33,6 +33,13 @@ def read_gltf(path: Path) -> Arrays:
     return _read(path, content, "gltf", _json_object(content))
 
 
+def buffer_files(path: Path) -> tuple[Path, ...]:
+    """The files beside a GLB or glTF that hold its buffers, in the order of the buffers."""
+    content = path.read_bytes()
+    header = _glb_header(content) if path.suffix.lower() == ".glb" else _json_object(content)
+    return tuple(_files_beside(path.parent, header).values())
+
+
 def _glb_header(content: bytes) -> dict[str, Any]:
     if len(content) < 20 or content[:4] != b"glTF":
         raise UnreadableError("it does not start with glTF")
@@ -55,7 +62,7 @@ def _json_object(content: bytes) -> dict[str, Any]:
 def _read(path: Path, content: bytes, kind: str, header: dict[str, Any]) -> Arrays:
     if used := _COMPRESSIONS.intersection(header.get("extensionsRequired", [])):
         raise UnreadableError(f"it is compressed with {', '.join(used)}; export it without compression")
-    files = _files_beside(path.parent, header)
+    files = {name: file.read_bytes() for name, file in _files_beside(path.parent, header).items()}
     available = len(content) + sum(map(len, files.values()))
     check_claim(sum(int(b["byteLength"]) for b in header.get("buffers", [])), "bytes of buffers", 1, available)
     _check_accessors(header, available)
@@ -64,8 +71,8 @@ def _read(path: Path, content: bytes, kind: str, header: dict[str, Any]) -> Arra
     return _merged(scene)
 
 
-def _files_beside(folder: Path, header: dict[str, Any]) -> dict[str, bytes]:
-    """The content of the files that hold a glTF's buffers, which must lie in its own folder."""
+def _files_beside(folder: Path, header: dict[str, Any]) -> dict[str, Path]:
+    """The files that hold a glTF's buffers, which must lie in its own folder, by the names that it has for them."""
     files = {}
     for name in [str(b["uri"]) for b in header.get("buffers", []) if "uri" in b]:
         if name.startswith("data:"):
@@ -75,7 +82,7 @@ def _files_beside(folder: Path, header: dict[str, Any]) -> dict[str, bytes]:
             raise UnreadableError(f"it refers to {shorten(name)!r} outside its own folder; put that file beside it")
         if not file.is_file():
             raise UnreadableError(f"it refers to {shorten(name)!r}, which is not beside it; put that file there")
-        files[name] = file.read_bytes()
+        files[name] = file
     return files
 
 

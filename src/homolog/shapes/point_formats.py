@@ -20,6 +20,7 @@ from homolog.shapes.parsing import (
     content_lines,
     number_rows,
     read_text,
+    shorten,
 )
 
 _POINT_KEYS = ("points", "vertices")
@@ -28,31 +29,46 @@ _MOST_COMPRESSION = 200
 _ALWAYS_ALLOWED = 64 * 2**20
 # LZF writes at least three bytes for 264.
 _MOST_LZF = 100
+# Other names of coordinates than x, y and z, in lower case: pos_x, x_coord, x [mm], x_mm, and ParaView's Points:0.
+_AXIS = re.compile(
+    r"points[:_](?P<number>[012])|(?:(?:pos|position|points?|coord|coordinate)[ _.:-]?)?(?P<axis>[xyz])"
+    r"(?:[ _.:-]?(?:pos|position|coord|coordinate))?(?:_(?:mm|cm|m)|[ _]*[\[(][^])]*[])])?"
+)
 
 
 def read_table(path: Path) -> Arrays:
     """Read a text file with one point a line, separated by commas, semicolons, tabs or blanks.
 
-    ``#`` starts a comment. A first row of words names the columns: those named x, y and z are taken, else the
-    first three.
+    ``#`` starts a comment. A first row of words, or a comment before the first row, names the columns: those of x, y
+    and z are taken, in whatever case, with a unit in brackets, or as in ``pos_x``. Without names, or where there are
+    only three columns, the first three are.
+
+    Raises:
+        UnreadableError: if more than three columns have names, and x, y and z are not among them.
     """
     text = read_text(path)
     lines = content_lines(text)
     if not lines:
         raise UnreadableError("it holds no points")
-    delimiter = next((mark for mark in ";,\t" if mark in lines[0]), None)
-    header = None if _is_numbers(lines[0], delimiter) else lines.pop(0)
-    columns = _xyz_columns(header or _commented_header(text, lines[0]), delimiter)
-    return Arrays(number_rows(lines, columns, delimiter=delimiter))
+    names = [] if _is_numbers(lines[0]) else _names(lines.pop(0))
+    if not lines:
+        return Arrays(np.zeros((0, 3)))
+    columns = _xyz_columns(names or _commented_names(text, lines[0]))
+    return Arrays(number_rows(lines, columns, delimiter=_delimiter(lines[0])))
 
 
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    return [cell.strip(' "') for cell in line.split(delimiter)]
+def _delimiter(line: str) -> str | None:
+    """What separates the cells of a line; None for blanks."""
+    return next((mark for mark in ";,\t" if mark in line), None)
 
 
-def _is_numbers(line: str, delimiter: str | None) -> bool:
+def _cells(line: str) -> list[str]:
+    return [cell.strip(" \"'") for cell in line.split(_delimiter(line))]
+
+
+def _is_numbers(line: str) -> bool:
     """Whether a row holds a number at all; a row of words is a header."""
-    for cell in _cells(line, delimiter):
+    for cell in _cells(line):
         try:
             float(cell)
         except ValueError:
@@ -61,17 +77,43 @@ def _is_numbers(line: str, delimiter: str | None) -> bool:
     return False
 
 
-def _commented_header(text: str, first_row: str) -> str:
-    """The comment before the first row, where a table's column names are often kept."""
+def _names(header: str) -> list[str]:
+    """The names of columns, in lower case; a unit in brackets stays with its name, and CloudCompare's // goes."""
+    return [name.lower() for name in _cells(re.sub(r"\s+(?=[\[(])", "", header.lstrip("/ ")))]
+
+
+def _commented_names(text: str, first_row: str) -> list[str]:
+    """The names in the comment before the first row, where they are often kept; a remark names no columns."""
     before = text.partition(first_row)[0].strip().splitlines()
-    return before[-1].lstrip("# ") if before else ""
+    comment = re.sub(r"^\w+:\s+", "", before[-1].lstrip("# ")) if before else ""
+    names, n_columns = _names(comment), len(_cells(first_row))
+    named = len(names) == n_columns or (len(names) < n_columns and _axes(names) is not None)
+    return names if named and not _is_numbers(comment) else []
 
 
-def _xyz_columns(header: str, delimiter: str | None) -> list[int]:
-    names = [name.lower() for name in _cells(header, delimiter)]
-    if all(axis in names for axis in "xyz"):
-        return [names.index(axis) for axis in "xyz"]
-    return [0, 1, 2]
+def _xyz_columns(names: list[str]) -> list[int]:
+    columns = _axes(names)
+    if columns is None and len(names) > 3:
+        found = shorten(", ".join(names), 100)
+        raise UnreadableError(
+            f"its columns are named {found}; name those of the coordinates x, y, z, or keep only them"
+        )
+    return columns or [0, 1, 2]
+
+
+def _axes(names: list[str]) -> list[int] | None:
+    """The columns of x, y and z, by their bare names before any others; None where they cannot be told."""
+    for axes in (names, [_axis(name) for name in names]):
+        if all(axes.count(axis) == 1 for axis in "xyz"):
+            return [axes.index(axis) for axis in "xyz"]
+    return None
+
+
+def _axis(name: str) -> str:
+    found = _AXIS.fullmatch(name)
+    if found is None:
+        return ""
+    return found["axis"] or "xyz"[int(found["number"])]
 
 
 def read_npy(path: Path) -> Arrays:
@@ -94,7 +136,7 @@ def read_npz(path: Path) -> Arrays:
             raise UnreadableError(f"it holds {found}, but an array 'points' (and perhaps 'faces') is needed")
         points = _columns(_member(archive, members[key]), key)
         faces = _member(archive, members["faces"]) if "faces" in members else None
-    return Arrays(points, None if faces is None or not len(faces) else _whole(_columns(faces, "faces")))
+    return Arrays(points, None if faces is None or not len(faces) else _columns(faces, "faces"))
 
 
 def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
@@ -135,12 +177,6 @@ def _columns(array: np.ndarray, what: str) -> np.ndarray:
     if array.ndim != 2 or array.shape[1] < 3:
         raise UnreadableError(f"{what} has shape {array.shape}, but must have shape (n, 3)")
     return array[:, :3]
-
-
-def _whole(faces: np.ndarray) -> np.ndarray:
-    if faces.dtype.kind == "f" and not np.array_equal(faces, np.round(faces)):
-        raise UnreadableError("faces must be whole numbers")
-    return faces.astype(np.int64)
 
 
 def read_pcd(path: Path) -> Arrays:

@@ -8,13 +8,14 @@ become one point.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
 from homolog.errors import HomologError, ShapeError
-from homolog.shapes.gltf_format import read_glb, read_gltf
+from homolog.shapes.gltf_format import buffer_files, read_glb, read_gltf
 from homolog.shapes.mesh_formats import read_obj, read_off, read_stl
 from homolog.shapes.parsing import Arrays, UnreadableError, shorten
 from homolog.shapes.ply_format import read_ply
@@ -58,31 +59,52 @@ def read_shape(path: str | Path) -> Shape:
         ShapeError: if the file cannot be used; one line with the file, the reason, and what to do.
         MissingExtraError: if reading this format needs a package that is not installed.
     """
-    file = Path(path).expanduser()
-    _check_file(file)
+    file = _checked(path)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:
         found = f"the suffix {file.suffix!r}" if file.suffix else "no suffix"
         raise ShapeError(f"{path} has {found}, but must have one of {', '.join(READABLE)}")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            arrays = reader(file)
+    with _in_one_line(path), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        arrays = reader(file)
         _check_content(arrays)
         return Shape(*arrays, name=file.name)
+
+
+def files_of_shape(path: str | Path) -> tuple[Path, ...]:
+    """The files that ``read_shape`` reads: the file itself, and then those that hold the buffers of a glTF, in order.
+
+    Raises:
+        ShapeError: if the file cannot be used.
+    """
+    file = _checked(path)
+    if file.suffix.lower() not in (".glb", ".gltf"):
+        return (file,)
+    with _in_one_line(path):
+        return (file, *buffer_files(file))
+
+
+@contextmanager
+def _in_one_line(path: str | Path) -> Iterator[None]:
+    """Turn whatever is wrong with a file's content into one line about it."""
+    try:
+        yield
     except HomologError:
         raise
     except Exception as error:
-        raise ShapeError(f"{path} could not be read as {file.suffix[1:].upper()}: {_reason(error)}") from error
+        raise ShapeError(f"{path} could not be read as {Path(path).suffix[1:].upper()}: {_reason(error)}") from error
 
 
-def _check_file(file: Path) -> None:
+def _checked(path: str | Path) -> Path:
+    """A file that is there and not empty."""
+    file = Path(path).expanduser()
     try:
         fault = _fault(file)
     except (OSError, ValueError) as error:
         raise ShapeError(f"{file} cannot be opened: {_reason(error)}") from error
     if fault:
         raise ShapeError(f"{file} {fault}")
+    return file
 
 
 def _fault(file: Path) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -94,3 +94,19 @@ def repair(shape: Shape) -> Repaired:
             raise ShapeError(f"{shape.name} cannot be used: {finding}")
     clean_shape = shape if report.is_clean else Shape(cleaning.points, cleaning.faces, name=shape.name)
     return Repaired(clean_shape, report, cleaning.kept, cleaning.clean_index)
+
+
+def drawable(shape: Shape) -> Shape:
+    """A shape that other programs can open: all its points in their order, and the faces that ``repair`` keeps.
+
+    Points that are NaN or infinite are put at the mean of the others. Faces stay over the shape's own points; a mesh
+    without any usable face becomes a cloud.
+
+    Args:
+        shape: a mesh or a point cloud with at least one finite point; never changed.
+    """
+    kept = clean(shape).kept_faces
+    finite = np.isfinite(shape.points).all(axis=1)
+    points = np.where(finite[:, None], shape.points, shape.points[finite].mean(axis=0))
+    faces = None if shape.faces is None or kept is None or not len(kept) else shape.faces[kept]
+    return replace(shape, points=points, faces=faces)

@@ -27,7 +27,8 @@ class Shape:
         name: how messages call the shape, usually its file name.
 
     Raises:
-        ShapeError: if an array has another number of dimensions or columns, or does not hold numbers.
+        ShapeError: if an array has another number of dimensions or columns, points are no real numbers, or faces no
+            whole ones.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -35,9 +36,9 @@ class Shape:
     name: str = field(default="shape", kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", _locked(self.points, np.float64, f"{self.name}: points"))
+        object.__setattr__(self, "points", _locked(_real(self.points, f"{self.name}: points")))
         if self.faces is not None:
-            object.__setattr__(self, "faces", _locked(self.faces, np.int64, f"{self.name}: faces"))
+            object.__setattr__(self, "faces", _locked(_whole(self.faces, f"{self.name}: faces")))
 
     @property
     def modality(self) -> Modality:
@@ -63,12 +64,35 @@ class Shape:
         return f"Shape({self.name!r}: {self.modality}, {self.n_points} points{faces})"
 
 
-def _locked(values: object, dtype: type, what: str) -> np.ndarray:
+def _real(values: object, what: str) -> Float[np.ndarray, "n 3"]:
+    return _columns(values, what).astype(np.float64, copy=False)
+
+
+def _whole(values: object, what: str) -> Int[np.ndarray, "m 3"]:
+    """Indices; integers that came to be floats on their way pass."""
+    array = _columns(values, what)
+    if array.dtype.kind == "f":
+        indices = (array == np.round(array)) & (np.abs(array) < 2**63)
+        if not np.all(indices):
+            raise ShapeError(f"{what} hold {array[~indices][0]:g}, but must be whole numbers, indices of points from 0")
+    return array.astype(np.int64, copy=False)
+
+
+def _columns(values: object, what: str) -> np.ndarray:
+    """A copy, checked to be real numbers in three columns."""
     try:
-        array: np.ndarray = np.array(values, dtype=dtype, order="C")
+        array = np.array(values)
+        array = array.astype(np.float64) if array.dtype.kind == "O" else array
     except (TypeError, ValueError, OverflowError):
         raise ShapeError(f"{what} must be an array of numbers with shape (n, 3)") from None
+    if array.dtype.kind not in "biuf":
+        raise ShapeError(f"{what} are of type {array.dtype}, but must be real numbers with shape (n, 3)")
     if array.ndim != 2 or array.shape[1] != 3:
         raise ShapeError(f"{what} have shape {array.shape}, but must have shape (n, 3)")
+    return array
+
+
+def _locked(array: np.ndarray) -> np.ndarray:
+    array = np.ascontiguousarray(array)
     array.flags.writeable = False
     return array

@@ -89,7 +89,7 @@ def _load(path: Path, suffix: str) -> Arrays:
 
 
 def _missing() -> MissingExtraError:
-    return MissingExtraError("Reading and writing VTK, VTP and VTU files", "pyvista", "vtk")
+    return MissingExtraError("Reading and writing VTK, VTP and VTU files", "vtk", "vtk")
 
 
 def write_vtk(path: Path, shape: Shape) -> None:

@@ -1,0 +1,71 @@
+"""What a shape may be made of."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from homolog.errors import ShapeError
+from homolog.shapes import Shape
+
+POINTS = np.eye(4, 3)
+FACES = [[0, 1, 2], [1, 2, 3]]
+
+
+@pytest.mark.parametrize("kind", ["i1", "u8", ">i4", "f4", "f8", object])
+def test_faces_of_any_kind_that_are_whole_numbers(kind):
+    shape = Shape(POINTS, np.array(FACES).astype(kind))
+    assert shape.faces.dtype == np.int64
+    np.testing.assert_array_equal(shape.faces, FACES)
+
+
+@pytest.mark.parametrize("kind", ["i1", "u8", ">f4", "f2", "?", object])
+def test_points_of_any_real_kind(kind):
+    shape = Shape(np.array(POINTS).astype(kind), FACES)
+    assert shape.points.dtype == np.float64
+    np.testing.assert_array_equal(shape.points, POINTS)
+    np.testing.assert_array_equal(Shape([[Fraction(1, 2), 0, 1]] * 4).points, [[0.5, 0, 1]] * 4)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_arrays_are_copies_that_nobody_changes(order):
+    points, faces = np.array(POINTS, order=order), np.array(FACES, np.int64, order=order)
+    shape = Shape(points, faces)
+    points[:], faces[:] = 7, 7
+    np.testing.assert_array_equal(shape.points, POINTS)
+    np.testing.assert_array_equal(shape.faces, FACES)
+    for array in (shape.points, shape.faces):
+        assert array.flags.c_contiguous
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@pytest.mark.parametrize(
+    ("points", "faces", "said"),
+    [
+        (POINTS, [[0, 1, 1.7]], "faces hold 1.7, but must be whole numbers"),
+        (POINTS, [[0, 1, np.nan]], "faces hold nan, but must be whole numbers"),
+        (POINTS, [[0, 1, np.inf]], "faces hold inf, but must be whole numbers"),
+        (POINTS, [[0, 1, 1e30]], "faces hold 1e+30, but must be whole numbers"),
+        (POINTS, np.array([[0, 1, 1.7]], object), "faces hold 1.7, but must be whole numbers"),
+        (POINTS, [[0, 1, 10**30]], "faces hold 1e+30, but must be whole numbers"),
+        (POINTS, np.array(FACES) + 0j, "faces are of type complex128, but must be real"),
+        (POINTS, [["0", "1", "2"]], "faces are of type <U1, but must be real"),
+        (POINTS + 1j, None, "points are of type complex128, but must be real"),
+        (np.array(POINTS, "M8[s]"), None, "points are of type datetime64"),
+        ([["a", "b", "c"]], None, "points are of type <U1, but must be real"),
+        ([[None, 0, 0]] * 4, FACES, None),
+        ([[object(), 0, 0]], None, "points must be an array of numbers"),
+        ([[1, 2, 3], [1, 2]], None, "points must be an array of numbers"),
+        (POINTS[:, :2], None, r"points have shape (4, 2), but must have shape (n, 3)"),
+        (POINTS, [0, 1, 2], r"faces have shape (3,), but must have shape (n, 3)"),
+    ],
+)
+def test_what_is_refused(points, faces, said):
+    if said is None:  # nothing at all, which numpy takes for NaN
+        assert np.isnan(Shape(points, faces).points[0, 0])
+        return
+    with pytest.raises(ShapeError) as caught:
+        Shape(points, faces, name="thing")
+    assert str(caught.value).startswith(f"thing: {said}")
+    assert "\n" not in str(caught.value)
