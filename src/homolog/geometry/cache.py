@@ -27,7 +27,7 @@ from homolog.shapes import Shape
 _log = logging.getLogger(__name__)
 
 # Part of every key: raise it when the same shape and settings come to give other operators.
-_VERSION = 1
+_VERSION = 2
 _SUFFIX = ".safetensors"
 _DENSE = ("points", "mass", "eigenvalues", "eigenvectors", "centre")
 _GIBIBYTE = 2**30
