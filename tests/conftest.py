@@ -84,6 +84,19 @@ def relabelled(shape: Shape, order: np.ndarray) -> Shape:
     return Shape(shape.points[order], None if shape.faces is None else place[shape.faces], name=shape.name)
 
 
+def littered(shape: Shape, count: int, *, first: bool = False) -> Shape:
+    """A mesh with many tiny tetrahedra around it, none near it; they come after its own points and faces, or first."""
+    rng = np.random.default_rng(0)
+    extent = np.ptp(shape.points, axis=0).max()
+    away = rng.standard_normal((count, 1, 3))
+    away *= (1 + rng.random((count, 1, 1))) * extent / np.linalg.norm(away, axis=2, keepdims=True)
+    corners = away + 1e-3 * extent * rng.standard_normal((count, 4, 3))
+    tetrahedron = np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
+    faces = tetrahedron + 4 * np.arange(count)[:, None, None]
+    pieces = Shape(corners.reshape(-1, 3) + shape.points.mean(axis=0), faces.reshape(-1, 3))
+    return joined([pieces, shape] if first else [shape, pieces])
+
+
 def random_rotation(seed: int) -> np.ndarray:
     """A proper rotation (3, 3)."""
     q, r = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
@@ -99,6 +112,7 @@ class Makers:
     grid: Callable[..., Shape] = grid_shape
     blob: Callable[..., Shape] = blob_shape
     joined: Callable[..., Shape] = joined
+    littered: Callable[..., Shape] = littered
     relabelled: Callable[..., Shape] = relabelled
     rotation: Callable[[int], np.ndarray] = random_rotation
 

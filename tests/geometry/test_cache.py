@@ -7,6 +7,7 @@ import os
 import pickle
 import subprocess
 import sys
+import time
 import warnings
 from dataclasses import fields
 from pathlib import Path
@@ -17,6 +18,7 @@ import torch
 from safetensors.torch import save_file
 
 from homolog.errors import ArgumentError
+from homolog.files import atomic_path
 from homolog.geometry import OperatorCache, Operators, OperatorSettings, cache, cache_folder
 from homolog.shapes import Shape
 
@@ -264,6 +266,28 @@ def test_a_write_that_fails_half_way_leaves_nothing_behind(shape, tmp_path, monk
     found = OperatorCache(tmp_path).operators(shape, settings=SETTINGS)
     assert found.n_points == shape.n_points and "No space left" in caplog.text
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_another_process_is_writing_is_no_entry(make, tmp_path) -> None:
+    store = OperatorCache(tmp_path, max_bytes=1)  # every entry must go
+    with atomic_path(tmp_path / "half.safetensors") as temporary:
+        temporary.write_bytes(b"half" * 1000)
+        os.utime(temporary, (time.time() - 3600,) * 2)  # older than what comes next
+        assert store.size() == (0, 0)
+        store.operators(make.sphere(1), settings=SETTINGS)
+        assert temporary.exists()
+    assert (tmp_path / "half.safetensors").read_bytes() == b"half" * 1000
+
+
+def test_what_a_killed_process_left_goes_after_a_day(make, tmp_path) -> None:
+    names = {".0123456789ab.safetensors": 25, ".ba9876543210.safetensors": 1}
+    for name, hours in names.items():
+        (tmp_path / name).write_bytes(b"half")
+        os.utime(tmp_path / name, (time.time() - 3600 * hours,) * 2)
+    store = OperatorCache(tmp_path)
+    store.operators(make.sphere(1), settings=SETTINGS)
+    assert store.size()[0] == 1
+    assert [path.name for path in tmp_path.glob(".*")] == [".ba9876543210.safetensors"]
 
 
 def test_the_environment_chooses_folder_and_bound(monkeypatch, tmp_path) -> None:

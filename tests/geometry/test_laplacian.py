@@ -155,5 +155,9 @@ def test_an_unknown_kind_is_refused_with_the_nearest_name(make) -> None:
 
 def test_what_is_not_finite_is_refused() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, np.nan, 0]])
-    with pytest.raises(ShapeError, match="not finite"):
+    with pytest.raises(ShapeError, match="1 NaN or infinite"):
         mesh_laplacian(points, np.array([[0, 1, 2]]), kind="cotangent")
+    with pytest.raises(ShapeError, match="not finite"):
+        mesh_laplacian(np.zeros((4, 3)), np.array([[0, 1, 2], [1, 3, 2]]))
+    with pytest.raises(ArgumentError, match="n_neighbours"):
+        cloud_laplacian(np.random.default_rng(0).random((50, 3)), n_neighbours=2)

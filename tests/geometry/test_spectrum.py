@@ -11,8 +11,16 @@ import torch
 import trimesh
 
 from homolog.errors import ArgumentError, ShapeError
-from homolog.geometry import Spectrum, cloud_laplacian, lowest_eigenpairs, mesh_laplacian, spectrum
+from homolog.geometry import (
+    Spectrum,
+    cloud_laplacian,
+    compute_operators,
+    lowest_eigenpairs,
+    mesh_laplacian,
+    spectrum,
+)
 from homolog.geometry.lanczos import BlockLanczos
+from homolog.shapes import Shape
 
 
 def dense_pairs(laplacian: sparse.spmatrix, mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -245,13 +253,87 @@ def test_when_nothing_works_the_message_says_what_to_do(make, monkeypatch) -> No
         values, vectors = np.arange(k) + 1.0, np.eye(matrix.shape[0], k)
         return values, vectors
 
-    laplacian, mass = laplacian_of(make.blob(3))
+    def out_of_memory(*_args, **_options):
+        raise MemoryError
+
+    def singular(*_args):
+        raise RuntimeError("Factor is exactly singular")
+
+    blob = make.blob(3)
+    laplacian, mass = laplacian_of(blob)
     monkeypatch.setattr(spectrum, "_shift_and_invert", lambda *_: None)
     monkeypatch.setattr(spectrum, "_DENSE_LIMIT", 600)
-    for solver, words in ((fails, "did not converge"), (inaccurate, "too inaccurate")):
+    for solver, words in ((fails, "ARPACK"), (inaccurate, "residual"), (out_of_memory, "MemoryError")):
         monkeypatch.setattr(spectrum.sparse_linalg, "eigsh", solver)
-        with pytest.raises(ShapeError, match=f"{words}.*remesh"):
+        with pytest.raises(ShapeError, match=f"not found .*{words}.*remesh"):
             lowest_eigenpairs(laplacian, mass, 20)
+    monkeypatch.undo()
+    monkeypatch.setattr(spectrum, "_DENSE_LIMIT", 600)
+    monkeypatch.setattr(spectrum._Problem, "factorise", singular)
+    with pytest.raises(ShapeError, match=r"^scan\.ply: .*singular.*remesh"):
+        compute_operators(Shape(blob.points, blob.faces, name="scan.ply"))
+
+
+def test_arpack_gives_up_instead_of_hanging(make, monkeypatch) -> None:
+    laplacian, mass = laplacian_of(make.sphere(3))
+    monkeypatch.setattr(spectrum, "_shift_and_invert", lambda *_: None)
+    monkeypatch.setattr(spectrum, "_DENSE_LIMIT", 600)
+    monkeypatch.setattr(spectrum, "_MOST_RESTARTS", 1)
+    with pytest.raises(ShapeError, match="No convergence"):
+        lowest_eigenpairs(laplacian, mass, 100)
+
+
+def test_a_count_of_eigenvalues_that_hits_one_is_survived(make, monkeypatch) -> None:
+    laplacian, mass = laplacian_of(make.blob(3))
+    whole = spectrum._Problem.count_below
+    calls = []
+
+    def hits_once(self, value):
+        calls.append(value)
+        if len(calls) > 1:
+            return whole(self, value)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(spectrum._Problem, "factorise", raise_singular)
+            return whole(self, value)
+
+    def raise_singular(*_args):
+        raise RuntimeError("Factor is exactly singular")
+
+    monkeypatch.setattr(spectrum._Problem, "count_below", hits_once)
+    found = lowest_eigenpairs(laplacian, mass, 20)
+    assert found.method == "block Lanczos, blocks of 32" and len(calls) == 2
+    assert_agrees(found, laplacian, mass, 20)
+    monkeypatch.setattr(spectrum, "_shift_and_invert", lambda *_: None)
+    monkeypatch.setattr(spectrum, "_DENSE_LIMIT", 600)
+    calls.clear()
+    found = lowest_eigenpairs(laplacian, mass, 20)
+    assert found.method == "ARPACK, incomplete, after block Lanczos failed"  # as far as can be told
+    assert_agrees(found, laplacian, mass, 20)
+
+
+@pytest.mark.parametrize("method", ["dense", "dense, after block Lanczos failed", "ARPACK, after block Lanczos failed"])
+def test_every_solver_gives_the_constants_of_pieces_apart(method: str, make, monkeypatch) -> None:
+    pieces = apart(make, 6, 2, growth=0.2) if method != "dense" else apart(make, 6, 1, growth=0.2)
+    laplacian, mass = laplacian_of(pieces)
+    if method != "dense":
+        monkeypatch.setattr(spectrum, "_shift_and_invert", lambda *_: None)
+        monkeypatch.setattr(spectrum, "_DENSE_LIMIT", 6000 if method.startswith("dense") else 600)
+    found = lowest_eigenpairs(laplacian, mass, 20)
+    assert found.method == method
+    assert_agrees(found, laplacian, mass, 20)
+    piece = np.arange(len(mass)) // (len(mass) // 6)
+    weights = np.bincount(piece, mass)
+    largest_first = np.argsort(-weights)
+    for number, vector in enumerate(found.eigenvectors[:, :6].T):
+        expected = np.where(piece == largest_first[number], 1 / np.sqrt(weights[largest_first[number]]), 0)
+        np.testing.assert_allclose(vector, expected, atol=1e-12)
+
+
+def test_a_dense_solve_of_what_is_not_finite_is_refused(make) -> None:
+    laplacian, mass = laplacian_of(make.grid(5))
+    laplacian.data[3] = np.nan
+    with pytest.raises(ShapeError, match=r"not found.*remesh"):
+        lowest_eigenpairs(laplacian, mass, 5)
 
 
 def test_a_shift_that_hits_an_eigenvalue_is_survived(make, monkeypatch) -> None:

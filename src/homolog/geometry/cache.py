@@ -6,6 +6,7 @@ import hashlib
 import json
 import logging
 import os
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -26,10 +27,12 @@ from homolog.shapes import Shape
 _log = logging.getLogger(__name__)
 
 # Part of every key: raise it when the same shape and settings come to give other operators.
-_VERSION = 1
+_VERSION = 2
 _SUFFIX = ".safetensors"
 _DENSE = ("points", "mass", "eigenvalues", "eigenvectors", "centre")
 _GIBIBYTE = 2**30
+# Seconds after which a file that was never written to its end is one that a killed process left.
+_ABANDONED = 24 * 3600
 
 EigenvectorPrecision = Literal["float32", "float16"]
 
@@ -111,6 +114,7 @@ class OperatorCache:
     def _make_room(self) -> None:
         entries = sorted(self._entries())
         excess = sum(size for _, size, _ in entries) - self.max_bytes
+        self._clear_abandoned()
         for _, size, path in entries:
             if excess <= 0:
                 return
@@ -120,10 +124,21 @@ class OperatorCache:
 
     def _entries(self) -> Iterator[tuple[float, int, Path]]:
         """Time of last use, bytes and path of each entry; another process may remove some meanwhile."""
+        yield from self._files(temporary=False)
+
+    def _clear_abandoned(self) -> None:
+        for used, _, path in self._files(temporary=True):
+            if used < time.time() - _ABANDONED:
+                with suppress(OSError):
+                    path.unlink()
+
+    def _files(self, *, temporary: bool) -> Iterator[tuple[float, int, Path]]:
+        """Entries, or what ``atomic_path`` is writing: names of the latter begin with a dot."""
         for path in self.folder.glob("*" + _SUFFIX) if self.folder.is_dir() else ():
-            with suppress(OSError):
-                status = path.stat()
-                yield status.st_mtime, status.st_size, path
+            if path.name.startswith(".") == temporary:
+                with suppress(OSError):
+                    status = path.stat()
+                    yield status.st_mtime, status.st_size, path
 
 
 def _read(path: Path) -> Operators | None:

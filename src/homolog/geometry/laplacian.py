@@ -5,6 +5,8 @@ Sign and scale: L is positive semidefinite and integrated (weak), so that L phi 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Literal, get_args
 
 import numpy as np
@@ -12,12 +14,16 @@ import robust_laplacian
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
 
-from homolog.errors import ShapeError, bad_choice
+from homolog.errors import ShapeError, bad_choice, bad_value
+from homolog.geometry.debris import require_usable
+from homolog.shapes import Shape
 
 LaplacianKind = Literal["robust", "cotangent"]
 
 # Neighbours per point of the point-cloud Laplacian and gradient.
 CLOUD_NEIGHBOURS = 30
+# With fewer, a point's neighbours make no triangles, on which the library for clouds can end the process.
+FEWEST_NEIGHBOURS = 3
 
 # A point's mass is at least this share of the mean mass: a point between slivers would otherwise have none.
 _SMALLEST_MASS = 1e-6
@@ -36,10 +42,13 @@ def mesh_laplacian(
 
     Raises:
         ArgumentError: if ``kind`` is neither.
-        ShapeError: if the triangles are too degenerate for a Laplacian.
+        ShapeError: if they are no mesh, or the triangles are too degenerate for a Laplacian.
     """
+    mesh = Shape(points, faces, name="the mesh")
+    require_usable(mesh, fewest=3)
     if kind == "robust":
-        laplacian, mass = robust_laplacian.mesh_laplacian(np.ascontiguousarray(points), np.ascontiguousarray(faces))
+        with _degenerate_if_refused():
+            laplacian, mass = robust_laplacian.mesh_laplacian(mesh.points, mesh.faces)
         return _checked(laplacian, mass.diagonal())
     if kind == "cotangent":
         return _checked(*_cotangent_laplacian(points, faces))
@@ -54,11 +63,28 @@ def cloud_laplacian(
     The mass sums to the area of those triangulations, which noise inflates: see ``cloud_area`` for a scale.
 
     Raises:
-        ShapeError: if the points are too degenerate for a Laplacian.
+        ArgumentError: if ``n_neighbours`` is too small.
+        ShapeError: if they are no cloud, or too degenerate for a Laplacian.
     """
-    n_neighbours = min(n_neighbours, len(points) - 1)
-    laplacian, mass = robust_laplacian.point_cloud_laplacian(np.ascontiguousarray(points), n_neighbors=n_neighbours)
+    if n_neighbours < FEWEST_NEIGHBOURS:
+        raise bad_value("n_neighbours", n_neighbours, f"at least {FEWEST_NEIGHBOURS}")
+    cloud = Shape(points, name="the cloud")
+    require_usable(cloud)
+    n_neighbours = min(n_neighbours, cloud.n_points - 1)
+    with _degenerate_if_refused():
+        laplacian, mass = robust_laplacian.point_cloud_laplacian(cloud.points, n_neighbors=n_neighbours)
     return _checked(laplacian, mass.diagonal())
+
+
+@contextmanager
+def _degenerate_if_refused() -> Iterator[None]:
+    try:
+        yield
+    except RuntimeError:  # an assertion of the library's, of no use to anyone
+        raise ShapeError(
+            "the Laplacian cannot be made: points coincide or lie on a line, or faces repeat a corner; "
+            "use homolog.repair first, or remesh the shape"
+        ) from None
 
 
 def _cotangent_laplacian(

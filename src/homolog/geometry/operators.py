@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import get_args
@@ -10,13 +12,20 @@ from typing import get_args
 import numpy as np
 import scipy.sparse as sparse
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from homolog.errors import bad_choice, bad_value
+from homolog.errors import ShapeError, bad_choice, bad_value
 from homolog.geometry.basis import Basis
-from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
-from homolog.geometry.scale import unit_frame
+from homolog.geometry.debris import main_part, main_points, require_usable
+from homolog.geometry.laplacian import (
+    CLOUD_NEIGHBOURS,
+    FEWEST_NEIGHBOURS,
+    LaplacianKind,
+    cloud_laplacian,
+    mesh_laplacian,
+)
+from homolog.geometry.scale import Frame, frame_of
 from homolog.geometry.spectrum import lowest_eigenpairs
 from homolog.geometry.tangent import (
     cloud_normals,
@@ -28,11 +37,8 @@ from homolog.geometry.tangent import (
 )
 from homolog.shapes import Shape
 
-# Components with less than this share of the mass are debris.
-_SMALLEST_COMPONENT = 0.01
-
-# With fewer, a point's neighbours make no triangles, on which the library for clouds ends the process.
-_FEWEST_NEIGHBOURS = 3
+# The mass of a point of debris, as a share of the mean: none, but for what divides by it.
+_DEBRIS_MASS = 1e-6
 
 # A sparse matrix of shape (n, n) in torch's compressed-row layout.
 SparseMatrix = Tensor
@@ -41,6 +47,9 @@ SparseMatrix = Tensor
 @dataclass(frozen=True, eq=False)
 class Operators:
     """The discrete operators of one shape, in inner units (centred, unit area), as float32 tensors.
+
+    Debris, see ``main_points``, has no part in them: its rows are zero and it has next to no mass. Its constants, at
+    eigenvalue zero, would crowd out the shape's own eigenfunctions.
 
     Args:
         points: centred and scaled positions (n, 3), the network's input.
@@ -104,17 +113,15 @@ class Operators:
             eigenvectors=self.eigenvectors[:, :n_eigenpairs].contiguous(),
         )
 
-    def without_debris(self) -> Operators:
-        """The same operators without the eigenfunctions that are constant on a small component and zero elsewhere.
+    @property
+    def n_pieces(self) -> int:
+        """How many eigenvalues are zero: one for each piece, as far as there are eigenpairs."""
+        return int((self.eigenvalues <= 1e-6 * self.eigenvalues[-1]).sum())
 
-        Every component adds one, at eigenvalue zero, where they would crowd out the shape's own.
-        """
-        # A function that is constant on a component of mass m, and of unit norm, has the value 1 / sqrt(m) there.
-        share = 1 / self.eigenvectors.abs().amax(dim=0).square() / self.mass.sum()
-        kept = (self.eigenvalues > 1e-6 * self.eigenvalues[-1]) | (share >= _SMALLEST_COMPONENT)
-        if int(kept.sum()) in (self.n_eigenpairs, 0, 1):
-            return self
-        return replace(self, eigenvalues=self.eigenvalues[kept], eigenvectors=self.eigenvectors[:, kept].contiguous())
+    @cached_property
+    def reached(self) -> Bool[Tensor, " n"]:
+        """The points where not every eigenfunction is zero, as it is on debris."""
+        return (self.eigenvectors != 0).any(dim=1)
 
     def coefficients(self, functions: Float[Tensor, "n c"]) -> Float[Tensor, "k c"]:
         """Spectral coefficients Phi^T M f of functions on the shape."""
@@ -138,7 +145,7 @@ class OperatorSettings:
     def __post_init__(self) -> None:
         if self.laplacian not in get_args(LaplacianKind):
             raise bad_choice("laplacian", self.laplacian, get_args(LaplacianKind))
-        for name, least in (("n_eigenpairs", 1), ("n_neighbours", _FEWEST_NEIGHBOURS)):
+        for name, least in (("n_eigenpairs", 1), ("n_neighbours", FEWEST_NEIGHBOURS)):
             if getattr(self, name) < least:
                 raise bad_value(name, getattr(self, name), f"at least {least}")
 
@@ -155,10 +162,26 @@ def compute_operators(
             complete partner.
 
     Raises:
-        ShapeError: if the shape is too degenerate for operators.
+        ShapeError: if the shape is not clean, or too degenerate for operators.
     """
-    settings = settings or OperatorSettings()
-    frame = unit_frame(shape, length=length)
+    require_usable(shape)
+    main = main_points(shape)
+    part = main_part(shape, main)
+    frame = frame_of(part, length=length)
+    with _named(shape.name):
+        operators = _operators(part, frame, settings or OperatorSettings())
+    return operators if main.all() else _with_debris(operators, torch.from_numpy(main), frame.inside(shape.points))
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    try:
+        yield
+    except ShapeError as error:
+        raise ShapeError(f"{name}: {error}") from None
+
+
+def _operators(shape: Shape, frame: Frame, settings: OperatorSettings) -> Operators:
     points = frame.inside(shape.points)
     if shape.faces is None:
         laplacian, mass = cloud_laplacian(points, n_neighbours=settings.n_neighbours)
@@ -180,6 +203,30 @@ def compute_operators(
         length=frame.length,
         method=spectrum.method,
     )
+
+
+def _with_debris(operators: Operators, main: Bool[Tensor, " n"], points: Float[np.ndarray, "n 3"]) -> Operators:
+    """Operators of a shape from those of its main points."""
+    mass = torch.full((len(main),), _DEBRIS_MASS * float(operators.mass.mean()))
+    mass[main] = operators.mass
+    eigenvectors = torch.zeros(len(main), operators.n_eigenpairs)
+    eigenvectors[main] = operators.eigenvectors
+    return replace(
+        operators,
+        points=_single(points),
+        mass=mass,
+        eigenvectors=eigenvectors,
+        laplacian=_spread(operators.laplacian, main),
+        gradient_x=_spread(operators.gradient_x, main),
+        gradient_y=_spread(operators.gradient_y, main),
+    )
+
+
+def _spread(matrix: SparseMatrix, main: Bool[Tensor, " n"]) -> SparseMatrix:
+    """A matrix between some of the points as one between all of them, zero elsewhere."""
+    rows = matrix.crow_indices()[torch.cat([torch.zeros(1, dtype=torch.long), main.cumsum(0)])]
+    columns = torch.nonzero(main)[:, 0].to(rows)[matrix.col_indices()]
+    return compressed_rows(rows, columns, matrix.values())
 
 
 def _cloud_gradient(points: Float[np.ndarray, "n 3"], n_neighbours: int) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

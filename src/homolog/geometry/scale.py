@@ -9,6 +9,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 
 from homolog.errors import ShapeError, bad_value
+from homolog.geometry.debris import face_areas, main_part, main_points, require_usable
 from homolog.shapes import Shape
 
 # Radii of the two balls that `cloud_area` counts in, as shares of the cloud's root-mean-square radius.
@@ -40,12 +41,18 @@ class Frame:
 def unit_frame(shape: Shape, *, length: float | None = None) -> Frame:
     """The frame that centres a shape and scales it to unit area, or by ``length`` if that is given.
 
-    A partial shape takes the length of its complete partner.
+    A partial shape takes the length of its complete partner. Debris, see ``main_points``, does not count.
 
     Raises:
         ArgumentError: if ``length`` is not positive and finite.
-        ShapeError: if the shape has no area.
+        ShapeError: if the shape has no area, or is not clean.
     """
+    require_usable(shape)
+    return frame_of(main_part(shape, main_points(shape)), length=length)
+
+
+def frame_of(shape: Shape, *, length: float | None = None) -> Frame:
+    """The frame of a usable shape without debris; see ``unit_frame``."""
     if length is None:
         area = surface_area(shape)
         if not (np.isfinite(area) and area > 0):
@@ -60,9 +67,7 @@ def surface_area(shape: Shape) -> float:
     """Surface area of a mesh, or the estimated area of a cloud, in squared units of the file."""
     if shape.faces is None:
         return cloud_area(shape.points)
-    corners = shape.points[shape.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(np.linalg.norm(normals, axis=1).sum() / 2)
+    return float(face_areas(shape.points, shape.faces).sum())
 
 
 def cloud_area(points: Float[np.ndarray, "n 3"]) -> float:

@@ -26,11 +26,19 @@ _DENSE_LIMIT = 6000
 # Largest accepted |S u - lambda u|, as a share of the largest eigenvalue asked for.
 _TOLERANCE = 1e-6
 _BLOCKS = (8, 32)
+# The same where there is no other way left; beyond the second, a dense solve's eigenpairs mean nothing either.
+_LOOSE_TOLERANCE = 1e-4
+_DENSE_TOLERANCE = 1e-2
+# Of ARPACK, which needs a few where it converges at all.
+_MOST_RESTARTS = 30
 _ONE_THREAD_POINTS = 15_000
 # The share of the wanted eigenvalues that lies below the shift. The upper end of the wanted part of the spectrum, where
 # the unwanted ones begin, must be nearer than the lower: it takes a third fewer solves than a shift at zero.
 _SHARE_BELOW = 0.62
 _MOST_COMPONENTS = 200
+
+# What singular factors, numbers that are not finite, and too little memory raise in SciPy and PyTorch.
+_FAILURES = (RuntimeError, ValueError, MemoryError)
 
 _Pairs = tuple[Float[Tensor, " k"], Float[Tensor, "n k"]]
 
@@ -68,8 +76,16 @@ def lowest_eigenpairs(laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"],
         raise bad_value("n_eigenpairs", n_eigenpairs, "at least 1")
     problem = _Problem.build(laplacian, mass)
     k = min(n_eigenpairs, problem.size)
+    try:
+        return _found(problem, k)
+    except _FAILURES as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ShapeError(f"the eigenvalues of the Laplacian were not found ({reason}); remesh the shape") from None
+
+
+def _found(problem: _Problem, k: int) -> Spectrum:
     if problem.size <= _DENSE_POINTS or k > _DENSE_SHARE * problem.size:
-        return problem.spectrum(_dense(problem, k), "dense")
+        return _checked(problem.spectrum(_dense(problem, k), "dense"), _DENSE_TOLERANCE)
     for block in _BLOCKS:
         pairs = _shift_and_invert(problem, k, block)
         found = problem.spectrum(pairs, f"block Lanczos, blocks of {block}") if pairs is not None else None
@@ -77,6 +93,12 @@ def lowest_eigenpairs(laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"],
             return found
         _log.info("block Lanczos with blocks of %d did not find every eigenpair", block)
     return _last_resort(problem, k)
+
+
+def _checked(found: Spectrum, tolerance: float = _LOOSE_TOLERANCE) -> Spectrum:
+    if found.residual <= tolerance:  # which it is not if it is no number
+        return found
+    raise RuntimeError(f"a residual of {found.residual:.1g}")
 
 
 @dataclass(frozen=True)
@@ -118,9 +140,18 @@ class _Problem:
         """About where the k-th eigenvalue of a surface lies, by Weyl's law: 4 pi k / area."""
         return 4 * np.pi * k / float(self.root_mass @ self.root_mass)
 
-    def count_below(self, value: float) -> int:
-        """How many eigenvalues lie below ``value``."""
-        return _negative_pivots(self.factorise(value))
+    def count_below(self, value: float) -> int | None:
+        """How many eigenvalues lie below ``value``; None if it is an eigenvalue itself, so that no factors tell."""
+        try:
+            return _negative_pivots(self.factorise(value))
+        except RuntimeError:
+            return None
+
+    def with_kernel(self, pairs: _Pairs, wanted: int) -> _Pairs:
+        """The lowest ``wanted`` eigenpairs, from those outside the kernel in ascending order."""
+        zeros = torch.zeros(len(self.kernel), dtype=torch.float64)
+        values, vectors = torch.cat([zeros, pairs[0]]), torch.cat([self.kernel.T, pairs[1]], dim=1)
+        return values[:wanted], vectors[:, :wanted]
 
     def residual(self, pairs: _Pairs) -> float:
         values, vectors = pairs
@@ -145,9 +176,12 @@ def _negative_pivots(factors: sparse_linalg.SuperLU) -> int:
 def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
     """Eigenpairs by block Lanczos on (S - shift)^-1, or None if it does not converge or misses any."""
     try:
-        shift, factors = _shifted(problem, k)
-    except RuntimeError:  # the shift hit an eigenvalue
+        return _iterate(problem, *_shifted(problem, k), k, block)
+    except _FAILURES:  # the shift hit an eigenvalue, or nearly
         return None
+
+
+def _iterate(problem: _Problem, shift: float, factors: sparse_linalg.SuperLU, k: int, block: int) -> _Pairs | None:
     # SuperLU solves in one thread, and lets others run meanwhile; but where the factors are small, its many small BLAS
     # calls get in each other's way.
     threads = min(torch.get_num_threads(), block) if problem.size > _ONE_THREAD_POINTS else 1
@@ -157,10 +191,10 @@ def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
             parts = [part.numpy().T for part in rows.chunk(threads)]
             return torch.cat([torch.from_numpy(solved.T) for solved in pool.map(factors.solve, parts)])
 
-        return _iterate(problem, inverse, shift, k, block)
+        return _grown(problem, inverse, shift, k, block)
 
 
-def _iterate(problem: _Problem, inverse: Inverse, shift: float, k: int, block: int) -> _Pairs | None:
+def _grown(problem: _Problem, inverse: Inverse, shift: float, k: int, block: int) -> _Pairs | None:
     wanted = k + 1  # one more, to know where the next eigenvalue begins
     capacity = min(4 * wanted + 12 * block, problem.size - len(problem.kernel))
     krylov = BlockLanczos(inverse, problem.kernel, block=block, capacity=capacity)
@@ -216,25 +250,44 @@ def _complete(problem: _Problem, pairs: _Pairs, k: int) -> _Pairs | None:
 
 
 def _dense(problem: _Problem, k: int) -> _Pairs:
-    values, vectors = torch.linalg.eigh(torch.from_numpy(problem.matrix.toarray()))
-    return values[:k], vectors[:, :k]
+    matrix = torch.from_numpy(problem.matrix.toarray())
+    # The known zero modes are moved above all others, where they cannot mix with those that are nearly zero.
+    matrix.addmm_(problem.kernel.T, problem.kernel, alpha=2 * float(matrix.abs().sum(dim=1).max()))
+    rest = problem.size - len(problem.kernel)
+    values, vectors = torch.linalg.eigh(matrix)
+    return problem.with_kernel((values[:rest], vectors[:, :rest]), k)
+
+
+def _arpack(problem: _Problem, wanted: int) -> _Pairs:
+    shift = -1e-2 / float(problem.root_mass @ problem.root_mass)
+    factors, kernel = problem.factorise(shift), problem.kernel.numpy()
+
+    def outside(vector: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        rest: np.ndarray = vector - kernel.T @ (kernel @ vector)
+        return rest
+
+    inverse = sparse_linalg.LinearOperator(
+        (problem.size, problem.size), matvec=lambda vector: outside(factors.solve(outside(vector.ravel()))), dtype=float
+    )
+    values, vectors = sparse_linalg.eigsh(
+        problem.matrix,
+        max(wanted - len(kernel), 1),
+        sigma=shift,
+        OPinv=inverse,
+        v0=outside(np.random.default_rng(0).standard_normal(problem.size)),
+        maxiter=_MOST_RESTARTS,
+    )
+    order = np.argsort(values)
+    return problem.with_kernel((torch.from_numpy(values[order]), torch.from_numpy(vectors[:, order])), wanted)
 
 
 def _last_resort(problem: _Problem, k: int) -> Spectrum:
     if problem.size <= _DENSE_LIMIT:
-        return problem.spectrum(_dense(problem, k), "dense, after block Lanczos failed")
-    start = np.random.default_rng(0).standard_normal(problem.size)
-    shift = -1e-2 / float(problem.root_mass @ problem.root_mass)
-    try:
-        values, vectors = sparse_linalg.eigsh(problem.matrix, k + 1, sigma=shift, v0=start)
-    except (sparse_linalg.ArpackError, RuntimeError) as error:
-        raise ShapeError(f"the eigenvalues of the Laplacian did not converge ({error}); remesh the shape") from None
-    order = np.argsort(values)
-    pairs = (torch.from_numpy(values[order]), torch.from_numpy(vectors[:, order]))
-    if problem.residual(pairs) > 100 * _TOLERANCE:
-        raise ShapeError("the eigenvalues of the Laplacian are too inaccurate; remesh the shape")
+        return _checked(problem.spectrum(_dense(problem, k), "dense, after block Lanczos failed"), _DENSE_TOLERANCE)
+    pairs = _arpack(problem, k + 1)
     complete = _complete(problem, pairs, k)
     if complete is not None:
-        return problem.spectrum(complete, "ARPACK, after block Lanczos failed")
+        return _checked(problem.spectrum(complete, "ARPACK, after block Lanczos failed"))
     _log.warning("some of the lowest eigenpairs of the Laplacian were missed; remesh the shape")
-    return problem.spectrum((pairs[0][:k], pairs[1][:, :k]), "ARPACK, incomplete, after block Lanczos failed")
+    pairs = (pairs[0][:k], pairs[1][:, :k])
+    return _checked(problem.spectrum(pairs, "ARPACK, incomplete, after block Lanczos failed"))

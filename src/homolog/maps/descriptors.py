@@ -7,7 +7,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from homolog.arrays import takes_arrays
+from homolog.errors import bad_value
 from homolog.geometry import Operators
+
+# Of energies in logarithms: where all eigenvalues of a small, symmetric shape are equal, there are no others.
+_LEAST_SPREAD = 1e-3
 
 
 @takes_arrays
@@ -18,10 +22,15 @@ def wave_kernel_signature(
 
     Aubry, Schlickewei and Cremers, "The wave kernel signature", ICCV workshops 2011. It does not change under
     isometries, and so cannot tell left from right.
+
+    Raises:
+        ArgumentError: if there is but one eigenpair, the constant.
     """
+    if len(eigenvalues) < 2:
+        raise bad_value("n_eigenpairs", len(eigenvalues), "at least 2 for wave-kernel signatures")
     logarithms = eigenvalues.clamp(min=1e-6 * float(eigenvalues[-1])).log()
     lowest, highest = logarithms[1], logarithms[-1]
-    spread = 7 * (highest - lowest) / n_energies
+    spread = (7 * (highest - lowest) / n_energies).clamp(min=_LEAST_SPREAD)
     energies = torch.linspace(float(lowest + 2 * spread), float(highest - 2 * spread), n_energies, device=spread.device)
     weights = torch.exp(-((energies[:, None] - logarithms[None, 1:]) ** 2) / (2 * spread**2))
     signature = eigenvectors[:, 1:].square() @ weights.T

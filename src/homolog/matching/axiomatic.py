@@ -23,6 +23,9 @@ _POSITION_WEIGHT = 30.0
 # Added to the mask where signatures stand alone: what is odd about a symmetry they leave undetermined.
 _LEAST_PENALTY = 1e-4
 
+# What a signature's channel must vary by, as a share of its size, to be of unit norm.
+_LEAST_VARIATION = 1e-4
+
 
 def axiomatic_descriptors(operators: Operators) -> Float[Tensor, "n d"]:
     """Wave-kernel signatures, and the smoothed position, which tells left from right.
@@ -57,7 +60,14 @@ def _signatures(operators: Operators) -> Float[Tensor, "n e"]:
     signature = wave_kernel_signature(operators.eigenvalues, operators.eigenvectors)
     share = operators.mass[:, None] / operators.mass.sum()
     deviation = signature - (share * signature).sum(dim=0)
-    return deviation / (operators.mass[:, None] * deviation.square()).sum(dim=0).sqrt()
+    size, whole = (_norms(operators, channels) for channels in (deviation, signature))
+    # On a symmetric shape a channel may be the same everywhere, but for rounding.
+    return deviation / size.clamp(min=_LEAST_VARIATION * whole)
+
+
+def _norms(operators: Operators, functions: Float[Tensor, "n c"]) -> Float[Tensor, " c"]:
+    squared: Tensor = (operators.mass[:, None] * functions.square()).sum(dim=0)
+    return squared.sqrt()
 
 
 def _coordinates(operators: Operators) -> Float[Tensor, "k 3"]:

@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from homolog.errors import ArgumentError, HomologError, ShapeError, bad_choice, bad_value
@@ -265,8 +266,7 @@ class Matcher:
         if as_cloud:
             length = length or unit_frame(shape).length
             shape = shape.as_cloud()
-        operators = self._operators(shape, settings=self.operator_settings, length=length)
-        return operators.without_debris().to(self.device)
+        return self._operators(shape, settings=self.operator_settings, length=length).to(self.device)
 
     @torch.inference_mode()
     def features(self, operators: Operators) -> Float[Tensor, "n d"]:
@@ -275,7 +275,8 @@ class Matcher:
         if self.network is None:
             return axiomatic_descriptors(operators)
         features: Tensor = self.network(operators.points, operators)
-        return features
+        # Of debris the network knows the position alone: it must not look like anything.
+        return features * operators.reached[:, None]
 
     def match(
         self,
@@ -399,7 +400,8 @@ class Matcher:
             return self.match_prepared(target, source, partial="target").swapped()
         route = self.route(source.modality, target.modality)
         maps = self.point_maps(source, target, partial=partial == "target")
-        forth, back = maps.source_to_target, maps.target_to_source
+        forth = _debris_following(maps.source_to_target, source.operators)
+        back = _debris_following(maps.target_to_source, target.operators)
         x, y = source.operators.points, target.operators.points
         source_confidence, target_confidence = confidence(x, y, forth, back), confidence(y, x, back, forth)
         if partial == "target":
@@ -458,10 +460,8 @@ class Matcher:
             problem = axiomatic_problem(source.operators, target.operators, (source.features, target.features))
             maps = problem.forth(), problem.back()
         except ArgumentError:
-            raise ShapeError(
-                f"{source.repaired.shape.name} or {target.repaired.shape.name} falls into too many pieces for the "
-                "axiomatic method; keep the largest piece, use it as a cloud, or give weights"
-            ) from None
+            names = f"{source.repaired.shape.name} or {target.repaired.shape.name}"
+            raise ShapeError(f"{names} {_why_undetermined(source.operators, target.operators)}") from None
         return _zoomed_out(maps, source, target, None)
 
     def _maps_by_features(
@@ -563,6 +563,25 @@ def _refined(maps: PointMaps, source: Operators, target: Operators) -> PointMaps
         source_to_target=refined_point_map(maps.source_to_target, phi_t, phi_s, source.mass),
         target_to_source=refined_point_map(maps.target_to_source, phi_s, phi_t, target.mass),
     )
+
+
+def _why_undetermined(*both: Operators) -> str:
+    if any(operators.n_pieces > 1 for operators in both):
+        return (
+            "falls into too many pieces for the axiomatic method; keep the largest piece, use it as a cloud, "
+            "or give weights"
+        )
+    return "is too small or too symmetric for the axiomatic method; use one with more points, or give weights"
+
+
+def _debris_following(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:
+    """The map with what no eigenfunction reaches going where the nearest point that has some goes."""
+    if operators.reached.all():
+        return point_map
+    reached, points = operators.reached.cpu(), operators.points.cpu().numpy()
+    (main,) = torch.nonzero(reached, as_tuple=True)
+    nearest = main[torch.from_numpy(KDTree(points[main]).query(points)[1])]
+    return point_map[nearest.to(point_map.device)]
 
 
 def choose_device(device: Device) -> torch.device:

@@ -4,11 +4,12 @@ from homolog.shapes.checking import Finding, Report, check
 from homolog.shapes.reading import READABLE, files_of_shape, read_shape
 from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
-from homolog.shapes.shape import Modality, Shape
+from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
 from homolog.shapes.upright import Up, rotation_about, stand_upright, upright_rotation
 from homolog.shapes.writing import WRITABLE, write_shape
 
 __all__ = [
+    "FEWEST_POINTS",
     "READABLE",
     "WRITABLE",
     "Finding",

@@ -23,6 +23,7 @@ _FAR = 1e3
 # Below this ratio of a face's area to the square of its longest edge, its angles are noise.
 _SLIVER = 1e-10
 _LINE = 1e-10
+_PIECES = "kept; those below 1 % of the largest one's area go where the nearest larger one goes"
 
 
 @dataclass(frozen=True)
@@ -224,6 +225,6 @@ def _surface(found: Topology, n_slivers: int) -> Iterator[Finding]:
     if found.n_nonmanifold_points:
         yield Finding("non-manifold points", found.n_nonmanifold_points, "note", "kept; operators use a tufted cover")
     if found.n_components > 1:
-        yield Finding("components", found.n_components, "note", "kept; each is matched like the rest")
+        yield Finding("components", found.n_components, "note", _PIECES)
     if found.n_boundary_loops:
         yield Finding("boundary loops", found.n_boundary_loops, "note", "kept; holes are not filled")

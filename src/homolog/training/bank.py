@@ -190,7 +190,7 @@ class ShapeBank:
         return repair(Shape(frame.inside(shape.points), shape.faces, name=shape.name)).shape
 
     def _operators_of(self, shape: Shape) -> Operators:
-        return self._operators(shape, settings=self.recipe.operators, length=1.0).without_debris()
+        return self._operators(shape, settings=self.recipe.operators, length=1.0)
 
     def _subsets(self, basis: Basis) -> tuple[Int[np.ndarray, " s"], ...]:
         wanted = self.recipe.samples
