@@ -103,5 +103,5 @@ def test_without_a_network(matcher, shapes):
 
 def test_a_loss_that_is_not_finite_is_named(matcher, shapes):
     wild = replace(SETTINGS, optimiser=OptimiserSettings(learning_rate=1e30))
-    with pytest.raises(TrainingError, match="adapting to .* is not finite"):
+    with pytest.raises(TrainingError, match="not finite"):
         adapt_to_pair(matcher, *matcher.prepare_pair(*shapes), wild)

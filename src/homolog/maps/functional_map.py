@@ -76,8 +76,7 @@ class _Solve(torch.autograd.Function):
         # By rounding, a singular matrix can have a last pivot above zero, up to some 1e-11 of its diagonal.
         pivots = factors.diagonal(dim1=-2, dim2=-1).square()
         singular = pivots <= _SMALLEST_PIVOT * diagonal
-        # What is not finite stays so in the result, as everywhere in torch: a training names the pair then.
-        if bool((failed.any() or singular.any()) and right.isfinite().all()):
+        if bool(failed.any() or singular.any()):
             raise ArgumentError(
                 "the functional map is not determined: give at least as many independent features as eigenpairs, "
                 "or a larger regularisation"
