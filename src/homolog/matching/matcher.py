@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -207,10 +208,22 @@ class Matcher:
         network, info = load_weights(weights)
         return cls(network, info, settings=settings, device=device, operators=operators)
 
+    def with_network(self, network: DiffusionNet) -> Matcher:
+        """A matcher that differs in its network alone."""
+        other = copy.copy(self)
+        other.network = network.to(self.device).eval()
+        return other
+
     @property
     def operator_settings(self) -> OperatorSettings:
         """What operators are computed: as set, or as the weights were trained with."""
         return self.settings.operators or OperatorSettings(self.info.n_eigenpairs, self.info.laplacian)
+
+    def map_size(self, *, partial: bool) -> int:
+        """Eigenpairs of a functional map from the network's features."""
+        if partial:
+            return self.settings.partial_eigenpairs
+        return self.settings.map_eigenpairs or self.info.map_eigenpairs
 
     def route(self, source: Modality, target: Modality) -> Route:
         """How two shapes of these modalities are matched."""
@@ -443,12 +456,11 @@ class Matcher:
         route = self.route(source.modality, target.modality)
         if route == "axiomatic":
             return self._axiomatic_maps(source, target)
-        size = self.settings.partial_eigenpairs if partial else self.settings.map_eigenpairs or self.info.map_eigenpairs
         problem = MapProblem.between(
             source.operators,
             target.operators,
             (source.features, target.features),
-            size=size,
+            size=self.map_size(partial=partial),
             regularisation=self.settings.regularisation,
         )
         return problem.forth(), problem.back()

@@ -1,5 +1,6 @@
 """Learning the network from shapes alone: recipes, losses, the loop, checkpoints."""
 
+from homolog.training.adaptation import AdaptationSettings, adapt_to_pair
 from homolog.training.loop import is_first_process, train
 from homolog.training.objective import Losses, LossSettings, TrainingShape, pair_losses
 from homolog.training.recipe import Recipe, find_recipe, read_recipe, shipped_recipes
@@ -8,11 +9,13 @@ from homolog.training.state import TrainingState
 
 __all__ = [
     "WEIGHTS",
+    "AdaptationSettings",
     "LossSettings",
     "Losses",
     "Recipe",
     "TrainingShape",
     "TrainingState",
+    "adapt_to_pair",
     "find_recipe",
     "is_first_process",
     "pair_losses",

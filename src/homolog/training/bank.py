@@ -19,12 +19,13 @@ from torch import Tensor
 
 from homolog.geometry import Basis, Operators, unit_frame
 from homolog.matching import OperatorSource
-from homolog.shapes import Shape, farthest_points, repair
+from homolog.shapes import Shape, repair
 from homolog.training.clouds import Cloud, cloud_variants, make_cloud
 from homolog.training.data import TrainingSet
 from homolog.training.objective import TrainingShape
 from homolog.training.plan import Draw, Member
 from homolog.training.recipe import Recipe
+from homolog.training.samples import at_points, subsets
 
 T = TypeVar("T")
 
@@ -159,13 +160,13 @@ class ShapeBank:
         basis = self._operators_of(source.shape).basis
         if source.weights is not None:
             return self._sample_apart(name, basis, source.weights)
-        kept = self._subsets(basis) if variant == _MESH else self._samples(name, _MESH).kept
+        kept = subsets(basis, self.recipe.samples) if variant == _MESH else self._samples(name, _MESH).kept
         return _Samples(kept, tuple(self._at(basis, subset) for subset in kept))
 
     def _sample_apart(self, name: str, cloud: Basis, weights: sparse.csr_array) -> _Samples:
         """Subsets of a cloud whose points are not the mesh's, each with the points of the mesh that lie nearest."""
         mesh = self._operators_of(self._mesh(name)).basis
-        kept = self._subsets(cloud)
+        kept = subsets(cloud, self.recipe.samples)
         near = [self._near(weights[subset]) for subset in kept]
         pairings = [_pairing(weights[rows][:, columns]) for rows, columns in zip(kept, near, strict=True)]
         return _Samples(
@@ -192,13 +193,6 @@ class ShapeBank:
     def _operators_of(self, shape: Shape) -> Operators:
         return self._operators(shape, settings=self.recipe.operators, length=1.0)
 
-    def _subsets(self, basis: Basis) -> tuple[Int[np.ndarray, " s"], ...]:
-        wanted = self.recipe.samples
-        if not 0 < wanted.points < basis.n_points:
-            return (np.arange(basis.n_points),) * wanted.choices
-        points = basis.points.double().numpy()
-        return tuple(farthest_points(points, wanted.points, seed=number) for number in range(wanted.choices))
-
     def _near(self, weights: sparse.csr_array) -> Int[np.ndarray, " s"]:
         """For each point of a cloud the point of the mesh with the largest weight; or all, where all are wanted."""
         if self.recipe.samples.points == 0:
@@ -207,8 +201,7 @@ class ShapeBank:
         return nearest
 
     def _at(self, basis: Basis, kept: Int[np.ndarray, " s"]) -> Basis:
-        sampled = basis if len(kept) == basis.n_points else basis.sampled(torch.from_numpy(kept))
-        return sampled.to(self.device)
+        return at_points(basis, kept).to(self.device)
 
 
 def _pairing(weights: sparse.csr_array) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.errors import bad_value
+from homolog.errors import ArgumentError, TrainingError, bad_value
 from homolog.geometry import Basis
 from homolog.maps import functional_map, normalised, resolvent_mask
 from homolog.maps.losses import (
@@ -173,9 +173,7 @@ def _losses(
     settings: LossSettings,
     partial: bool,
 ) -> Losses:
-    mask = resolvent_mask(x.eigenvalues, y.eigenvalues)
-    c_xy = functional_map(x.coefficients, y.coefficients, mask, regularisation=settings.regularisation)
-    c_yx = functional_map(y.coefficients, x.coefficients, mask.mT, regularisation=settings.regularisation)
+    c_xy, c_yx = _functional_maps(x, y, settings)
     if partial:
         rank = partial_rank(x.eigenvalues, y.eigenvalues)
         bijectivity = partial_bijectivity_loss(c_xy, c_yx, rank=rank)
@@ -194,6 +192,22 @@ def _losses(
         contrast=settings.contrast * (x.contrast(cloud_x, settings) + y.contrast(cloud_y, settings)),
         commutativity=settings.commutativity * commutativity,
     )
+
+
+def _functional_maps(
+    x: _Side, y: _Side, settings: LossSettings
+) -> tuple[Float[Tensor, "k_y k_x"], Float[Tensor, "k_x k_y"]]:
+    mask, weight = resolvent_mask(x.eigenvalues, y.eigenvalues), settings.regularisation
+    try:
+        return (
+            functional_map(x.coefficients, y.coefficients, mask, regularisation=weight),
+            functional_map(y.coefficients, x.coefficients, mask.mT, regularisation=weight),
+        )
+    except ArgumentError:
+        raise TrainingError(
+            f"the features of {x.shape.name} and {y.shape.name} are not finite, or give no functional map; "
+            "lower learning_rate, raise regularisation, or look at these shapes with homolog info"
+        ) from None
 
 
 def _alignment(

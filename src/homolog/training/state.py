@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from homolog.network import DiffusionNet
-from homolog.training.recipe import Recipe
+from homolog.training.recipe import OptimiserSettings, Recipe
 
 # An average of weights forgets the first ones sooner: after n steps its decay is at most (n + 1) / (n + 10).
 _AVERAGE_DELAY = 10
@@ -48,8 +48,11 @@ class TrainingState:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             network = DiffusionNet(recipe.network)
-        network = network.to(device).train()
-        wanted = recipe.optimiser
+        return cls.of(network.to(device).train(), recipe.optimiser)
+
+    @classmethod
+    def of(cls, network: DiffusionNet, wanted: OptimiserSettings) -> TrainingState:
+        """The state before the first step from the weights that a network has."""
         optimiser = torch.optim.AdamW(
             network.parameters(), wanted.learning_rate, wanted.betas, weight_decay=wanted.weight_decay, fused=True
         )

@@ -1,0 +1,140 @@
+"""Adapting a network to the very pair that it is to match, by the losses that it was trained with."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import torch
+
+from homolog.errors import ArgumentError, TrainingError, bad_value
+from homolog.geometry import Basis
+from homolog.matching import Matcher, Prepared, Side
+from homolog.network import AugmentationSettings, DiffusionNet
+from homolog.training.objective import LossSettings, TrainingShape, pair_losses
+from homolog.training.recipe import OptimiserSettings, SampleSettings
+from homolog.training.samples import at_points, subsets
+from homolog.training.state import TrainingState
+
+# Told how many steps are done of how many.
+StepListener = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class AdaptationSettings:
+    """How a network is adapted to a pair.
+
+    Args:
+        steps: changes of the weights.
+        optimiser: how weights follow gradients; the learning rate stays the same.
+        samples: on which points of the shapes.
+        loss: weights and sizes of the losses; functional maps have the matcher's size.
+        augmentation: of the network's input.
+        seed: of everything random.
+    """
+
+    steps: int = 15
+    optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
+    samples: SampleSettings = field(default_factory=SampleSettings)
+    loss: LossSettings = field(default_factory=LossSettings)
+    augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.steps < 1:
+            raise bad_value("steps", self.steps, "at least 1")
+
+
+def adapt_to_pair(
+    matcher: Matcher,
+    source: Prepared,
+    target: Prepared,
+    settings: AdaptationSettings,
+    *,
+    partial: Side | None = None,
+    listener: StepListener | None = None,
+) -> tuple[Matcher, Prepared, Prepared]:
+    """Go on training a copy of a matcher's network on one pair, and take the features anew.
+
+    A mesh also gives the cloud of its points, as in training; a cloud alone stands in for its mesh.
+
+    Args:
+        matcher: with a network; stays as it is.
+        source: a prepared shape.
+        target: another.
+        settings: how.
+        partial: which of the two, if any, is a part of a shape like the other.
+        listener: told about each step.
+
+    Returns:
+        A matcher with the adapted network, and both shapes with its features.
+
+    Raises:
+        ArgumentError: if the matcher has no network.
+        TrainingError: if a loss is not finite.
+    """
+    if matcher.network is None or matcher.settings.method == "axiomatic":
+        raise ArgumentError("adapting needs a network; give weights, and another method than 'axiomatic'")
+    loss = replace(settings.loss, map_eigenpairs=matcher.map_size(partial=partial is not None))
+    network = copy.deepcopy(matcher.network).requires_grad_().train()
+    pairs = _training_pairs(matcher, source, target, settings, partial)
+    _train(network, pairs, replace(settings, loss=loss), partial, listener)
+    adapted = matcher.with_network(network)
+    return adapted, _with_features(adapted, source), _with_features(adapted, target)
+
+
+def _with_features(matcher: Matcher, shape: Prepared) -> Prepared:
+    return replace(shape, features=matcher.features(shape.operators))
+
+
+def _training_pairs(
+    matcher: Matcher, source: Prepared, target: Prepared, settings: AdaptationSettings, partial: Side | None
+) -> list[tuple[TrainingShape, TrainingShape]]:
+    """The pair at each of its subsets of points; the complete shape comes first."""
+    x, y = (target, source) if partial == "source" else (source, target)
+    sampled = (_training_shapes(matcher, shape, settings.samples) for shape in (x, y))
+    return list(zip(*sampled, strict=True))
+
+
+def _training_shapes(matcher: Matcher, prepared: Prepared, settings: SampleSettings) -> list[TrainingShape]:
+    shape, mesh = prepared.repaired.shape, prepared.operators.basis
+    cloud = mesh if shape.faces is None else _cloud_basis(matcher, prepared)
+    return [
+        TrainingShape(shape.name, at_points(mesh, kept), at_points(cloud, kept)) for kept in subsets(mesh, settings)
+    ]
+
+
+def _cloud_basis(matcher: Matcher, prepared: Prepared) -> Basis:
+    length = prepared.operators.length
+    return matcher.operators(prepared.repaired.shape, as_cloud=True, length=length).basis
+
+
+def _train(
+    network: DiffusionNet,
+    pairs: list[tuple[TrainingShape, TrainingShape]],
+    settings: AdaptationSettings,
+    partial: Side | None,
+    listener: StepListener | None,
+) -> None:
+    state = TrainingState.of(network, settings.optimiser)
+    generator = torch.Generator(next(network.parameters()).device).manual_seed(settings.seed)
+    for step in range(settings.steps):
+        if listener is not None:
+            listener(step, settings.steps)
+        x, y = pairs[step % len(pairs)]
+        losses = pair_losses(
+            network,
+            x,
+            y,
+            settings=settings.loss,
+            augmentation=settings.augmentation,
+            generator=generator,
+            partial=partial is not None,
+        )
+        network.zero_grad()
+        torch.autograd.backward(losses.total)
+        norm = torch.nn.utils.clip_grad_norm_(network.parameters(), settings.optimiser.gradient_clip or float("inf"))
+        if not torch.isfinite(losses.total + norm):
+            raise TrainingError(f"adapting to {x.name} and {y.name}: the loss of step {step + 1} is not finite")
+        state.take_step(settings.optimiser.learning_rate, 0.0)
