@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from homolog.cli.options import (
+    Adapt,
     DeviceOption,
     MethodOption,
     NoCache,
@@ -26,9 +27,11 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import progress_bar
 from homolog.datasets import ShapeFolder, Split
-from homolog.evaluation import Evaluation, Modalities, Protocol
+from homolog.evaluation import Evaluation, MatchPair, Modalities, Protocol
 from homolog.evaluation import evaluate as evaluate_folder
 from homolog.files import atomic_path
+from homolog.matching import Correspondence, Matcher, Prepared
+from homolog.training import AdaptationSettings, adapt_to_pair
 from homolog.versions import versions
 
 
@@ -36,6 +39,7 @@ def evaluate(
     data: Annotated[Path, typer.Argument(help="A folder with off/ and corres/.", show_default=False)],
     weights: Weights = None,
     method: MethodOption = "auto",
+    adapt: Adapt = 0,
     modality: Annotated[Modalities, typer.Option(help="What source and target are used as.")] = "mesh",
     split: Annotated[Split, typer.Option(help="Which shapes: train.txt or test.txt, or by order of name.")] = "test",
     pairs: Annotated[Path | None, typer.Option(help="A file of SOURCE,TARGET lines to use instead.")] = None,
@@ -60,6 +64,8 @@ def evaluate(
 
       homolog evaluate FAUST_r --weights people.safetensors --n-pairs 20
 
+      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 --n-pairs 20
+
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -76,12 +82,13 @@ def evaluate(
     matcher = build_matcher(weights, method, device, no_cache=no_cache)
     folder = ShapeFolder.open(data)
     with progress_bar(quiet=quiet) as progress:
-        evaluation = evaluate_folder(matcher, folder, protocol, progress=progress)
+        evaluation = evaluate_folder(matcher, folder, protocol, match=_match_by(matcher, adapt), progress=progress)
     if json is not None:
         report = {
             **evaluation.to_dict(),
             "data": str(folder.root),
             "protocol": asdict(protocol),
+            "adapt": adapt,
             **described(matcher, weights),
             "command": ["homolog", *sys.argv[1:]],
             "versions": versions(),
@@ -90,6 +97,18 @@ def evaluate(
             temporary.write_text(json_format.dumps(report, indent=1) + "\n", encoding="utf-8")
     if not quiet:
         Console().print(_table(evaluation, folder, protocol))
+
+
+def _match_by(matcher: Matcher, steps: int) -> MatchPair:
+    """How a pair is matched: as it is, or after the network is adapted to it."""
+    if not steps:
+        return matcher.match_prepared
+
+    def match(source: Prepared, target: Prepared) -> Correspondence:
+        adapted, *pair = adapt_to_pair(matcher, source, target, AdaptationSettings(steps=steps))
+        return adapted.match_prepared(*pair)
+
+    return match
 
 
 def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> Table:

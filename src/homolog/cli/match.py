@@ -11,6 +11,7 @@ import typer
 from jaxtyping import Float, Int
 
 from homolog.cli.options import (
+    Adapt,
     DeviceOption,
     MethodOption,
     NoCache,
@@ -28,6 +29,7 @@ from homolog.files import sha256
 from homolog.matching import AsCloud, Correspondence, Matcher, Prepared, Side, write_result
 from homolog.shapes import Shape, Up, files_of_shape, read_shape
 from homolog.steps import Listener, Steps
+from homolog.training import AdaptationSettings, adapt_to_pair
 from homolog.versions import versions
 
 # read, repair, operators and features for each shape, the map, the check of the orientation, and writing.
@@ -42,6 +44,7 @@ def match(
     ),
     weights: Weights = None,
     method: MethodOption = "auto",
+    adapt: Adapt = 0,
     as_cloud: Annotated[AsCloud | None, typer.Option(help="Use only the points of this shape.")] = None,
     partial: Annotated[
         Side | None,
@@ -76,16 +79,20 @@ def match(
       homolog match part.stl whole.glb -o out --partial source --part-scale 0.001
 
       homolog match a.ply b.xyz -o result --method axiomatic
+
+      homolog match old.ply new.ply -o result --weights people.safetensors --adapt 15
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_folder(output, inputs=(source, target))
     ups: dict[Side, Up] = {"source": source_up or up, "target": target_up or up}
     with progress_bar(quiet=quiet) as progress:
-        steps = Steps(listener=counted(progress, verbose=verbose))
-        job = Job({"source": source, "target": target}, ups, build_matcher(weights, method, device, no_cache=no_cache))
+        steps = Steps(listener=counted(progress, _STEPS + adapt + (adapt > 0), verbose=verbose))
+        matcher = build_matcher(weights, method, device, no_cache=no_cache)
+        job = Job({"source": source, "target": target}, ups, matcher, adapt)
         outcome = job.run(steps, as_cloud=as_cloud, partial=partial, part_scale=part_scale, strict=strict)
         options = {
             "method": method,
+            "adapt": adapt,
             "as_cloud": as_cloud,
             "partial": partial,
             "part_scale": part_scale,
@@ -135,6 +142,7 @@ class Job:
     files: dict[Side, Path]
     ups: dict[Side, Up]
     matcher: Matcher
+    adapt: int = 0
 
     def run(
         self,
@@ -165,8 +173,18 @@ class Job:
         )
         inputs["source"] |= _described(source)
         inputs["target"] |= _described(target)
-        found = self.matcher.match_checked(source, target, partial=partial, strict=strict, steps=steps)
+        matcher, source, target = self._adapted(source, target, partial, steps)
+        found = matcher.match_checked(source, target, partial=partial, strict=strict, steps=steps)
         return Outcome(shapes, found, inputs, {"source": source.n_left_out, "target": target.n_left_out})
+
+    def _adapted(
+        self, source: Prepared, target: Prepared, partial: Side | None, steps: Steps
+    ) -> tuple[Matcher, Prepared, Prepared]:
+        if not self.adapt:
+            return self.matcher, source, target
+        settings = AdaptationSettings(steps=self.adapt)
+        with steps.step("adapt"):
+            return adapt_to_pair(self.matcher, source, target, settings, partial=partial, listener=steps.listener)
 
 
 def _read(file: Path) -> tuple[Shape, str]:
@@ -197,13 +215,13 @@ def _matched(
     }
 
 
-def counted(progress: Report, *, verbose: bool = False) -> Listener:
-    """A listener for the steps of a job that moves the progress bar on, and prints their names if ``verbose``."""
+def counted(progress: Report, total: int = _STEPS, *, verbose: bool = False) -> Listener:
+    """A listener for so many steps of a job that moves the progress bar on, and prints their names if ``verbose``."""
     count = 0
 
     def listen(name: str) -> None:
         nonlocal count
-        progress(count, _STEPS, name)
+        progress(count, total, name)
         count += 1
         if verbose:
             say(f"{name} ...")

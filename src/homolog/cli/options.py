@@ -33,6 +33,14 @@ MethodOption = Annotated[
     ),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
+Adapt = Annotated[
+    int,
+    typer.Option(
+        metavar="STEPS",
+        help="Go on training a copy of the weights on each pair for so many steps, before it is matched; 0 for none.",
+        min=0,
+    ),
+]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print each step, its time and memory.")]
 NoCache = Annotated[bool, typer.Option("--no-cache", help="Neither read nor write cached operators.")]

@@ -16,13 +16,16 @@ from homolog.datasets import Pair, ShapeFolder, Split, drawn_pairs
 from homolog.errors import ArgumentError, DataError, bad_choice, bad_value
 from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
 from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
-from homolog.matching import Matcher, Prepared
+from homolog.matching import Correspondence, Matcher, Prepared
 from homolog.shapes import Shape, add_noise, repair
 
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
 
 # Told how many steps are done of how many, and what is being done.
 Progress = Callable[[int, int, str], None]
+
+# Gives the maps of two prepared shapes.
+MatchPair = Callable[[Prepared, Prepared], Correspondence]
 
 
 @dataclass(frozen=True)
@@ -113,11 +116,17 @@ class Evaluation:
 
 
 def evaluate(
-    matcher: Matcher, folder: ShapeFolder, protocol: Protocol, *, progress: Progress | None = None
+    matcher: Matcher,
+    folder: ShapeFolder,
+    protocol: Protocol,
+    *,
+    match: MatchPair | None = None,
+    progress: Progress | None = None,
 ) -> Evaluation:
     """Match every pair of a folder and measure the maps against its ground truth.
 
-    Each shape's operators and features are computed once. A shape's scale is that of its repaired mesh, before any
+    Each shape's operators and features are computed once. ``match`` makes the maps of a prepared pair; by default
+    ``matcher.match_prepared``. A shape's scale is that of its repaired mesh, before any
     noise is added and any face dropped, as the published protocol has it.
 
     Raises:
@@ -127,8 +136,12 @@ def evaluate(
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     if protocol.n_pairs is not None:
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
-    run = _Run(matcher, folder, protocol, pairs, progress or (lambda done, total, what: None))
+    run = _Run(matcher, folder, protocol, pairs, match or matcher.match_prepared, progress or _silent)
     return run.evaluation()
+
+
+def _silent(done: int, total: int, what: str) -> None:
+    """Report nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,9 +156,16 @@ class _Queries:
 
 class _Run:
     def __init__(
-        self, matcher: Matcher, folder: ShapeFolder, protocol: Protocol, pairs: tuple[Pair, ...], progress: Progress
+        self,
+        matcher: Matcher,
+        folder: ShapeFolder,
+        protocol: Protocol,
+        pairs: tuple[Pair, ...],
+        match: MatchPair,
+        progress: Progress,
     ) -> None:
-        self.matcher, self.folder, self.protocol, self.pairs, self.progress = matcher, folder, protocol, pairs, progress
+        self.matcher, self.folder, self.protocol, self.pairs = matcher, folder, protocol, pairs
+        self.match, self.progress = match, progress
         names = dict.fromkeys(name for pair in pairs for name in pair)
         self.shapes = {name: folder.shape(name) for name in names}
         self.truth = {name: self._common_points(name) for name in names}
@@ -220,9 +240,7 @@ class _Run:
     def _match(self, pair: Pair, prepared: dict[tuple[str, str, bool], Prepared]) -> _Queries:
         source, target = pair
         self._tick(f"{source} - {target}")
-        found = self.matcher.match_prepared(
-            prepared[self._variant(source, "source")], prepared[self._variant(target, "target")]
-        )
+        found = self.match(prepared[self._variant(source, "source")], prepared[self._variant(target, "target")])
         at = self.truth[target]
         return _Queries(pair, self.truth[source], found.target_to_source[at], found.target_confidence[at])
 

@@ -6,9 +6,9 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from homolog.errors import ShapeError
+from homolog.geometry.tangent import nearest_neighbours
 from homolog.shapes import FEWEST_POINTS, Shape
 
 # Pieces with less than this share of the largest one's size are debris.
@@ -41,14 +41,20 @@ def require_usable(shape: Shape, *, fewest: int = FEWEST_POINTS) -> None:
         raise ShapeError(f"{shape.name} has {found}, but {n_points} points; use homolog.repair first")
 
 
-def main_points(shape: Shape) -> Bool[np.ndarray, " n"]:
+def main_points(shape: Shape, neighbours: Int[np.ndarray, "n j"] | None = None) -> Bool[np.ndarray, " n"]:
     """Which points of a usable shape are not debris, that is, on a piece far smaller than the largest.
 
     The pieces of a mesh are what its faces connect, and their size is their area. Those of a cloud are what lies beyond
     a wide gap, and their size is their number of points, of which no less than a point's neighbours will do.
+
+    Args:
+        shape: a mesh or a cloud.
+        neighbours: of the cloud's points, where they are known already; nearest first.
     """
     if shape.faces is None:
-        return _main_points_of_cloud(shape.points)
+        if neighbours is None:
+            neighbours = nearest_neighbours(shape.points, _NEIGHBOURS)
+        return _main_points_of_cloud(shape.points, neighbours)
     piece = _pieces(shape.faces.ravel(), np.roll(shape.faces, -1, axis=1).ravel(), shape.n_points)
     areas = np.bincount(piece[shape.faces[:, 0]], face_areas(shape.points, shape.faces), minlength=piece.max() + 1)
     return _of_large_pieces(piece, areas)
@@ -72,10 +78,12 @@ def face_areas(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) 
     return areas
 
 
-def _main_points_of_cloud(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    count = min(_NEIGHBOURS + 1, len(points))
-    distances, neighbours = KDTree(points).query(points, k=count, workers=-1)
+def _main_points_of_cloud(
+    points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]
+) -> Bool[np.ndarray, " n"]:
+    distances = np.linalg.norm(points[neighbours] - points[:, None], axis=2)
     near = distances <= _GAP * np.median(distances[:, -1])
+    count = neighbours.shape[1] + 1
     piece = _pieces(np.nonzero(near)[0], neighbours[near], len(points))
     counts = np.bincount(piece)
     # The neighbours of a smaller piece's points lie across the gap.

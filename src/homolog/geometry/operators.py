@@ -165,11 +165,13 @@ def compute_operators(
         ShapeError: if the shape is not clean, or too degenerate for operators.
     """
     require_usable(shape)
-    main = main_points(shape)
+    settings = settings or OperatorSettings()
+    neighbours = nearest_neighbours(shape.points, settings.n_neighbours) if shape.faces is None else None
+    main = main_points(shape, neighbours)
     part = main_part(shape, main)
     frame = frame_of(part, length=length)
     with _named(shape.name):
-        operators = _operators(part, frame, settings or OperatorSettings())
+        operators = _operators(part, frame, settings, neighbours if main.all() else None)
     return operators if main.all() else _with_debris(operators, torch.from_numpy(main), frame.inside(shape.points))
 
 
@@ -181,11 +183,15 @@ def _named(name: str) -> Iterator[None]:
         raise ShapeError(f"{name}: {error}") from None
 
 
-def _operators(shape: Shape, frame: Frame, settings: OperatorSettings) -> Operators:
+def _operators(
+    shape: Shape, frame: Frame, settings: OperatorSettings, neighbours: Int[np.ndarray, "n j"] | None
+) -> Operators:
     points = frame.inside(shape.points)
     if shape.faces is None:
         laplacian, mass = cloud_laplacian(points, n_neighbours=settings.n_neighbours)
-        gradient = _cloud_gradient(points, settings.n_neighbours)
+        if neighbours is None:
+            neighbours = nearest_neighbours(points, settings.n_neighbours)
+        gradient = _cloud_gradient(points, neighbours)
     else:
         laplacian, mass = mesh_laplacian(points, shape.faces, kind=settings.laplacian)
         frames = tangent_frames(mesh_normals(points, shape.faces))
@@ -229,8 +235,9 @@ def _spread(matrix: SparseMatrix, main: Bool[Tensor, " n"]) -> SparseMatrix:
     return compressed_rows(rows, columns, matrix.values())
 
 
-def _cloud_gradient(points: Float[np.ndarray, "n 3"], n_neighbours: int) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    neighbours = nearest_neighbours(points, n_neighbours)
+def _cloud_gradient(
+    points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]
+) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     frames = tangent_frames(cloud_normals(points, neighbours))
     starts = np.repeat(np.arange(len(points)), neighbours.shape[1])
     return gradient_matrices(points, frames, starts, neighbours.ravel())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -12,13 +11,11 @@ from homolog.errors import ArgumentError, TrainingError, bad_value
 from homolog.geometry import Basis
 from homolog.matching import Matcher, Prepared, Side
 from homolog.network import AugmentationSettings, DiffusionNet
+from homolog.steps import Listener
 from homolog.training.objective import LossSettings, TrainingShape, pair_losses
 from homolog.training.recipe import OptimiserSettings, SampleSettings
 from homolog.training.samples import at_points, subsets
 from homolog.training.state import TrainingState
-
-# Told how many steps are done of how many.
-StepListener = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
@@ -27,7 +24,8 @@ class AdaptationSettings:
 
     Args:
         steps: changes of the weights.
-        optimiser: how weights follow gradients; the learning rate stays the same.
+        optimiser: how weights follow gradients; the learning rate stays the same, and is low, as Adam's first steps are
+            of that size for every weight, whatever the gradient.
         samples: on which points of the shapes.
         loss: weights and sizes of the losses; functional maps have the matcher's size.
         augmentation: of the network's input.
@@ -35,7 +33,7 @@ class AdaptationSettings:
     """
 
     steps: int = 15
-    optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
+    optimiser: OptimiserSettings = field(default_factory=lambda: OptimiserSettings(learning_rate=1e-4))
     samples: SampleSettings = field(default_factory=SampleSettings)
     loss: LossSettings = field(default_factory=LossSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
@@ -53,7 +51,7 @@ def adapt_to_pair(
     settings: AdaptationSettings,
     *,
     partial: Side | None = None,
-    listener: StepListener | None = None,
+    listener: Listener | None = None,
 ) -> tuple[Matcher, Prepared, Prepared]:
     """Go on training a copy of a matcher's network on one pair, and take the features anew.
 
@@ -65,7 +63,7 @@ def adapt_to_pair(
         target: another.
         settings: how.
         partial: which of the two, if any, is a part of a shape like the other.
-        listener: told about each step.
+        listener: told of each step as it begins.
 
     Returns:
         A matcher with the adapted network, and both shapes with its features.
@@ -74,7 +72,7 @@ def adapt_to_pair(
         ArgumentError: if the matcher has no network.
         TrainingError: if a loss is not finite.
     """
-    if matcher.network is None or matcher.settings.method == "axiomatic":
+    if matcher.network is None:
         raise ArgumentError("adapting needs a network; give weights, and another method than 'axiomatic'")
     loss = replace(settings.loss, map_eigenpairs=matcher.map_size(partial=partial is not None))
     network = copy.deepcopy(matcher.network).requires_grad_().train()
@@ -115,13 +113,13 @@ def _train(
     pairs: list[tuple[TrainingShape, TrainingShape]],
     settings: AdaptationSettings,
     partial: Side | None,
-    listener: StepListener | None,
+    listener: Listener | None,
 ) -> None:
     state = TrainingState.of(network, settings.optimiser)
     generator = torch.Generator(next(network.parameters()).device).manual_seed(settings.seed)
     for step in range(settings.steps):
         if listener is not None:
-            listener(step, settings.steps)
+            listener(f"adapt, step {step + 1} of {settings.steps}")
         x, y = pairs[step % len(pairs)]
         losses = pair_losses(
             network,

@@ -184,7 +184,7 @@ class ShapeBank:
         return make_cloud(mesh, self.variants[variant], seed=seed)
 
     def _read_mesh(self, name: str) -> Shape:
-        """A clean mesh of unit area, as an evaluation has it, so that both find the same operators in the cache."""
+        """A clean mesh of unit area: what its clouds are made with is in these units."""
         shape = self.shapes.shape(name)
         frame = unit_frame(shape)
         self._lengths[name] = frame.length
