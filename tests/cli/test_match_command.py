@@ -15,6 +15,7 @@ from homolog.cli import match as match_module
 from homolog.errors import ShapeError
 from homolog.matching import Matcher, MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
+from homolog.training import AdaptationSettings, adapt_to_pair
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
 
@@ -97,6 +98,7 @@ def test_report(homolog, files, tmp_path):
     assert all("doubtful" in warning for warning in found["warnings"])
     assert found["options"] == {
         "method": "auto",
+        "adapt": 0,
         "as_cloud": "target",
         "partial": "target",
         "part_scale": 1.0,
@@ -206,6 +208,28 @@ def test_weights_that_the_method_does_not_use_are_said_and_leave_no_trace(homolo
     caplog.clear()
     homolog("match", files.mesh, files.other, "-o", tmp_path / "with", *options, "--quiet")
     assert not caplog.records
+
+
+def test_the_map_is_that_of_the_adapted_network(homolog, files, tmp_path):
+    before = files.weights.read_bytes()
+    options = "--weights", files.weights, "--method", "features", "--adapt", 3
+    assert homolog("match", files.mesh, files.other, "-o", tmp_path, *options).code == 0
+    matcher = Matcher.from_weights(files.weights, settings=MatcherSettings(method="features"))
+    pair = matcher.prepare_pair(read_shape(files.mesh), read_shape(files.other))
+    adapted, *pair = adapt_to_pair(matcher, *pair, AdaptationSettings(steps=3))
+    expected, found = adapted.match_prepared(*pair), maps(tmp_path)
+    assert np.array_equal(found["source_to_target"], expected.source_to_target)
+    assert np.array_equal(found["source_confidence"], expected.source_confidence)
+    assert report(tmp_path)["options"]["adapt"] == 3
+    assert "adapt" in [step["name"] for step in report(tmp_path)["steps"]]
+    assert files.weights.read_bytes() == before
+
+
+def test_adapting_needs_weights(homolog, files, tmp_path):
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--adapt", 3)
+    assert ended.is_one_line_of_complaint()
+    assert "adapting needs a network; give weights" in ended.err
+    assert not (tmp_path / "out").exists()
 
 
 def test_report_without_weights(homolog, files, tmp_path):

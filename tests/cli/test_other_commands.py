@@ -11,9 +11,11 @@ import pytest
 
 import homolog as homolog_package
 from homolog.cli import demo as demo_module
+from homolog.cli import evaluate as evaluate_module
 from homolog.cli.options import check_file
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, write_shape
+from homolog.training import adapt_to_pair
 
 COMMANDS = ["match", "train", "evaluate", "info", "doctor", "demo"]
 
@@ -81,6 +83,20 @@ def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
     assert [(pair["source"], pair["target"]) for pair in first["pairs"]] == [("two", "one")]
     assert first["route"] == "features"
     assert first["mean_geodesic_error"] == second["mean_geodesic_error"] > 0
+
+
+def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatch):
+    adapted = []
+
+    def noted(matcher, *pair):
+        adapted.append((matcher.info.name, pair[-1].steps))
+        return adapt_to_pair(matcher, *pair)
+
+    monkeypatch.setattr(evaluate_module, "adapt_to_pair", noted)
+    options = "-q", "--weights", files.weights, "--adapt", 2, "--json", tmp_path / "adapted.json"
+    assert homolog("evaluate", data, *options).code == 0
+    assert adapted == [("untrained", 2)] * 4
+    assert json.loads((tmp_path / "adapted.json").read_text())["adapt"] == 2
 
 
 def test_evaluate_on_pairs_drawn_at_random(homolog, data, tmp_path):
