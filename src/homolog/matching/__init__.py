@@ -1,19 +1,10 @@
 """Matcher (operators -> features -> map, the route per modality) and Correspondence (the result)."""
 
 from homolog.matching.correspondence import Correspondence, Route
-from homolog.matching.matcher import (
-    AsCloud,
-    Device,
-    Matcher,
-    MatcherSettings,
-    Method,
-    OperatorSource,
-    PointMaps,
-    Prepared,
-    Side,
-    choose_device,
-)
+from homolog.matching.matcher import Matcher, OperatorSource
 from homolog.matching.output import RESULT_FILES, matched_colours, position_colours, write_result
+from homolog.matching.prepared import PointMaps, Prepared
+from homolog.matching.settings import AsCloud, Device, MatcherSettings, Method, Side, choose_device
 
 __all__ = [
     "RESULT_FILES",

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import get_args
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.errors import ArgumentError, HomologError, ShapeError, bad_choice, bad_value
+from homolog.errors import ArgumentError, ShapeError, bad_choice
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
     confidence,
@@ -30,127 +28,31 @@ from homolog.maps import (
     zoom_out,
 )
 from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem
+from homolog.matching.checks import (
+    blaming,
+    check_kind,
+    check_part_scale,
+    check_word,
+    doubts,
+    refuse_repairs,
+    units_that_differ,
+)
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.map_problem import MapProblem
 from homolog.matching.orientation import axiomatic_warnings, orientation_warnings
-from homolog.matching.part_units import unit_warnings
+from homolog.matching.prepared import PointMaps, Prepared
+from homolog.matching.settings import AsCloud, Device, MatcherSettings, Side, choose_device
 from homolog.network import DiffusionNet, WeightsInfo, load_weights
 from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
 from homolog.steps import Steps
 
 _log = logging.getLogger(__name__)
 
-Method = Literal["auto", "functional-map", "features", "axiomatic"]
-Side = Literal["source", "target"]
-AsCloud = Literal["source", "target", "both"]
-Device = Literal["auto", "cpu", "cuda"]
-
 # Size to which functional maps from a network's features are refined.
 _REFINED_EIGENPAIRS = 120
 
-# Mean confidence below which the user is warned. Good matches of bodies have 0.7 to 0.9, hopeless ones under 0.2.
-_DOUBTFUL = 0.35
-
 # A function like `compute_operators`: the operators of a clean shape, from wherever they come.
 OperatorSource = Callable[..., Operators]
-
-
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= 1)
-
-
-def _is_real(value: Any) -> bool:
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return number and bool(np.isfinite(value))
-
-
-# For each setting but the method what it may be, as a test and in words.
-_ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "map_eigenpairs": (lambda value: value is None or _is_count(value), "a whole number of at least 1, or None"),
-    "partial_eigenpairs": (_is_count, "a whole number of at least 1"),
-    "regularisation": (lambda value: _is_real(value) and value >= 0, "a finite number of at least 0"),
-    "temperature": (lambda value: _is_real(value) and value > 0, "a finite number above 0"),
-    "iterations": (_is_count, "a whole number of at least 1"),
-    "refine": (lambda value: isinstance(value, bool), "True or False"),
-    "raw_products": (lambda value: isinstance(value, bool), "True or False"),
-    "operators": (lambda value: value is None or isinstance(value, OperatorSettings), "OperatorSettings, or None"),
-}
-
-
-@dataclass(frozen=True)
-class MatcherSettings:
-    """How maps are made from features.
-
-    Args:
-        method: the route; ``"auto"`` takes functional maps between meshes and features wherever a cloud takes part,
-            or the axiomatic route if there are no weights.
-        map_eigenpairs: eigenpairs of the functional map; by default what the weights were trained with.
-        partial_eigenpairs: the same where one shape is partial.
-        regularisation: weight of the resolvent mask.
-        temperature: of the soft map between features.
-        iterations: of Sinkhorn's algorithm.
-        refine: refine the maps that the network gives by ZoomOut: functional maps in a growing basis, point maps of
-            the features route by way of their functional map; never with a partial shape.
-        raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
-            here to reproduce the published code.
-        operators: what operators to compute; by default those that the weights were trained with.
-
-    Raises:
-        ArgumentError: if one of them is of another kind or size.
-    """
-
-    method: Method = "auto"
-    map_eigenpairs: int | None = None
-    partial_eigenpairs: int = 50
-    regularisation: float = 100.0
-    temperature: float = 0.1
-    iterations: int = 10
-    refine: bool = True
-    raw_products: bool = False
-    operators: OperatorSettings | None = None
-
-    def __post_init__(self) -> None:
-        if self.method not in get_args(Method):
-            raise bad_choice("method", str(self.method), get_args(Method))
-        for name, (holds, allowed) in _ALLOWED.items():
-            value = getattr(self, name)
-            if not holds(value):
-                raise bad_value(name, value, allowed)
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """A shape made ready to be matched any number of times.
-
-    Args:
-        repaired: the clean shape and the way back to the one given.
-        operators: of the clean shape.
-        features: per clean point (n, d): the network's, or descriptors for the axiomatic route.
-        up: the axis of the shape as given that was turned to +y.
-    """
-
-    repaired: Repaired
-    operators: Operators
-    features: Float[Tensor, "n d"]
-    up: Up = "y"
-
-    @property
-    def n_left_out(self) -> int:
-        """How many points of the shape as given repair left out, so that nothing was asked of them."""
-        return int((self.repaired.clean_index < 0).sum())
-
-    @property
-    def modality(self) -> Modality:
-        """``"mesh"`` or ``"cloud"``."""
-        return self.repaired.shape.modality
-
-
-@dataclass(frozen=True)
-class PointMaps:
-    """Point maps between clean shapes; -1 = no counterpart."""
-
-    source_to_target: Int[Tensor, " n_source"]
-    target_to_source: Int[Tensor, " n_target"]
 
 
 class Matcher:
@@ -259,12 +161,12 @@ class Matcher:
             ArgumentError: if it is no shape, or ``up`` no axis.
             ShapeError: if the shape cannot be used, or is refused.
         """
-        _check_kind(label, shape, Shape)
+        check_kind(label, shape, Shape)
         steps = steps or Steps()
         with steps.step(f"repair {label}"):
             repaired, as_cloud = _repaired(stand_upright(shape, up), as_cloud=as_cloud)
             if strict:
-                _refuse_repairs(repaired)
+                refuse_repairs(repaired)
         with steps.step(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, length=length)
         with steps.step(f"features of {label}"):
@@ -275,7 +177,7 @@ class Matcher:
 
     def operators(self, shape: Shape, *, as_cloud: bool = False, length: float | None = None) -> Operators:
         """The operators of a clean shape, on this matcher's device."""
-        _check_kind("shape", shape, Shape)
+        check_kind("shape", shape, Shape)
         if as_cloud:
             length = length or unit_frame(shape).length
             shape = shape.as_cloud()
@@ -284,7 +186,7 @@ class Matcher:
     @torch.inference_mode()
     def features(self, operators: Operators) -> Float[Tensor, "n d"]:
         """The network's features per point (n, d), or descriptors where the route is axiomatic."""
-        _check_kind("operators", operators, Operators)
+        check_kind("operators", operators, Operators)
         if self.network is None:
             return axiomatic_descriptors(operators)
         features: Tensor = self.network(operators.points, operators)
@@ -351,13 +253,13 @@ class Matcher:
         steps: Steps | None = None,
     ) -> tuple[Prepared, Prepared]:
         """Prepare two shapes for each other: a partial one takes its partner's scale; see ``match``."""
-        _check_word("as_cloud", as_cloud, get_args(AsCloud))
-        _check_word("partial", partial, get_args(Side))
-        _check_part_scale(part_scale, partial)
+        check_word("as_cloud", as_cloud, get_args(AsCloud))
+        check_word("partial", partial, get_args(Side))
+        check_part_scale(part_scale, partial)
         shapes: dict[Side, Shape] = {"source": source, "target": target}
         ups: dict[Side, Up] = {"source": source_up, "target": target_up}
         for side in shapes:
-            _check_kind(side, shapes[side], Shape)
+            check_kind(side, shapes[side], Shape)
             if ups[side] not in get_args(Up):
                 raise bad_choice(f"{side}_up", str(ups[side]), get_args(Up))
         order: tuple[Side, Side] = ("target", "source") if partial == "source" else ("source", "target")
@@ -382,11 +284,11 @@ class Matcher:
     ) -> Correspondence:
         """Match two prepared shapes, and check the result, their units and how they stand; see ``match``."""
         steps = steps or Steps()
-        units = _unit_warnings(source, target, partial)
-        with steps.step("map"), _blaming(units):
+        units = units_that_differ(source, target, partial)
+        with steps.step("map"), blaming(units):
             found = self.match_prepared(source, target, partial=partial)
         with steps.step("check orientation"):
-            warnings = (*units, *self.orientation_warnings(source, target), *_doubts(found))
+            warnings = (*units, *self.orientation_warnings(source, target), *doubts(found))
         if strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")
         return replace(found, warnings=warnings)
@@ -406,9 +308,9 @@ class Matcher:
     @torch.inference_mode()
     def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
         """Match two prepared shapes, without any check; see ``match``."""
-        _check_word("partial", partial, get_args(Side))
-        _check_kind("source", source, Prepared)
-        _check_kind("target", target, Prepared)
+        check_word("partial", partial, get_args(Side))
+        check_kind("source", source, Prepared)
+        check_kind("target", target, Prepared)
         if partial == "source":
             return self.match_prepared(target, source, partial="target").swapped()
         route = self.route(source.modality, target.modality)
@@ -490,67 +392,6 @@ class Matcher:
         return PointMaps(source_to_target=soft.x_to_y, target_to_source=soft.y_to_x)
 
 
-def _check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
-    if found is not None and found not in allowed:
-        raise bad_choice(name, str(found), allowed)
-
-
-# What to do about an argument of another kind than asked for.
-_WAYS_TO: dict[type, str] = {
-    Shape: "a Shape; read files with homolog.read_shape, or make one with homolog.Shape(points, faces)",
-    Operators: "Operators; compute them with Matcher.operators or homolog.compute_operators",
-    Prepared: "a prepared shape; make one with Matcher.prepare",
-}
-
-
-def _check_kind(name: str, found: object, kind: type) -> None:
-    if not isinstance(found, kind):
-        article = "an" if type(found).__name__[0] in "aeiouAEIOU" else "a"
-        raise ArgumentError(f"{name} is {article} {type(found).__name__}, but must be {_WAYS_TO[kind]}")
-
-
-def _check_part_scale(part_scale: float, partial: Side | None) -> None:
-    if not (_is_real(part_scale) and part_scale > 0):
-        raise bad_value("part_scale", part_scale, "a positive finite number")
-    if part_scale != 1 and partial is None:
-        raise ArgumentError(f"part_scale is {part_scale!r}, but neither shape is partial; say which one is, by partial")
-
-
-def _unit_warnings(source: Prepared, target: Prepared, partial: Side | None) -> list[str]:
-    if partial is None:
-        return []
-    part, complete = (source, target) if partial == "source" else (target, source)
-    unit = complete.operators.length
-    return unit_warnings(part.repaired, factor=unit / part.operators.length, complete_area=unit**2)
-
-
-@contextmanager
-def _blaming(warnings: Sequence[str]) -> Iterator[None]:
-    """Give what there is a warning of as the reason of a failure: of units that differ, other errors would mislead."""
-    try:
-        yield
-    except HomologError:
-        if warnings:
-            raise ShapeError(warnings[0]) from None
-        raise
-
-
-def _refuse_repairs(repaired: Repaired) -> None:
-    for finding in repaired.report.findings:
-        if finding.severity != "note":
-            raise ShapeError(f"{repaired.shape.name}: {finding} (refused as strict)")
-
-
-def _doubts(found: Correspondence) -> tuple[str, ...]:
-    """A warning if the maps contradict themselves nearly everywhere; points without a counterpart do not count."""
-    sides = (found.source_to_target, found.source_confidence), (found.target_to_source, found.target_confidence)
-    means = [float(confidence[indices >= 0].mean()) for indices, confidence in sides if (indices >= 0).any()]
-    mean = min(means, default=0.0)
-    if mean >= _DOUBTFUL:
-        return ()
-    return (f"the match is doubtful: its mean confidence is {mean:.2f}; are the shapes of one kind, and dense enough?",)
-
-
 def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
     """A repaired shape, and whether its faces are still to be dropped: unusable faces do not matter to a cloud."""
     if not as_cloud:
@@ -594,18 +435,3 @@ def _debris_following(point_map: Int[Tensor, " n"], operators: Operators) -> Int
     (main,) = torch.nonzero(reached, as_tuple=True)
     nearest = main[torch.from_numpy(KDTree(points[main]).query(points)[1])]
     return point_map[nearest.to(point_map.device)]
-
-
-def choose_device(device: Device) -> torch.device:
-    """The torch device for ``"auto"``, ``"cpu"`` or ``"cuda"``.
-
-    Raises:
-        ArgumentError: if there is no such device.
-    """
-    if device not in get_args(Device):
-        raise bad_choice("device", device, get_args(Device))
-    if device == "cuda" and not torch.cuda.is_available():
-        raise ArgumentError("device is 'cuda', but PyTorch finds no CUDA device; use 'cpu' or 'auto'")
-    if device == "auto":
-        device = "cuda" if torch.cuda.is_available() else "cpu"
-    return torch.device(device)

@@ -1,0 +1,82 @@
+"""Arguments that cannot be, and what to tell the user of a match."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from homolog.errors import ArgumentError, HomologError, ShapeError, bad_choice, bad_value
+from homolog.geometry import Operators
+from homolog.matching.correspondence import Correspondence
+from homolog.matching.part_units import unit_warnings
+from homolog.matching.prepared import Prepared
+from homolog.matching.settings import Side, is_real
+from homolog.shapes import Repaired, Shape
+
+# Mean confidence below which the user is warned. Good matches of bodies have 0.7 to 0.9, hopeless ones under 0.2.
+_DOUBTFUL = 0.35
+
+# What to do about an argument of another kind than asked for.
+_WAYS_TO: dict[type, str] = {
+    Shape: "a Shape; read files with homolog.read_shape, or make one with homolog.Shape(points, faces)",
+    Operators: "Operators; compute them with Matcher.operators or homolog.compute_operators",
+    Prepared: "a prepared shape; make one with Matcher.prepare",
+}
+
+
+def check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
+    """Refuse a word that is none of those allowed."""
+    if found is not None and found not in allowed:
+        raise bad_choice(name, str(found), allowed)
+
+
+def check_kind(name: str, found: object, kind: type) -> None:
+    """Refuse an argument of another class, and say how to come by the right one."""
+    if not isinstance(found, kind):
+        article = "an" if type(found).__name__[0] in "aeiouAEIOU" else "a"
+        raise ArgumentError(f"{name} is {article} {type(found).__name__}, but must be {_WAYS_TO[kind]}")
+
+
+def check_part_scale(part_scale: float, partial: Side | None) -> None:
+    """Refuse a factor between units that is no positive number, or has no part to apply to."""
+    if not (is_real(part_scale) and part_scale > 0):
+        raise bad_value("part_scale", part_scale, "a positive finite number")
+    if part_scale != 1 and partial is None:
+        raise ArgumentError(f"part_scale is {part_scale!r}, but neither shape is partial; say which one is, by partial")
+
+
+def units_that_differ(source: Prepared, target: Prepared, partial: Side | None) -> list[str]:
+    """What to tell the user if a part's area cannot be that of a part."""
+    if partial is None:
+        return []
+    part, complete = (source, target) if partial == "source" else (target, source)
+    unit = complete.operators.length
+    return unit_warnings(part.repaired, factor=unit / part.operators.length, complete_area=unit**2)
+
+
+@contextmanager
+def blaming(warnings: Sequence[str]) -> Iterator[None]:
+    """Give what there is a warning of as the reason of a failure: of units that differ, other errors would mislead."""
+    try:
+        yield
+    except HomologError:
+        if warnings:
+            raise ShapeError(warnings[0]) from None
+        raise
+
+
+def refuse_repairs(repaired: Repaired) -> None:
+    """Refuse a shape of which anything had to be repaired."""
+    for finding in repaired.report.findings:
+        if finding.severity != "note":
+            raise ShapeError(f"{repaired.shape.name}: {finding} (refused as strict)")
+
+
+def doubts(found: Correspondence) -> tuple[str, ...]:
+    """A warning if the maps contradict themselves nearly everywhere; points without a counterpart do not count."""
+    sides = (found.source_to_target, found.source_confidence), (found.target_to_source, found.target_confidence)
+    means = [float(confidence[indices >= 0].mean()) for indices, confidence in sides if (indices >= 0).any()]
+    mean = min(means, default=0.0)
+    if mean >= _DOUBTFUL:
+        return ()
+    return (f"the match is doubtful: its mean confidence is {mean:.2f}; are the shapes of one kind, and dense enough?",)

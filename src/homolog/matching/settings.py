@@ -1,0 +1,97 @@
+"""What one can choose about a match."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import torch
+
+from homolog.errors import ArgumentError, bad_choice, bad_value
+from homolog.geometry import OperatorSettings
+
+Method = Literal["auto", "functional-map", "features", "axiomatic"]
+Side = Literal["source", "target"]
+AsCloud = Literal["source", "target", "both"]
+Device = Literal["auto", "cpu", "cuda"]
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= 1)
+
+
+def is_real(value: Any) -> bool:
+    """Whether a setting is a finite real number."""
+    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return number and bool(np.isfinite(value))
+
+
+# For each setting but the method what it may be, as a test and in words.
+_ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "map_eigenpairs": (lambda value: value is None or _is_count(value), "a whole number of at least 1, or None"),
+    "partial_eigenpairs": (_is_count, "a whole number of at least 1"),
+    "regularisation": (lambda value: is_real(value) and value >= 0, "a finite number of at least 0"),
+    "temperature": (lambda value: is_real(value) and value > 0, "a finite number above 0"),
+    "iterations": (_is_count, "a whole number of at least 1"),
+    "refine": (lambda value: isinstance(value, bool), "True or False"),
+    "raw_products": (lambda value: isinstance(value, bool), "True or False"),
+    "operators": (lambda value: value is None or isinstance(value, OperatorSettings), "OperatorSettings, or None"),
+}
+
+
+@dataclass(frozen=True)
+class MatcherSettings:
+    """How maps are made from features.
+
+    Args:
+        method: the route; ``"auto"`` takes functional maps between meshes and features wherever a cloud takes part,
+            or the axiomatic route if there are no weights.
+        map_eigenpairs: eigenpairs of the functional map; by default what the weights were trained with.
+        partial_eigenpairs: the same where one shape is partial.
+        regularisation: weight of the resolvent mask.
+        temperature: of the soft map between features.
+        iterations: of Sinkhorn's algorithm.
+        refine: refine the maps that the network gives by ZoomOut: functional maps in a growing basis, point maps of
+            the features route by way of their functional map; never with a partial shape.
+        raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
+            here to reproduce the published code.
+        operators: what operators to compute; by default those that the weights were trained with.
+
+    Raises:
+        ArgumentError: if one of them is of another kind or size.
+    """
+
+    method: Method = "auto"
+    map_eigenpairs: int | None = None
+    partial_eigenpairs: int = 50
+    regularisation: float = 100.0
+    temperature: float = 0.1
+    iterations: int = 10
+    refine: bool = True
+    raw_products: bool = False
+    operators: OperatorSettings | None = None
+
+    def __post_init__(self) -> None:
+        if self.method not in get_args(Method):
+            raise bad_choice("method", str(self.method), get_args(Method))
+        for name, (holds, allowed) in _ALLOWED.items():
+            value = getattr(self, name)
+            if not holds(value):
+                raise bad_value(name, value, allowed)
+
+
+def choose_device(device: Device) -> torch.device:
+    """The torch device for ``"auto"``, ``"cpu"`` or ``"cuda"``.
+
+    Raises:
+        ArgumentError: if there is no such device.
+    """
+    if device not in get_args(Device):
+        raise bad_choice("device", device, get_args(Device))
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ArgumentError("device is 'cuda', but PyTorch finds no CUDA device; use 'cpu' or 'auto'")
+    if device == "auto":
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    return torch.device(device)
