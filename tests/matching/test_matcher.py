@@ -11,6 +11,7 @@ from homolog.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.matching import Correspondence, Matcher, MatcherSettings, choose_device
 from homolog.matching import matcher as matcher_module
+from homolog.matching.checks import doubts
 from homolog.network import WeightsInfo
 from homolog.network import weights as weights_module
 from homolog.shapes import Shape
@@ -159,9 +160,9 @@ def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_cou
         target_confidence=np.array([0.9, 0.8]),
         route="features",
     )
-    assert matcher_module._doubts(found) == matcher_module._doubts(found.swapped()) == ()
+    assert doubts(found) == doubts(found.swapped()) == ()
     unsure = replace(found, target_confidence=np.array([0.1, 0.2]))
-    assert "doubtful" in matcher_module._doubts(unsure)[0] and "doubtful" in matcher_module._doubts(unsure.swapped())[0]
+    assert "doubtful" in doubts(unsure)[0] and "doubtful" in doubts(unsure.swapped())[0]
 
 
 def test_orientation_does_not_matter_to_all_weights(build, blobs, monkeypatch):
