@@ -201,6 +201,15 @@ def test_zoom_out_recovers_a_copy_from_a_coarse_start(step: int, largest: int | 
     assert (refined - true).norm() < 0.05 * true.norm()
 
 
+def test_zoom_out_finds_the_identity_where_only_some_points_take_part(demo_operators) -> None:
+    """On 5,000 points, of which the refinement samples fewer, and others on each shape."""
+    x = demo_operators[0].eigenvectors
+    order = torch.randperm(len(x), generator=torch.Generator().manual_seed(7))
+    refined = zoom_out(torch.eye(20), x, x[order])
+    found = point_map_from_functional_map(refined, x, x[order])
+    assert (found == order).float().mean() > 0.99
+
+
 def test_zoom_out_of_a_map_that_is_large_enough_is_the_map_itself(copies) -> None:
     x, y, _ = copies
     start = random(12, 12, dtype=torch.float32)

@@ -37,7 +37,9 @@ def zoom_out(
     largest = min(largest or eigenvectors_x.shape[1], eigenvectors_x.shape[1], eigenvectors_y.shape[1])
     x, y = eigenvectors_x[_samples(eigenvectors_x)], eigenvectors_y[_samples(eigenvectors_y)]
     for size in range(c_xy.shape[0] + step, largest + step, step):
-        size = min(size, largest)
+        if size > largest - 2 * step:
+            # In the last two rounds: only among all points does a sample find its very counterpart.
+            size, x = min(size, largest), eigenvectors_x
         y_to_x = point_map_from_functional_map(c_xy, x, y)
         c_xy = _fitted(x[y_to_x, :size], y[:, :size])
     return c_xy
