@@ -40,6 +40,7 @@ from homolog.maps import (
     resolvent_mask,
     sinkhorn_matches,
 )
+from homolog.memory import keep_freed_memory
 from homolog.network import AugmentationSettings, DiffusionNet, WeightsInfo, save_weights
 from homolog.shapes import Shape, farthest_points, read_shape, write_shape
 from homolog.training import LossSettings, TrainingShape, pair_losses
@@ -133,6 +134,7 @@ def spread_features(n_points: int, seed: int) -> torch.Tensor:
 
 def train_step(n_points: int) -> Callable[[], object]:
     """One step of training on a pair: the paper's losses, dropout and augmentation, their gradient, and Adam's step."""
+    keep_freed_memory()  # as the training loop does
     x, y = (training_shape(body(name, max(n_points, 5_000)), n_points) for name in ("amber", "boris"))
     network, generator = untrained_network().train(), torch.Generator().manual_seed(0)
     optimiser = torch.optim.Adam(network.parameters(), lr=1e-3)

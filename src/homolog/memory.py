@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from homolog.errors import bad_value
 
@@ -62,3 +63,20 @@ def row_tiles(n_rows: int, bytes_per_row: float) -> Iterator[slice]:
     height = max(height, next(affordable, 1))
     for start in range(0, n_rows, height):
         yield slice(start, min(start + height, n_rows))
+
+
+# Of the C library of Linux: from what size on freed memory at the heap's end is given back to the system, and from what
+# size on an array has memory of its own, given back at once; the latter at most 32 MiB.
+_MALLOPT_TRIM_THRESHOLD, _MALLOPT_MMAP_THRESHOLD = -1, -3
+
+
+def keep_freed_memory() -> None:
+    """Have this process keep the memory that it frees, for what comes next; it never shrinks then.
+
+    The steps of a training free and need the same memory over and over, and the system hands it out in small pieces
+    that it clears one by one. Does nothing where the C library is another than Linux's usual one.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        library = ctypes.CDLL(None)
+        library.mallopt(_MALLOPT_TRIM_THRESHOLD, 2**31 - 1)
+        library.mallopt(_MALLOPT_MMAP_THRESHOLD, 32 * _MEBIBYTE)

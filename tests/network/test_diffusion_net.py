@@ -15,6 +15,7 @@ from homolog.errors import ArgumentError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.geometry.operators import compressed_rows
 from homolog.network import DiffusionNet, NetworkSettings, diffusion_net, heat_decay, load_weights
+from homolog.network.block import Stack
 from homolog.network.diffusion_net import DiffusionBlock, _kept
 
 SMALL = NetworkSettings(width=16, out_channels=8, blocks=2, dropout=0.5)
@@ -56,6 +57,16 @@ def in_double(operators: Operators) -> Operators:
     return Operators(**{k: v.double() if isinstance(v, Tensor) else v for k, v in values.items()})
 
 
+def two_shapes(make) -> Stack:
+    """Of 12 and 10 points, with 5 and 3 eigenpairs."""
+    shapes = make.sphere(0), make.sphere(0)
+    bases = [
+        in_double(compute_operators(shape, settings=OperatorSettings(n_eigenpairs=k))).basis
+        for shape, k in zip(shapes, (5, 3), strict=True)
+    ]
+    return Stack([bases[0], bases[1].sampled(torch.arange(2, 12))])
+
+
 def slow_block(block: DiffusionBlock, hidden: Tensor, operators: Operators, kept: Sequence[Tensor] = ()) -> Tensor:
     """Equations of the paper, channel by channel and with complex numbers; of half the activations, what is kept."""
     phi, mass = operators.eigenvectors.double(), operators.mass.double()
@@ -81,7 +92,7 @@ def test_a_block_equals_the_paper_s_equations(operators: Operators) -> None:
     block = network_of().blocks[0]
     hidden = torch.randn(operators.n_points, 16, generator=torch.Generator().manual_seed(1))
     expected = slow_block(block, hidden, operators)
-    torch.testing.assert_close(block(hidden, operators.basis).double(), expected, atol=1e-3, rtol=1e-3)
+    torch.testing.assert_close(block(hidden, Stack([operators.basis])).double(), expected, atol=1e-3, rtol=1e-3)
 
 
 def test_turning_every_tangent_frame_changes_nothing(operators: Operators) -> None:
@@ -177,7 +188,7 @@ def test_dropout_acts_in_training_alone(operators: Operators) -> None:
 
 @pytest.mark.parametrize("product", ["equivariant", "published"])
 def test_gradients_of_a_block_are_right(product: str, make) -> None:
-    operators = in_double(compute_operators(make.sphere(0), settings=OperatorSettings(n_eigenpairs=5)))
+    stack = two_shapes(make)
     settings = NetworkSettings(width=3, dropout=0.0, gradient_product=product)
     torch.manual_seed(0)
     block = DiffusionBlock(settings).double()
@@ -186,9 +197,9 @@ def test_gradients_of_a_block_are_right(product: str, make) -> None:
     names = list(parameters)
 
     def run(hidden: Tensor, *values: Tensor) -> Tensor:
-        return torch.func.functional_call(block, dict(zip(names, values, strict=True)), (hidden, operators.basis))
+        return torch.func.functional_call(block, dict(zip(names, values, strict=True)), (hidden, stack))
 
-    inputs = [torch.randn(12, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), *parameters.values()]
+    inputs = [torch.randn(22, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), *parameters.values()]
     assert torch.autograd.gradcheck(run, [value.requires_grad_() for value in inputs], eps=1e-6, atol=1e-6)
 
 
@@ -207,25 +218,25 @@ def test_a_block_with_dropout_equals_the_paper_s_equations(operators: Operators,
     hidden = torch.randn(operators.n_points, 16, generator=torch.Generator().manual_seed(1))
     masks = masks_like(operators.n_points, 16)
     keep(monkeypatch, masks)
-    found, expected = block(hidden, operators.basis).double(), slow_block(block, hidden, operators, masks)
+    found, expected = block(hidden, Stack([operators.basis])).double(), slow_block(block, hidden, operators, masks)
     torch.testing.assert_close(found, expected, atol=1e-3, rtol=1e-3)
     assert (found - slow_block(block, hidden, operators)).abs().max() > 0.01
 
 
 @pytest.mark.parametrize("product", ["equivariant", "published"])
 def test_gradients_of_a_block_with_dropout_are_right(product: str, make, monkeypatch) -> None:
-    operators = in_double(compute_operators(make.sphere(0), settings=OperatorSettings(n_eigenpairs=5)))
+    stack = two_shapes(make)
     torch.manual_seed(0)
     block = DiffusionBlock(NetworkSettings(width=4, dropout=0.4, gradient_product=product)).double().train()
     parameters = {name: value.detach().clone() for name, value in block.named_parameters()}
     parameters["times"] = torch.tensor([0.02, 0.1, 0.3, 0.01], dtype=torch.float64)
-    names, masks = list(parameters), masks_like(12, 4)
+    names, masks = list(parameters), masks_like(22, 4)
     keep(monkeypatch, masks)
 
     def run(hidden: Tensor, *values: Tensor) -> Tensor:
-        return torch.func.functional_call(block, dict(zip(names, values, strict=True)), (hidden, operators.basis))
+        return torch.func.functional_call(block, dict(zip(names, values, strict=True)), (hidden, stack))
 
-    inputs = [torch.randn(12, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), *parameters.values()]
+    inputs = [torch.randn(22, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)), *parameters.values()]
     assert torch.autograd.gradcheck(run, [value.requires_grad_() for value in inputs], eps=1e-6, atol=1e-6)
 
 
@@ -243,8 +254,8 @@ def test_dropout_keeps_its_share_of_every_point_and_channel_independently(droppe
 
 @pytest.mark.parametrize("n", [1, 7, 8, 9])
 def test_dropout_has_an_entry_for_each_activation(n: int) -> None:
-    assert _kept(torch.empty(n, 3), 128, None).shape == (n, 3)
-    assert _kept(torch.empty(n, 3), 0, None).all()
+    kept = _kept(torch.empty(n, 3), 100, None)
+    assert kept.shape == (n, 3) and kept.max() <= 1
 
 
 @pytest.mark.parametrize("share", [0.01, 0.3, 0.5, 0.75, 0.999])
@@ -262,7 +273,7 @@ def test_what_dropout_keeps_grows_by_as_much_as_is_dropped(share: float, operato
         for layer, weight in zip(block.perceptron, (0.0, 0.0, 1.0), strict=True):
             layer.weight.copy_(weight * torch.eye(*layer.weight.shape))
             layer.bias.fill_(1 - weight)
-        out = block(torch.zeros(operators.n_points, 16), operators.basis, torch.Generator().manual_seed(0))
+        out = block(torch.zeros(operators.n_points, 16), Stack([operators.basis]), torch.Generator().manual_seed(0))
     grown = out.max()
     assert torch.isclose(out, grown).logical_or(out == 0).all()
     assert grown.item() == pytest.approx(1 / (1 - seen[0] / 256)) and seen[0] == seen[1]
@@ -277,6 +288,31 @@ def test_dropout_follows_its_generator_alone(operators: Operators) -> None:
         torch.manual_seed(other)
         passes.append(network(operators.points, operators, generator=torch.Generator().manual_seed(seed)))
     assert torch.equal(passes[0], passes[1]) and not torch.equal(passes[1], passes[2])
+
+
+def test_several_shapes_at_once_are_each_by_itself(make) -> None:
+    bases = [compute_operators(make.blob(2), settings=WANTED).basis]
+    bases.append(bases[0].sampled(torch.arange(0, bases[0].n_points, 3)))
+    bases.append(compute_operators(make.blob(1).as_cloud(), settings=OperatorSettings(n_eigenpairs=15)).basis)
+    network = network_of()
+
+    def gradients(features: Sequence[Tensor]) -> list[Tensor]:
+        network.zero_grad()
+        sum((i + 1) * each.square().sum() for i, each in enumerate(features)).backward()
+        return [weight.grad.clone() for weight in network.parameters()]
+
+    together = network.several([basis.points for basis in bases], bases)
+    apart = [network(basis.points, basis) for basis in bases]
+    for one, other in zip(together, apart, strict=True):
+        torch.testing.assert_close(one, other, atol=1e-4, rtol=1e-4)
+    for one, other in zip(gradients(together), gradients(apart), strict=True):
+        assert (one - other).norm() < 1e-4 * other.norm()
+
+
+def test_dropout_drops_something_else_in_each_of_several_shapes(operators: Operators) -> None:
+    network, basis = network_of().train(), operators.basis
+    first, second = network.several([basis.points] * 2, [basis] * 2, generator=torch.Generator().manual_seed(0))
+    assert (first - second).abs().max() > 0.01
 
 
 @pytest.mark.parametrize("dropout", [-0.1, 1.0, 50, float("nan")])

@@ -78,23 +78,26 @@ class Kernel:
         for rows, logits in self.logits():
             yield rows, self._exponentials(rows, logits)
 
+    def sweep(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
+        """The same for what makes nothing of a tile's size: in one piece where all of K is kept."""
+        return self.tiles() if self.whole is None else iter([(slice(len(self.left)), self.whole)])
+
     def relative(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> _Scalings:
         """Scalings u and v with exp(L + f + g) = diag(u) K diag(v)."""
-        a, b = self.absorbed or (0.0, 0.0)
-        return (f - a).exp(), (g - b).exp()
+        f, g = self._shifts(f, g)
+        return f.exp(), g.exp()
 
     def covers(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> bool:
         """Whether nothing that matters for these scalings has underflowed in K."""
-        a, b = self.absorbed or (0.0, 0.0)
         largest = _LARGEST_SHIFT if self.absorbed else _LARGEST_PLAIN_SCALING
-        return all(bool(shift.abs().amax() <= largest) for shift in (f - a, g - b))
+        return all(bool(shift.abs().amax() <= largest) for shift in self._shifts(f, g))
 
     def iterate(self, g: Float[Tensor, " n_x"]) -> _Scalings:
         """The row scalings under the columns' g, and the columns' next: one sweep over K."""
         a, b = self.absorbed or (0.0, 0.0)
         v = (g - b).exp()
         row_sums, column_sums = torch.empty_like(self.left[:, 0]), torch.zeros_like(g)
-        for rows, tile in self.tiles():
+        for rows, tile in self.sweep():
             torch.mv(tile, v, out=row_sums[rows])
             column_sums.addmv_(tile.T, row_sums[rows].reciprocal())
         # K holds exp(a + b) already: the sums are those of the logits under f - a and g - b.
@@ -121,6 +124,10 @@ class Kernel:
         for rows, logits in self.logits():
             total = torch.logaddexp(total, torch.logsumexp(logits + f[rows, None], dim=0))
         return -total
+
+    def _shifts(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> _Scalings:
+        """How far scalings lie from those absorbed."""
+        return (f, g) if self.absorbed is None else (f - self.absorbed[0], g - self.absorbed[1])
 
     def _slices(self) -> Iterator[slice]:
         # Up to three arrays of a tile's size live at once.
@@ -286,7 +293,7 @@ class _Derivative:
         if t == 1:
             return column_grad
         row_grad, back = torch.empty_like(u), torch.zeros_like(v)
-        for rows, tile in self.kernel.tiles():
+        for rows, tile in self.kernel.sweep():
             row_grad[rows] = -u[rows] * (tile @ column_grad)
             back.addmv_(tile.T, u[rows] * row_grad[rows])
         self._factors.append((-(row_grad * u)[:, None], v_before[:, None]))

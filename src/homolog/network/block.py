@@ -7,47 +7,114 @@ what those products need. The slow, readable form is in the tests.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from homolog.geometry import Basis
 
 
+class Stack:
+    """Shapes of which the points lie one below the other, and so do the coefficients.
+
+    What is done to each point is then done to those of all shapes at once.
+    """
+
+    def __init__(self, bases: Sequence[Basis]) -> None:
+        self.eigenvalues = torch.cat([basis.eigenvalues for basis in bases])
+        points = _slices([basis.n_points for basis in bases])
+        pairs = _slices([len(basis.eigenvalues) for basis in bases])
+        self._parts = list(zip(bases, points, pairs, strict=True))
+
+    def coefficients(self, functions: Float[Tensor, "n w"]) -> Float[Tensor, "k w"]:
+        """The spectral coefficients of functions."""
+        found = functions.new_empty(len(self.eigenvalues), functions.shape[1])
+        for basis, points, pairs in self._parts:
+            torch.mm(basis.analysis, functions[points], out=found[pairs])
+        return found
+
+    def synthesised(
+        self, for_gradients: Float[Tensor, "k w"], for_values: Float[Tensor, "k w"], values: Float[Tensor, "n w"]
+    ) -> Float[Tensor, "n 2w"]:
+        """Gradients of the functions with some coefficients; to ``values``, those with the others are added."""
+        n, width = values.shape
+        gradients = values.new_empty(2 * n, width)
+        for basis, points, pairs in self._parts:
+            values[points].addmm_(basis.eigenvectors, for_values[pairs])
+            both = slice(2 * points.start, 2 * points.stop)
+            torch.mm(basis.gradients.flatten(0, 1), for_gradients[pairs], out=gradients[both])
+        return gradients.view(n, 2 * width)
+
+    def back(
+        self,
+        grad_values: Float[Tensor, "n w"],
+        vectors: Float[Tensor, "n 2w"],
+        partners: Float[Tensor, "n 2w"],
+        grad_products: Float[Tensor, "n w"],
+    ) -> tuple[Float[Tensor, "k w"], Float[Tensor, "k w"], Float[Tensor, "2 k 2w"]]:
+        """From values, and from the products of vectors with their partners, to the coefficients.
+
+        Returns:
+            What is asked for of the coefficients of the values, of those of the vectors, and, per component of the
+            eigenvectors' gradients, of those of the partners.
+        """
+        width = grad_values.shape[1]
+        of_values, of_vectors = (grad_values.new_empty(len(self.eigenvalues), width) for _ in range(2))
+        of_partners = grad_values.new_empty(2, len(self.eigenvalues), 2 * width)
+        for basis, points, pairs in self._parts:
+            torch.mm(basis.eigenvectors.T, grad_values[points], out=of_values[pairs])
+            weighted = _weighted(partners[points], grad_products[points]).view(-1, width)
+            torch.mm(basis.gradients.flatten(0, 1).T, weighted, out=of_vectors[pairs])
+            weighted = _weighted(vectors[points], grad_products[points])
+            for component in (0, 1):
+                torch.mm(basis.gradients[:, component].T, weighted, out=of_partners[component, pairs])
+        return of_values, of_vectors, of_partners
+
+    def add_back(self, grad: Float[Tensor, "n w"], coefficients: Float[Tensor, "k w"]) -> Float[Tensor, "n w"]:
+        """Add, in place, what coefficients ask for of the functions that they are of."""
+        for basis, points, pairs in self._parts:
+            grad[points].addmm_(basis.analysis.T, coefficients[pairs])
+        return grad
+
+
+def _slices(sizes: Sequence[int]) -> list[slice]:
+    ends = list(accumulate(sizes))
+    return [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
+
+
 class Dropout(NamedTuple):
     """Which hidden activations to keep in the two inner layers of a perceptron, and by how much they then grow."""
 
-    first: Bool[Tensor, "n w"]
-    second: Bool[Tensor, "n w"]
+    first: UInt8[Tensor, "n w"]
+    second: UInt8[Tensor, "n w"]
     growth: float
 
 
 def diffusion_block(
     hidden: Float[Tensor, "n w"],
-    basis: Basis,
+    stack: Stack,
     decay: Float[Tensor, "k w"],
-    mixing: Float[Tensor, "2 w 2w"],
+    mixing: Float[Tensor, "2w 2w"],
     perceptron: Sequence[Tensor],
     dropout: Dropout | None,
 ) -> Float[Tensor, "n w"]:
     """Diffusion, gradient features and a perceptron per point, with a skip.
 
     Args:
-        hidden: channels per point.
-        basis: of the shape.
+        hidden: channels per point, of all shapes.
+        stack: the shapes.
         decay: by what diffusion multiplies each coefficient of each channel.
-        mixing: takes the two components of all channels' gradients to those of the combinations that each channel's
-            gradient is multiplied with.
+        mixing: takes the two components of all channels' gradients, one after the other, to those of the combinations
+            that each channel's gradient is multiplied with.
         perceptron: weights and biases of its three layers in turn; its inputs are the channels, the diffused channels
             and the gradient features, side by side.
         dropout: None to keep everything.
     """
-    output: Tensor = _Block.apply(  # type: ignore[no-untyped-call]
-        hidden, basis.eigenvectors, basis.gradients, basis.analysis, decay, mixing, *perceptron, dropout
-    )
+    output: Tensor = _Block.apply(hidden, stack, decay, mixing, *perceptron, dropout)  # type: ignore[no-untyped-call]
     return output
 
 
@@ -56,9 +123,7 @@ class _Block(torch.autograd.Function):
     def forward(
         ctx: Any,
         hidden: Tensor,
-        eigenvectors: Tensor,
-        gradients: Tensor,
-        analysis: Tensor,
+        stack: Stack,
         decay: Tensor,
         mixing: Tensor,
         w0: Tensor,
@@ -71,53 +136,47 @@ class _Block(torch.autograd.Function):
     ) -> Tensor:
         growth = dropout.growth if dropout else 1.0
         of_hidden, of_diffused, of_features = w0.chunk(3, dim=1)
-        coefficients = analysis @ hidden
+        coefficients = stack.coefficients(hidden)
+        # What is linear is done to the coefficients where it can be: they have k rows instead of n.
         decayed = decay * coefficients
-        # What is linear is done to the coefficients: they have k rows instead of n, and so has all that is derived.
-        vectors = (gradients.flatten(0, 1) @ decayed).view(len(hidden), -1)
-        partners = gradients.flatten(1, 2) @ (decayed @ mixing).flatten(0, 1)
-        features = _inner_products(vectors, partners).tanh_()
         first = torch.addmm(b0, hidden, of_hidden.T)
-        first.addmm_(eigenvectors, decayed @ of_diffused.T).addmm_(features, of_features.T)
-        _rectify(first, dropout.first if dropout else None)
+        vectors = stack.synthesised(decayed, decayed @ of_diffused.T, first)
+        partners = vectors @ mixing
+        features = _inner_products(vectors, partners).tanh_()
+        _rectify(first.addmm_(features, of_features.T), dropout.first if dropout else None)
         second = torch.addmm(b1, first, w1.T, alpha=growth)
         _rectify(second, dropout.second if dropout else None)
-        output = torch.addmm(hidden, second, w2.T, alpha=growth).add_(b2)
-        fixed = eigenvectors, gradients, analysis
         ctx.save_for_backward(
-            *fixed, hidden, decay, mixing, w0, w1, w2, coefficients, vectors, partners, features, first, second
+            hidden, decay, mixing, w0, w1, w2, coefficients, vectors, partners, features, first, second
         )
-        ctx.growth = growth
-        return output
+        ctx.stack, ctx.growth = stack, growth
+        return (hidden + b2).addmm_(second, w2.T, alpha=growth)
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        eigenvectors, gradients, analysis, hidden, decay, mixing, w0, w1, w2, *kept = ctx.saved_tensors
-        coefficients, vectors, partners, features, first, second = kept
+        hidden, decay, mixing, w0, w1, w2, coefficients, vectors, partners, features, first, second = ctx.saved_tensors
         of_hidden, of_diffused, of_features = w0.chunk(3, dim=1)
         decayed, growth = decay * coefficients, ctx.growth
         grad_second = _rectify_backward(grad @ (growth * w2), second)
         grad_first = _rectify_backward(grad_second @ (growth * w1), first)
-        grad_products = torch.ops.aten.tanh_backward(grad_first @ of_features, features)
-        grad_mixed = (gradients.flatten(1, 2).T @ _weighted(vectors, grad_products)).view(2, *decayed.shape[:1], -1)
-        grad_diffused = eigenvectors.T @ grad_first
-        grad_decayed = (gradients.flatten(0, 1).T @ _weighted(partners, grad_products).view(-1, decayed.shape[1])).add_(
-            grad_diffused @ of_diffused
-        )
-        grad_decayed += (grad_mixed @ mixing.mT).sum(dim=0)
-        grad_hidden = torch.addmm(grad, grad_first, of_hidden).addmm_(analysis.T, grad_decayed * decay)
-        grad_w0 = torch.cat([grad_first.T @ hidden, grad_diffused.T @ decayed, grad_first.T @ features], dim=1)
+        grad_products = _tanh_backward(grad_first @ of_features, features)
+        grad_diffused, grad_decayed, grad_mixed = ctx.stack.back(grad_first, vectors, partners, grad_products)
+        grad_decayed.addmm_(grad_diffused, of_diffused)
+        for of_component, mixed in zip(mixing.chunk(2), grad_mixed, strict=True):
+            grad_decayed.addmm_(mixed, of_component.T)
+        grad_hidden = ctx.stack.add_back(torch.addmm(grad, grad_first, of_hidden), grad_decayed * decay)
+        inputs = (grad_first, hidden), (grad_diffused, decayed), (grad_first, features)
         return (
             grad_hidden,
-            *(None, None, None),
+            None,
             grad_decayed * coefficients,
-            decayed.T @ grad_mixed,
-            grad_w0,
+            (decayed.T @ grad_mixed).flatten(0, 1),
+            _side_by_side(torch.empty_like(w0), inputs),
             grad_first.sum(dim=0),
-            growth * (grad_second.T @ first),
+            (grad_second.T @ first).mul_(growth),
             grad_second.sum(dim=0),
-            growth * (grad.T @ second),
+            (grad.T @ second).mul_(growth),
             grad.sum(dim=0),
             None,
         )
@@ -135,7 +194,7 @@ def _weighted(vectors: Float[Tensor, "n 2w"], weights: Float[Tensor, "n w"]) -> 
     return (vectors.view(n, 2, width) * weights[:, None]).view(n, 2 * width)
 
 
-def _rectify(activation: Float[Tensor, "n w"], kept: Bool[Tensor, "n w"] | None) -> None:
+def _rectify(activation: Float[Tensor, "n w"], kept: UInt8[Tensor, "n w"] | None) -> None:
     """ReLU and dropout, in place."""
     activation.clamp_min_(0)
     if kept is not None:
@@ -143,6 +202,21 @@ def _rectify(activation: Float[Tensor, "n w"], kept: Bool[Tensor, "n w"] | None)
 
 
 def _rectify_backward(grad: Float[Tensor, "n w"], activation: Float[Tensor, "n w"]) -> Float[Tensor, "n w"]:
-    """Where an activation is zero, by the ReLU or by dropout, nothing comes through."""
-    blocked: Tensor = torch.ops.aten.threshold_backward(grad, activation, 0)
+    """Where an activation is zero, by the ReLU or by dropout, nothing comes through; in place."""
+    blocked: Tensor = torch.ops.aten.threshold_backward.grad_input(grad, activation, 0, grad_input=grad)
     return blocked
+
+
+def _tanh_backward(grad: Float[Tensor, "n w"], activation: Float[Tensor, "n w"]) -> Float[Tensor, "n w"]:
+    """In place."""
+    through: Tensor = torch.ops.aten.tanh_backward.grad_input(grad, activation, grad_input=grad)
+    return through
+
+
+def _side_by_side(
+    place: Float[Tensor, "w 3w"], factors: Sequence[tuple[Float[Tensor, "r w"], Float[Tensor, "r w"]]]
+) -> Float[Tensor, "w 3w"]:
+    """Products of pairs of matrices, the first ones transposed, in that place."""
+    for part, (left, right) in zip(place.chunk(len(factors), dim=1), factors, strict=True):
+        torch.mm(left.T, right, out=part)
+    return place

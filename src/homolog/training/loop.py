@@ -18,6 +18,7 @@ from torch import Tensor
 from homolog.errors import ArgumentError, MissingExtraError, TrainingError
 from homolog.geometry import OperatorCache
 from homolog.matching import Device, Matcher, MatcherSettings, OperatorSource, choose_device
+from homolog.memory import keep_freed_memory
 from homolog.network import DiffusionNet
 from homolog.training.bank import Progress, ShapeBank, TrainingPair, prefetched
 from homolog.training.data import TrainingSet
@@ -92,6 +93,7 @@ def train(
     fabric.barrier()
     state = folder.load(fabric.device)
     if state.step < recipe.training.steps:
+        keep_freed_memory()
         with deferred_interrupts() as interrupts:
             _Training(fabric, folder, bank, source, state, report).run(interrupts)
     return state

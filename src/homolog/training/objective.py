@@ -136,16 +136,12 @@ def pair_losses(
         generator: of all that is random, dropout included; torch's own by default.
         partial: use the losses for a part of a shape.
     """
-
-    def features(basis: Basis) -> Float[Tensor, "n d"]:
-        inputs = basis.points
-        if augmentation is not None:
-            inputs = augmented(inputs, augmentation, generator)
-        found: Tensor = network(inputs, basis, generator=generator)
-        return found
-
-    meshes = _Side(x, features(x.mesh), settings), _Side(y, features(y.mesh), settings)
-    clouds = features(x.cloud), features(y.cloud)
+    bases = [x.mesh, y.mesh, x.cloud, y.cloud]
+    inputs = [basis.points for basis in bases]
+    if augmentation is not None:
+        inputs = [augmented(points, augmentation, generator) for points in inputs]
+    mesh_x, mesh_y, *clouds = network.several(inputs, bases, generator=generator)
+    meshes = _Side(x, mesh_x, settings), _Side(y, mesh_y, settings)
     return _losses(*meshes, *clouds, settings=settings, partial=partial)
 
 
