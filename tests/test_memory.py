@@ -1,13 +1,16 @@
-"""The working-memory bound."""
+"""The working-memory bound, and memory that is kept."""
 
 from __future__ import annotations
 
+import platform
+
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from homolog.errors import ArgumentError
-from homolog.memory import fits, get_working_memory, row_tiles, set_working_memory, working_memory
+from homolog.memory import fits, get_working_memory, keep_freed_memory, row_tiles, set_working_memory, working_memory
 
 
 @given(
@@ -73,3 +76,18 @@ def test_a_bound_that_is_not_positive_is_refused_and_changes_nothing(value: floa
     with pytest.raises(ArgumentError, match="working memory"):
         set_working_memory(value)
     assert get_working_memory() == before
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
+def test_memory_that_is_kept_need_not_be_handed_out_again() -> None:
+    import resource
+
+    def pages_handed_out() -> int:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        arrays = [np.ones(2**20) for _ in range(12)]
+        del arrays
+        return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+    keep_freed_memory()
+    pages_handed_out()
+    assert pages_handed_out() < 100  # of some 24,000

@@ -1,4 +1,4 @@
-"""The working-memory bound: no n x n array is made unless it fits."""
+"""The working-memory bound: no n x n array is made unless it fits. And how a process keeps memory that it frees."""
 
 from __future__ import annotations
 

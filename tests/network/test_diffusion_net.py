@@ -290,7 +290,21 @@ def test_dropout_follows_its_generator_alone(operators: Operators) -> None:
     assert torch.equal(passes[0], passes[1]) and not torch.equal(passes[1], passes[2])
 
 
-def test_several_shapes_at_once_are_each_by_itself(make) -> None:
+def test_shapes_go_together_up_to_a_number_of_points() -> None:
+    most = diffusion_net._POINTS_TOGETHER
+    sizes = [most - 1, 1, 1, most + 5, most // 2, most // 2, 1]
+    assert [sizes[some] for some in diffusion_net._groups(sizes)] == [
+        sizes[:2],
+        sizes[2:3],
+        sizes[3:4],
+        sizes[4:6],
+        [1],
+    ]
+
+
+@pytest.mark.parametrize("together", [10_000, 230, 1])
+def test_several_shapes_at_once_are_each_by_itself(together: int, make, monkeypatch) -> None:
+    monkeypatch.setattr(diffusion_net, "_POINTS_TOGETHER", together)
     bases = [compute_operators(make.blob(2), settings=WANTED).basis]
     bases.append(bases[0].sampled(torch.arange(0, bases[0].n_points, 3)))
     bases.append(compute_operators(make.blob(1).as_cloud(), settings=OperatorSettings(n_eigenpairs=15)).basis)
@@ -301,11 +315,11 @@ def test_several_shapes_at_once_are_each_by_itself(make) -> None:
         sum((i + 1) * each.square().sum() for i, each in enumerate(features)).backward()
         return [weight.grad.clone() for weight in network.parameters()]
 
-    together = network.several([basis.points for basis in bases], bases)
+    at_once = network.several([basis.points for basis in bases], bases)
     apart = [network(basis.points, basis) for basis in bases]
-    for one, other in zip(together, apart, strict=True):
+    for one, other in zip(at_once, apart, strict=True):
         torch.testing.assert_close(one, other, atol=1e-4, rtol=1e-4)
-    for one, other in zip(gradients(together), gradients(apart), strict=True):
+    for one, other in zip(gradients(at_once), gradients(apart), strict=True):
         assert (one - other).norm() < 1e-4 * other.norm()
 
 

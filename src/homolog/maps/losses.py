@@ -166,9 +166,12 @@ class _Contrast(torch.autograd.Function):
             tile.sub_(largest).exp_()
             sums = tile.sum(dim=1)
             total += (sums.log() - own).sum(dtype=torch.float64)
-            tile.mul_(1 / (len(left) * sums[:, None])).diagonal(rows.start).sub_(1 / len(left))
-            torch.mm(tile, counterparts, out=left_grad[rows])
-            right_grad.addmm_(tile.T, left[rows])
+            # Scaling the rows of a product is cheaper than those of the tile.
+            share = 1 / (len(left) * sums[:, None])
+            torch.mm(tile, counterparts, out=left_grad[rows]).mul_(share)
+            right_grad.addmm_(tile.T, share * left[rows])
+        left_grad.sub_(counterparts, alpha=1 / len(left))
+        right_grad.sub_(left, alpha=1 / len(left))
         ctx.save_for_backward(left_grad.div_(temperature), right_grad)
         return (total / len(left)).to(features)
 
