@@ -353,3 +353,16 @@ def test_features_are_those_of_the_published_code(which: str, reference, faust, 
     # In float64 the stored features themselves err by up to 1.6e-4 at the worst points, and so do ours.
     assert (errors < 1e-4).mean() > 0.999 and errors.max() < 3e-4
     assert np.linalg.norm(found - expected) < 1e-5 * np.linalg.norm(expected)
+
+
+def test_half_precision_gives_nearly_the_same_features_and_gradients(demo_operators) -> None:
+    body, network, found = demo_operators[0], network_of(), []
+    for half in (False, True):
+        network.zero_grad()
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=half):
+            features = network(body.points, body)
+        assert features.dtype == torch.float32
+        torch.autograd.backward((features * (1 + body.points[:, :1])).sum())
+        found.append([features.detach(), *(weight.grad.clone() for weight in network.parameters())])
+    for exact, rounded in zip(*found, strict=True):
+        assert 0 < (rounded - exact).norm() < 0.05 * exact.norm()

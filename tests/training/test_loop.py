@@ -88,6 +88,14 @@ def test_the_loss_falls(meshes, small, tmp_path):
     assert last["validation/total"] < 0.9 * first["validation/total"]
 
 
+def test_half_precision_trains_alike(meshes, small, tmp_path):
+    half = small(training={"precision": "bf16"}, validation={"pairs": 0})
+    exact = small(validation={"pairs": 0})
+    states = [loop.train(recipe, meshes, tmp_path / name, device="cpu") for name, recipe in (("h", half), ("e", exact))]
+    halves, exacts = (torch.nn.utils.parameters_to_vector(state.network.parameters()) for state in states)
+    assert 0 < (halves - exacts).norm() < 0.02 * exacts.norm()
+
+
 def test_the_same_recipe_gives_the_same_weights(meshes, small, tmp_path):
     for name, threads in (("one", 1), ("two", 3)):
         recipe = small(data={"workers": threads}, clouds={"noise": [0.01]})

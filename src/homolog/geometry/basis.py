@@ -67,6 +67,13 @@ class Basis:
             self.analysis * factor,
         )
 
+    def in_precision(self, dtype: torch.dtype) -> Basis:
+        """The same basis with functions in another precision; eigenvalues, points and mass stay."""
+        if self.eigenvectors.dtype == dtype:
+            return self
+        functions = self.eigenvectors.to(dtype), self.gradients.to(dtype), self.analysis.to(dtype)
+        return Basis(self.points, self.mass, self.eigenvalues, *functions)
+
     @torch.inference_mode(False)
     def to(self, device: torch.device | str) -> Basis:
         """The same basis on another device."""

@@ -22,9 +22,14 @@ class Stack:
     """Shapes of which the points lie one below the other, and so do the coefficients.
 
     What is done to each point is then done to those of all shapes at once.
+
+    Args:
+        bases: of the shapes.
+        dtype: what to compute in; by default what they are in.
     """
 
-    def __init__(self, bases: Sequence[Basis]) -> None:
+    def __init__(self, bases: Sequence[Basis], dtype: torch.dtype | None = None) -> None:
+        bases = bases if dtype is None else [basis.in_precision(dtype) for basis in bases]
         self.eigenvalues = torch.cat([basis.eigenvalues for basis in bases])
         points = _slices([basis.n_points for basis in bases])
         pairs = _slices([len(basis.eigenvalues) for basis in bases])
@@ -114,7 +119,10 @@ def diffusion_block(
             and the gradient features, side by side.
         dropout: None to keep everything.
     """
-    output: Tensor = _Block.apply(hidden, stack, decay, mixing, *perceptron, dropout)  # type: ignore[no-untyped-call]
+    # Products that write into given places know nothing of autocast: what comes in decides the precision.
+    with torch.autocast(hidden.device.type, enabled=False):
+        weights = [weight.to(hidden.dtype) for weight in (decay, mixing, *perceptron)]
+        output: Tensor = _Block.apply(hidden, stack, *weights, dropout)  # type: ignore[no-untyped-call]
     return output
 
 

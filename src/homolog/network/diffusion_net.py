@@ -107,10 +107,11 @@ class DiffusionNet(nn.Module):
     def _together(
         self, inputs: Sequence[Float[Tensor, "n i"]], bases: Sequence[Basis], generator: torch.Generator | None
     ) -> Sequence[Float[Tensor, "n o"]]:
-        stack, hidden = Stack(bases), self.first(torch.cat(list(inputs)))
+        hidden = self.first(torch.cat(list(inputs)))
+        stack = Stack(bases, hidden.dtype)
         for block in self.blocks:
             hidden = block(hidden, stack, generator)
-        return torch.split(self.last(hidden), [len(each) for each in inputs])
+        return torch.split(self.last(hidden).to(inputs[0].dtype), [len(each) for each in inputs])
 
 
 def _groups(sizes: Sequence[int]) -> Iterator[slice]:

@@ -138,11 +138,18 @@ def pair_losses(
     """
     bases = [x.mesh, y.mesh, x.cloud, y.cloud]
     inputs = [basis.points for basis in bases]
-    if augmentation is not None:
-        inputs = [augmented(points, augmentation, generator) for points in inputs]
+    with _full_precision(inputs[0].device):
+        if augmentation is not None:
+            inputs = [augmented(points, augmentation, generator) for points in inputs]
     mesh_x, mesh_y, *clouds = network.several(inputs, bases, generator=generator)
-    meshes = _Side(x, mesh_x, settings), _Side(y, mesh_y, settings)
-    return _losses(*meshes, *clouds, settings=settings, partial=partial)
+    with _full_precision(inputs[0].device):
+        meshes = _Side(x, mesh_x, settings), _Side(y, mesh_y, settings)
+        return _losses(*meshes, *clouds, settings=settings, partial=partial)
+
+
+def _full_precision(device: torch.device) -> torch.autocast:
+    """In bfloat16, positions would be off by as much as their jitter, and the logits of the losses by a twentieth."""
+    return torch.autocast(device.type, enabled=False)
 
 
 class _Side:
