@@ -17,6 +17,18 @@ _Moves = dict[Path, Path]
 _open_moves: ContextVar[_Moves | None] = ContextVar("open_moves", default=None)
 
 
+def expanded(path: str | Path) -> Path:
+    """A path with ``~`` and ``~name`` replaced by a home folder.
+
+    Raises:
+        ArgumentError: if there is no such user.
+    """
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise ArgumentError(f"{path}: there is no such user's home folder; write the path out") from None
+
+
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside ``path`` that takes its place when the block ends well.
@@ -32,7 +44,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     Raises:
         ArgumentError: if the folder does not exist, or ``path`` is a folder.
     """
-    target = Path(path).expanduser().resolve()
+    target = expanded(path).resolve()
     if not target.parent.is_dir():
         raise ArgumentError(f"{path} cannot be written: the folder {target.parent} does not exist; create it first")
     if target.is_dir():
@@ -125,7 +137,7 @@ def sha256(*paths: str | Path) -> str:
 
 def _chunks(path: str | Path) -> Iterator[bytes]:
     try:
-        with Path(path).expanduser().open("rb") as file:
+        with expanded(path).open("rb") as file:
             while chunk := file.read(1 << 20):
                 yield chunk
     except OSError as error:

@@ -51,6 +51,23 @@ def test_as_cloud_leaves_the_faces_out_and_keeps_their_scale(build, blobs, as_cl
     assert len(found.source_to_target) == blobs.source.n_points
 
 
+def test_as_cloud_keeps_the_points_that_no_face_uses(build, blobs):
+    """Faces of a small part alone say nothing about the cloud, its scale included."""
+    few = Shape(blobs.source.points, blobs.source.faces[:20], name="few")
+    prepared = build("features").prepare(few, as_cloud=True)
+    assert prepared.repaired.shape.n_points == blobs.source.n_points and prepared.n_left_out == 0
+    assert prepared.operators.length == pytest.approx(unit_frame(blobs.source.as_cloud()).length)
+
+
+def test_how_parts_stand_is_not_judged_by_their_features(build, blobs, monkeypatch):
+    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
+    matcher = build("features")
+    matcher.info = replace(matcher.info, upright=True)
+    whole, part = (matcher.match(blobs.source, blobs.target, partial=side) for side in (None, "target"))
+    assert "it lies on its side" in whole.warnings
+    assert "it lies on its side" not in part.warnings
+
+
 def test_as_cloud_of_a_cloud_is_the_cloud(build, blobs):
     source, target = blobs.of("cc")
     plain, found = (build("features").match(source, target, as_cloud=choice) for choice in (None, "both"))

@@ -145,6 +145,16 @@ def test_a_mesh_without_a_usable_face_is_written_as_a_cloud(shapes, found, tmp_p
     np.testing.assert_array_equal(written.points, shapes[0].points)
 
 
+def test_a_source_point_that_is_a_match_has_its_colour_even_without_a_counterpart(shapes, found):
+    forth, back = found.source_to_target.copy(), found.target_to_source.copy()
+    forth[5], back[0] = -1, 5
+    source_colours, target_colours = matched_colours(
+        shapes[0], replace(found, source_to_target=forth, target_to_source=back)
+    )
+    assert np.array_equal(source_colours[5], target_colours[0])
+    assert not np.array_equal(source_colours[5], GREY)
+
+
 def test_same_colour_same_point(shapes, found, tmp_path):
     paths = write_result(tmp_path, *shapes, found, {})
     source, target = colours_in(paths[1]), colours_in(paths[2])

@@ -246,6 +246,11 @@ def test_archive_that_would_fill_the_memory(tmp_path, little_memory):
     refused(tmp_path / "a.npz", "would grow")
 
 
+def test_points_as_columns_are_refused(tmp_path):
+    np.save(tmp_path / "lying.npy", np.random.default_rng(0).random((3, 50)))
+    refused(tmp_path / "lying.npy", "shape (3, 50)", "must have shape (n, 3)")
+
+
 class Bomb:
     def __reduce__(self):
         return os.system, ("echo exploded",)

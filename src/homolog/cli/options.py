@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from homolog.errors import ArgumentError
+from homolog.files import expanded
 from homolog.geometry import OperatorCache, compute_operators
 from homolog.matching import RESULT_FILES, Device, Matcher, MatcherSettings, Method
 
@@ -70,13 +71,13 @@ def set_verbosity(*, quiet: bool, verbose: bool) -> None:
 
 def check_folder(output: Path, *, inputs: Iterable[Path] = ()) -> None:
     """Refuse a result folder that cannot be made, or whose files would replace an input, before any work is done."""
-    place = output.expanduser()
+    place = expanded(output)
     nearest = next(path for path in (place, *place.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise ArgumentError(f"{output} cannot be made a folder, {nearest} is a file; give another -o")
     if not os.access(nearest, os.W_OK):
         raise ArgumentError(f"{output} cannot be written to: {nearest} is read-only; give another -o")
-    given = {path.expanduser().resolve() for path in inputs}
+    given = {expanded(path).resolve() for path in inputs}
     for name in RESULT_FILES:
         if (place / name).resolve() in given:
             raise ArgumentError(f"{place / name} is an input and would be replaced by the result; give another -o")
@@ -86,7 +87,7 @@ def check_folder(output: Path, *, inputs: Iterable[Path] = ()) -> None:
 
 def check_file(output: Path) -> None:
     """Refuse a result file that cannot be written, before any work is done for it; nothing is made or changed."""
-    if fault := _fault(output.expanduser().resolve()):
+    if fault := _fault(expanded(output).resolve()):
         raise ArgumentError(f"{output} cannot be written: {fault}")
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Int
 
 from homolog.errors import DataError, bad_choice, bad_value
+from homolog.files import expanded
 from homolog.shapes import Shape, read_shape
 
 Split = Literal["train", "test", "all"]
@@ -46,7 +47,7 @@ class ShapeFolder:
         Raises:
             DataError: if it has no shapes or no ground truth.
         """
-        root = Path(root).expanduser()
+        root = expanded(root)
         names = tuple(sorted(path.stem for path in (root / "off").glob("*.off")))
         if not names:
             raise DataError(f"{root}: no shapes; put them at {root / 'off'}/NAME.off")
@@ -104,7 +105,7 @@ class ShapeFolder:
             listed: a file of ``source,target`` lines to use instead, whatever the split.
         """
         if listed is not None:
-            return self._read_pairs(Path(listed).expanduser())
+            return self._read_pairs(expanded(listed))
         names = self.split(split)
         own = self.root / "pairs.txt"
         if not own.is_file():

@@ -20,7 +20,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.errors import ArgumentError
-from homolog.files import atomic_path
+from homolog.files import atomic_path, expanded
 from homolog.geometry.operators import Operators, OperatorSettings, compressed_rows, compute_operators
 from homolog.shapes import Shape
 
@@ -40,7 +40,7 @@ EigenvectorPrecision = Literal["float32", "float16"]
 def cache_folder() -> Path:
     """Where operators are kept: the environment variable ``HOMOLOG_CACHE``, or the platform's cache folder."""
     chosen = os.environ.get("HOMOLOG_CACHE")
-    return Path(chosen).expanduser() if chosen else Path(platformdirs.user_cache_dir("homolog"))
+    return expanded(chosen) if chosen else Path(platformdirs.user_cache_dir("homolog"))
 
 
 @dataclass(frozen=True)

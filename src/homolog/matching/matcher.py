@@ -51,6 +51,9 @@ _log = logging.getLogger(__name__)
 # Size to which functional maps from a network's features are refined.
 _REFINED_EIGENPAIRS = 120
 
+# Where faces use fewer of a shape's points, they do not say how large the cloud of all of them is.
+_SHARE_WITH_FACES = 0.95
+
 # A function like `compute_operators`: the operators of a clean shape, from wherever they come.
 OperatorSource = Callable[..., Operators]
 
@@ -288,7 +291,9 @@ class Matcher:
         with steps.step("map"), blaming(units):
             found = self.match_prepared(source, target, partial=partial)
         with steps.step("check orientation"):
-            warnings = (*units, *self.orientation_warnings(source, target), *doubts(found))
+            # Features of a part differ from those of its whole by more than a turn makes.
+            turns = () if partial else self.orientation_warnings(source, target)
+            warnings = (*units, *turns, *doubts(found))
         if strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")
         return replace(found, warnings=warnings)
@@ -393,13 +398,20 @@ class Matcher:
 
 
 def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
-    """A repaired shape, and whether its faces are still to be dropped: unusable faces do not matter to a cloud."""
+    """A repaired shape, and whether its faces are still to be dropped, which only give its scale.
+
+    They do not where they are unusable, or are those of a part alone: a cloud's points need no faces.
+    """
     if not as_cloud:
         return repair(shape), False
+    cloud = repair(shape.as_cloud())
     try:
-        return repair(shape), True
+        repaired = repair(shape)
     except ShapeError:
-        return repair(shape.as_cloud()), False
+        return cloud, False
+    if repaired.shape.n_points < _SHARE_WITH_FACES * cloud.shape.n_points:
+        return cloud, False
+    return repaired, True
 
 
 def _zoomed_out(

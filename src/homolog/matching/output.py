@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from homolog.errors import ArgumentError
-from homolog.files import all_or_nothing, atomic_path
+from homolog.files import all_or_nothing, atomic_path, expanded
 from homolog.matching.correspondence import Correspondence
 from homolog.shapes import Shape, drawable, write_shape
 from homolog.steps import Steps
@@ -50,7 +50,7 @@ def write_result(
     Raises:
         ArgumentError: if the folder cannot be made or written to.
     """
-    folder = Path(folder).expanduser()
+    folder = expanded(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -71,11 +71,14 @@ def write_result(
 def matched_colours(
     source: Shape, correspondence: Correspondence
 ) -> tuple[UInt8[np.ndarray, "n_source 3"], UInt8[np.ndarray, "n_target 3"]]:
-    """Colours by the source's position, and the same on the target by its map to the source; grey without a match."""
+    """Colours by the source's position, and the same on the target by its map to the source; grey without a match.
+
+    A source point that is some target point's match has its colour even where it has no counterpart of its own.
+    """
     has_match = correspondence.source_to_target >= 0
     has_match[correspondence.target_to_source[correspondence.target_to_source >= 0]] = True
     by_position = position_colours(source.points, spanned_by=has_match)
-    source_colours = np.where(correspondence.source_to_target[:, None] >= 0, by_position, _grey())
+    source_colours = np.where(has_match[:, None], by_position, _grey())
     return source_colours, _carried(by_position, correspondence.target_to_source)
 
 

@@ -26,7 +26,8 @@ def unit_warnings(part: Repaired, *, factor: float, complete_area: float) -> lis
     area = factor**2 * (surface_area(part.shape) if own is None else own)
     if _SMALLEST_SHARE <= area / complete_area <= _LARGEST_SHARE:
         return []
+    swapped = ", or name the other shape as the partial one" if area > complete_area else ""
     return [
         f"the partial shape's area is {area:.3g}, the complete one's {complete_area:.3g}: their units seem to differ; "
-        "give part_scale (--part-scale), by how much the partial shape's lengths are to be multiplied"
+        f"give part_scale (--part-scale), by how much the partial shape's lengths are to be multiplied{swapped}"
     ]

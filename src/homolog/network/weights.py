@@ -15,7 +15,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.errors import WeightsError
-from homolog.files import atomic_path, sha256
+from homolog.files import atomic_path, expanded, sha256
 from homolog.geometry import LaplacianKind
 from homolog.network.diffusion_net import DiffusionNet, NetworkSettings
 
@@ -73,6 +73,8 @@ def load_weights(weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
         network.load_state_dict(tensors)
     except WeightsError:
         raise
+    except PermissionError as error:
+        raise WeightsError(f"{path} cannot be read: {error.strerror}; change its permissions") from None
     except Exception as error:  # on damaged bytes the readers raise nearly anything
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise WeightsError(f"{path} does not hold weights of this network ({reason}); check the file") from None
@@ -139,7 +141,7 @@ def _known(settings: type, given: Mapping[str, Any]) -> dict[str, Any]:
 
 def _found(name: str | Path) -> Path:
     """The file of the weights that a user named: a path, or the name of weights that ship with the package."""
-    path = Path(name).expanduser()
+    path = expanded(name)
     if path.is_file():
         return path
     shipped = shipped_weights()

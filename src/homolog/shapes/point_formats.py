@@ -174,7 +174,8 @@ def _magic(stream: IO[bytes], what: str) -> tuple[int, int]:
 
 
 def _columns(array: np.ndarray, what: str) -> np.ndarray:
-    if array.ndim != 2 or array.shape[1] < 3:
+    lying = array.ndim == 2 and array.shape[0] == 3 < array.shape[1]  # points as columns; no shape has only three
+    if array.ndim != 2 or array.shape[1] < 3 or lying:
         raise UnreadableError(f"{what} has shape {array.shape}, but must have shape (n, 3)")
     return array[:, :3]
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from homolog.errors import HomologError, ShapeError
+from homolog.files import expanded
 from homolog.shapes.gltf_format import buffer_files, read_glb, read_gltf
 from homolog.shapes.mesh_formats import read_obj, read_off, read_stl
 from homolog.shapes.parsing import Arrays, UnreadableError, shorten
@@ -97,7 +98,7 @@ def _in_one_line(path: str | Path) -> Iterator[None]:
 
 def _checked(path: str | Path) -> Path:
     """A file that is there and not empty."""
-    file = Path(path).expanduser()
+    file = expanded(path)
     try:
         fault = _fault(file)
     except (OSError, ValueError) as error:

@@ -13,6 +13,7 @@ import numpy as np
 
 from homolog.datasets import Pair, ShapeFolder
 from homolog.errors import DataError
+from homolog.files import expanded
 from homolog.shapes import READABLE, Shape, read_shape
 from homolog.training.recipe import DataSettings, Recipe
 
@@ -51,7 +52,7 @@ class TrainingSet:
         Raises:
             DataError: if it has too few shapes.
         """
-        root = Path(root).expanduser()
+        root = expanded(root)
         if not root.is_dir():
             raise DataError(f"{root}: there is no such folder; give one that holds meshes")
         complete, files = _complete_and_other_files(root, recipe)

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from homolog.errors import ArgumentError, MissingExtraError, TrainingError
+from homolog.files import expanded
 from homolog.geometry import OperatorCache
 from homolog.matching import Device, Matcher, MatcherSettings, OperatorSource, choose_device
 from homolog.memory import keep_freed_memory
@@ -81,7 +82,7 @@ def train(
         MissingExtraError: without the packages of the extra ``train``.
     """
     shapes = TrainingSet.open(data, recipe)
-    folder = RunFolder(Path(run).expanduser(), recipe, shapes)
+    folder = RunFolder(expanded(run), recipe, shapes)
     fabric = _fabric(recipe, device, processes, machines)
     if is_first_process():
         folder.make(resume=resume)

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 
 from homolog.datasets import Split
 from homolog.errors import ArgumentError, bad_choice, bad_value
+from homolog.files import expanded
 from homolog.geometry import OperatorSettings
 from homolog.network import AugmentationSettings, NetworkSettings
 from homolog.training.objective import LossSettings
@@ -268,7 +269,7 @@ def find_recipe(recipe: str | Path) -> Path:
     Raises:
         ArgumentError: if there is neither.
     """
-    path = Path(recipe).expanduser()
+    path = expanded(recipe)
     if path.is_file():
         return path
     shipped = shipped_recipes()
