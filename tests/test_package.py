@@ -13,10 +13,11 @@ ROOT = Path(homolog.__file__).parent
 MODULES = sorted(path for path in ROOT.rglob("*.py"))
 
 # Floor by floor, what each part may import of homolog. `errors`, `memory` and the like are the ground.
-GROUND = {"errors", "memory", "arrays", "files", "steps", "versions"}
+GROUND = {"errors", "arguments", "memory", "arrays", "files", "steps", "versions"}
 FLOORS = {
     "errors": set(),
-    "memory": {"errors"},
+    "arguments": {"errors"},
+    "memory": {"errors", "arguments"},
     "arrays": {"errors"},
     "files": {"errors"},
     "steps": set(),

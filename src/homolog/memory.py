@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+from homolog.arguments import is_number
 from homolog.errors import bad_value
 
 _MEBIBYTE = 2**20
@@ -25,9 +26,9 @@ def set_working_memory(mebibytes: float) -> None:
         mebibytes: the bound, 1024 by default. Results do not depend on it beyond rounding; speed does.
 
     Raises:
-        ArgumentError: if it is not positive.
+        ArgumentError: if it is not a positive number.
     """
-    if not mebibytes > 0:
+    if not (is_number(mebibytes) and mebibytes > 0):
         raise bad_value("working memory", mebibytes, "a positive number of mebibytes")
     global _bound
     _bound = float(mebibytes)

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import NoneType
 from typing import Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from homolog.arguments import check_kind
 from homolog.errors import ArgumentError
 from homolog.files import atomic_path, expanded
 from homolog.geometry.operators import Operators, OperatorSettings, compressed_rows, compute_operators
@@ -75,6 +77,8 @@ class OperatorCache:
         self, shape: Shape, *, settings: OperatorSettings | None = None, length: float | None = None
     ) -> Operators:
         """The operators of a clean shape, from the cache if they are there; see ``compute_operators``."""
+        check_kind("shape", shape, Shape)
+        check_kind("settings", settings, OperatorSettings, NoneType)
         settings = settings or OperatorSettings()
         path = self.folder / (self._key(shape, settings, length) + _SUFFIX)
         cached = _read(path)

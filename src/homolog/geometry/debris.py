@@ -7,6 +7,7 @@ import scipy.sparse as sparse
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.csgraph import connected_components
 
+from homolog.arguments import check_kind
 from homolog.errors import ShapeError
 from homolog.geometry.tangent import nearest_neighbours
 from homolog.shapes import FEWEST_POINTS, Shape
@@ -26,8 +27,10 @@ def require_usable(shape: Shape, *, fewest: int = FEWEST_POINTS) -> None:
     """Refuse what no operator can be computed of, by checks that cost next to nothing.
 
     Raises:
+        ArgumentError: if it is no ``Shape``.
         ShapeError: if points are too few, NaN or infinite, or there is no face, or one beyond the points.
     """
+    check_kind("shape", shape, Shape)
     faces, n_points = shape.faces, shape.n_points
     if n_points < fewest:
         raise ShapeError(f"{shape.name} has {n_points} points, but operators need at least {fewest}")

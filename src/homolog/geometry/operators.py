@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from types import NoneType
 from typing import get_args
 
 import numpy as np
@@ -15,7 +16,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from homolog.errors import ShapeError, bad_choice, bad_value
+from homolog.arguments import check_count, check_kind
+from homolog.errors import ShapeError, bad_choice
 from homolog.geometry.basis import Basis
 from homolog.geometry.debris import main_part, main_points, require_usable
 from homolog.geometry.laplacian import (
@@ -144,10 +146,9 @@ class OperatorSettings:
 
     def __post_init__(self) -> None:
         if self.laplacian not in get_args(LaplacianKind):
-            raise bad_choice("laplacian", self.laplacian, get_args(LaplacianKind))
+            raise bad_choice("laplacian", str(self.laplacian), get_args(LaplacianKind))
         for name, least in (("n_eigenpairs", 1), ("n_neighbours", FEWEST_NEIGHBOURS)):
-            if getattr(self, name) < least:
-                raise bad_value(name, getattr(self, name), f"at least {least}")
+            check_count(name, getattr(self, name), least=least)
 
 
 def compute_operators(
@@ -162,9 +163,11 @@ def compute_operators(
             complete partner.
 
     Raises:
+        ArgumentError: if the shape or the settings are something else.
         ShapeError: if the shape is not clean, or too degenerate for operators.
     """
     require_usable(shape)
+    check_kind("settings", settings, OperatorSettings, NoneType)
     settings = settings or OperatorSettings()
     neighbours = nearest_neighbours(shape.points, settings.n_neighbours) if shape.faces is None else None
     main = main_points(shape, neighbours)

@@ -10,6 +10,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from homolog.arguments import check_indices
 from homolog.arrays import takes_arrays
 from homolog.geometry import Operators
 
@@ -33,7 +34,12 @@ def confidence(
 
     Two things betray a wrong match: going there and back does not come home, and neighbours do not keep their
     distances. Both are averaged over a point's nearest neighbours, as errors come in patches.
+
+    Raises:
+        ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
     """
+    check_indices("y_to_x", y_to_x, len(points_x))
+    check_indices("x_to_y", x_to_y, len(points_y))
     near = _neighbourhoods(points_y)
     home = (points_y - points_y[x_to_y[y_to_x]]).norm(dim=1)
     stretch = local_stretch(points_y, points_x[y_to_x], near)

@@ -13,8 +13,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from homolog.arguments import check_finite, check_indices, is_real
 from homolog.arrays import takes_arrays, takes_arrays_of_any_precision
-from homolog.errors import ArgumentError
+from homolog.errors import ArgumentError, bad_value
 from homolog.maps.nearest import nearest_neighbour
 
 # Of a linear system that still counts as determined, as a share of the diagonal.
@@ -58,8 +59,11 @@ def functional_map(
         regularisation: weight of the mask, lambda in the paper.
 
     Raises:
-        ArgumentError: if the systems are singular, as with fewer features than eigenpairs and no regularisation.
+        ArgumentError: if the systems are singular, as with fewer features than eigenpairs and no regularisation, or
+            not finite.
     """
+    if not (is_real(regularisation) and regularisation >= 0):
+        raise bad_value("regularisation", regularisation, "a finite number of at least 0")
     a, b, penalty = coefficients_x.double(), coefficients_y.double(), regularisation * mask.double()
     solved: Tensor = _Solve.apply(a @ a.mT, penalty, b @ a.mT)  # type: ignore[no-untyped-call]
     return solved.to(coefficients_x.dtype)
@@ -76,11 +80,9 @@ class _Solve(torch.autograd.Function):
         # By rounding, a singular matrix can have a last pivot above zero, up to some 1e-11 of its diagonal.
         pivots = factors.diagonal(dim1=-2, dim2=-1).square()
         singular = pivots <= _SMALLEST_PIVOT * diagonal
-        if bool(failed.any() or singular.any()):
-            raise ArgumentError(
-                "the functional map is not determined: give at least as many independent features as eigenpairs, "
-                "or a larger regularisation"
-            )
+        # A matrix product with the features of y spreads what is not finite in either: one small pass finds both.
+        if bool(failed.any() or singular.any() or not right.isfinite().all()):
+            raise _unsolvable(penalty, right)
         rows = _solved(factors, right)
         ctx.save_for_backward(factors, rows)
         return rows
@@ -91,6 +93,17 @@ class _Solve(torch.autograd.Function):
         factors, rows = ctx.saved_tensors
         right_grad = _solved(factors, grad)
         return -right_grad.mT @ rows, -right_grad * rows, right_grad
+
+
+def _unsolvable(penalty: Tensor, right: Tensor) -> ArgumentError:
+    if not right.isfinite().all():
+        return ArgumentError("the features are not finite: coefficients_x or coefficients_y hold NaN or infinity")
+    if not penalty.isfinite().all():
+        return ArgumentError("mask is not finite; check the eigenvalues that it is made from")
+    return ArgumentError(
+        "the functional map is not determined: give at least as many independent features as eigenpairs, "
+        "or a larger regularisation"
+    )
 
 
 def _solved(factors: Float[Tensor, "*batch k k"], right: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch k"]:
@@ -106,16 +119,23 @@ def point_map_from_functional_map(
     """For each point of y its point of x: nearest neighbours between the rows of Phi_y and of Phi_x C_xy^T.
 
     Raises:
-        ArgumentError: if there are fewer eigenvectors than the functional map is for.
+        ArgumentError: if there are fewer eigenvectors than the functional map is for, or it is not finite.
     """
+    check_fits(c_xy, eigenvectors_x, eigenvectors_y)
+    k_y, k_x = c_xy.shape
+    carried = eigenvectors_x[:, :k_x] @ c_xy.T
+    return nearest_neighbour(eigenvectors_y[:, :k_y], carried).index
+
+
+def check_fits(c_xy: Tensor, eigenvectors_x: Tensor, eigenvectors_y: Tensor) -> None:
+    """Refuse a functional map that is for more eigenvectors than there are, or not finite."""
+    check_finite("c_xy", c_xy)
     k_y, k_x = c_xy.shape
     if eigenvectors_x.shape[1] < k_x or eigenvectors_y.shape[1] < k_y:
         raise ArgumentError(
             f"c_xy has shape {(k_y, k_x)}, so eigenvectors_x must have at least {k_x} columns and eigenvectors_y "
             f"{k_y}, but they have {eigenvectors_x.shape[1]} and {eigenvectors_y.shape[1]}"
         )
-    carried = eigenvectors_x[:, :k_x] @ c_xy.T
-    return nearest_neighbour(eigenvectors_y[:, :k_y], carried).index
 
 
 @takes_arrays
@@ -125,5 +145,10 @@ def functional_map_from_point_map(
     eigenvectors_y: Float[Tensor, "n_y k_y"],
     mass_y: Float[Tensor, " n_y"],
 ) -> Float[Tensor, "k_y k_x"]:
-    """The map that pulls functions back along a point map: C_xy = Phi_y^T M_y Pi_yx Phi_x."""
+    """The map that pulls functions back along a point map: C_xy = Phi_y^T M_y Pi_yx Phi_x.
+
+    Raises:
+        ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
+    """
+    check_indices("y_to_x", y_to_x, len(eigenvectors_x))
     return eigenvectors_y.T @ (mass_y[:, None] * eigenvectors_x[y_to_x])

@@ -6,8 +6,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.arguments import check_count
 from homolog.arrays import takes_arrays
-from homolog.maps.functional_map import functional_map_from_point_map, point_map_from_functional_map
+from homolog.maps.functional_map import check_fits, functional_map_from_point_map, point_map_from_functional_map
 
 # Points of each shape that take part in the refinement; more change the map little and cost in proportion.
 _SAMPLES = 2000
@@ -33,7 +34,15 @@ def zoom_out(
         eigenvectors_y: likewise.
         step: eigenvectors added per round.
         largest: size to reach; by default all eigenvectors that both shapes have.
+
+    Raises:
+        ArgumentError: if there are fewer eigenvectors than ``c_xy`` is for, it is not finite, or ``step`` or
+            ``largest`` is no whole number of at least 1.
     """
+    check_count("step", step)
+    if largest is not None:
+        check_count("largest", largest)
+    check_fits(c_xy, eigenvectors_x, eigenvectors_y)
     largest = min(largest or eigenvectors_x.shape[1], eigenvectors_x.shape[1], eigenvectors_y.shape[1])
     x, y = eigenvectors_x[_samples(eigenvectors_x)], eigenvectors_y[_samples(eigenvectors_y)]
     for size in range(c_xy.shape[0] + step, largest + step, step):

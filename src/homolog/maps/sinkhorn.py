@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from homolog.arguments import check_count, is_real
 from homolog.errors import bad_value
 from homolog.memory import fits, row_tiles
 
@@ -168,10 +169,9 @@ def balance(
     Raises:
         ArgumentError: if the temperature or the number of iterations is not positive.
     """
-    if not temperature > 0:
-        raise bad_value("temperature", temperature, "positive")
-    if iterations < 1:
-        raise bad_value("iterations", iterations, "at least 1")
+    if not (is_real(temperature) and temperature > 0):
+        raise bad_value("temperature", temperature, "a positive finite number")
+    check_count("iterations", iterations)
     kernel = Kernel.of(features_y / temperature, features_x.T)
     g = _first_columns(kernel)
     rows, columns = [], []

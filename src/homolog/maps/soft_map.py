@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.arguments import check_finite
 from homolog.arrays import takes_arrays
 from homolog.maps.nearest import ColumnArgmax, row_argmax
 from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, balance
@@ -47,8 +48,10 @@ def sinkhorn_matches(
     """The matches of P_yx = Sinkhorn(F_y F_x^T / temperature), columns normalised first and rows last.
 
     Raises:
-        ArgumentError: if the temperature or the number of iterations is not positive.
+        ArgumentError: if the temperature or the number of iterations is not positive, or a feature not finite.
     """
+    check_finite("features_y", features_y)
+    check_finite("features_x", features_x)
     balanced = balance(features_y, features_x, temperature=temperature, iterations=iterations)
     f, g = balanced.rows[-1], balanced.columns[-1]
     u, v = balanced.kernel.relative(f, g)

@@ -5,36 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
+from homolog.arguments import is_real
 from homolog.errors import ArgumentError, HomologError, ShapeError, bad_choice, bad_value
-from homolog.geometry import Operators
 from homolog.matching.correspondence import Correspondence
 from homolog.matching.part_units import unit_warnings
 from homolog.matching.prepared import Prepared
-from homolog.matching.settings import Side, is_real
-from homolog.shapes import Repaired, Shape
+from homolog.matching.settings import Side
+from homolog.shapes import Repaired
 
 # Mean confidence below which the user is warned. Good matches of bodies have 0.7 to 0.9, hopeless ones under 0.2.
 _DOUBTFUL = 0.35
-
-# What to do about an argument of another kind than asked for.
-_WAYS_TO: dict[type, str] = {
-    Shape: "a Shape; read files with homolog.read_shape, or make one with homolog.Shape(points, faces)",
-    Operators: "Operators; compute them with Matcher.operators or homolog.compute_operators",
-    Prepared: "a prepared shape; make one with Matcher.prepare",
-}
 
 
 def check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
     """Refuse a word that is none of those allowed."""
     if found is not None and found not in allowed:
         raise bad_choice(name, str(found), allowed)
-
-
-def check_kind(name: str, found: object, kind: type) -> None:
-    """Refuse an argument of another class, and say how to come by the right one."""
-    if not isinstance(found, kind):
-        article = "an" if type(found).__name__[0] in "aeiouAEIOU" else "a"
-        raise ArgumentError(f"{name} is {article} {type(found).__name__}, but must be {_WAYS_TO[kind]}")
 
 
 def check_part_scale(part_scale: float, partial: Side | None) -> None:

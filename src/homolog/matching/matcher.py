@@ -7,6 +7,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import NoneType
 from typing import get_args
 
 import torch
@@ -14,6 +15,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from homolog.arguments import check_kind
 from homolog.errors import ArgumentError, ShapeError, bad_choice
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
@@ -30,7 +32,6 @@ from homolog.maps import (
 from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem
 from homolog.matching.checks import (
     blaming,
-    check_kind,
     check_part_scale,
     check_word,
     doubts,
@@ -70,6 +71,9 @@ class Matcher:
         settings: how maps are made.
         device: where the network and the maps run.
         operators: where operators come from; pass an ``OperatorCache``'s ``operators`` to keep them on disk.
+
+    Raises:
+        ArgumentError: if something given is of another kind, or the method needs a network.
     """
 
     def __init__(
@@ -78,9 +82,12 @@ class Matcher:
         info: WeightsInfo | None = None,
         *,
         settings: MatcherSettings | None = None,
-        device: Device = "auto",
+        device: Device | torch.device = "auto",
         operators: OperatorSource = compute_operators,
     ) -> None:
+        check_kind("network", network, DiffusionNet, NoneType)
+        check_kind("info", info, WeightsInfo, NoneType)
+        check_kind("settings", settings, MatcherSettings, NoneType)
         self.settings = settings or MatcherSettings()
         self.device = choose_device(device)
         self.info = info or WeightsInfo()
@@ -102,12 +109,13 @@ class Matcher:
         weights: str | Path,
         *,
         settings: MatcherSettings | None = None,
-        device: Device = "auto",
+        device: Device | torch.device = "auto",
         operators: OperatorSource = compute_operators,
     ) -> Matcher:
         """A matcher with weights from a file, or with weights that ship with the package, by their name.
 
         Raises:
+            ArgumentError: if something given is of another kind.
             WeightsError: if there are no such weights, or the file does not hold any.
         """
         network, info = load_weights(weights)
@@ -301,6 +309,7 @@ class Matcher:
     @torch.inference_mode()
     def orientation_warnings(self, source: Prepared, target: Prepared) -> tuple[str, ...]:
         """What to tell the user if the shapes do not stand alike, or not as the weights expect."""
+        _check_prepared(source, target)
         if self.network is None or self.route(source.modality, target.modality) == "axiomatic":
             return tuple(axiomatic_warnings(source.operators, target.operators, ups=(source.up, target.up)))
         if not self.info.upright:
@@ -314,8 +323,7 @@ class Matcher:
     def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
         """Match two prepared shapes, without any check; see ``match``."""
         check_word("partial", partial, get_args(Side))
-        check_kind("source", source, Prepared)
-        check_kind("target", target, Prepared)
+        _check_prepared(source, target)
         if partial == "source":
             return self.match_prepared(target, source, partial="target").swapped()
         route = self.route(source.modality, target.modality)
@@ -338,6 +346,7 @@ class Matcher:
     @torch.inference_mode()
     def point_maps(self, source: Prepared, target: Prepared, *, partial: bool = False) -> PointMaps:
         """Point maps between the clean shapes, before any point is found to have no counterpart."""
+        _check_prepared(source, target)
         route = self.route(source.modality, target.modality)
         if route == "features":
             maps = self._maps_by_features(source.features, target.features, partial=partial)
@@ -360,6 +369,7 @@ class Matcher:
         self, source: Prepared, target: Prepared, *, partial: bool = False
     ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
         """The functional maps from source to target and back; those of a network before their refinement."""
+        _check_prepared(source, target)
         route = self.route(source.modality, target.modality)
         if route == "axiomatic":
             return self._axiomatic_maps(source, target)
@@ -395,6 +405,11 @@ class Matcher:
             target, source, temperature=self.settings.temperature, iterations=self.settings.iterations
         )
         return PointMaps(source_to_target=soft.x_to_y, target_to_source=soft.y_to_x)
+
+
+def _check_prepared(source: Prepared, target: Prepared) -> None:
+    check_kind("source", source, Prepared)
+    check_kind("target", target, Prepared)
 
 
 def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:

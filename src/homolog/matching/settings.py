@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-import numpy as np
 import torch
 
+from homolog.arguments import is_count, is_real
 from homolog.errors import ArgumentError, bad_choice, bad_value
 from homolog.geometry import OperatorSettings
 
@@ -18,23 +18,13 @@ AsCloud = Literal["source", "target", "both"]
 Device = Literal["auto", "cpu", "cuda"]
 
 
-def _is_count(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and bool(value >= 1)
-
-
-def is_real(value: Any) -> bool:
-    """Whether a setting is a finite real number."""
-    number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    return number and bool(np.isfinite(value))
-
-
 # For each setting but the method what it may be, as a test and in words.
 _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "map_eigenpairs": (lambda value: value is None or _is_count(value), "a whole number of at least 1, or None"),
-    "partial_eigenpairs": (_is_count, "a whole number of at least 1"),
+    "map_eigenpairs": (lambda value: value is None or is_count(value), "a whole number of at least 1, or None"),
+    "partial_eigenpairs": (is_count, "a whole number of at least 1"),
     "regularisation": (lambda value: is_real(value) and value >= 0, "a finite number of at least 0"),
     "temperature": (lambda value: is_real(value) and value > 0, "a finite number above 0"),
-    "iterations": (_is_count, "a whole number of at least 1"),
+    "iterations": (is_count, "a whole number of at least 1"),
     "refine": (lambda value: isinstance(value, bool), "True or False"),
     "raw_products": (lambda value: isinstance(value, bool), "True or False"),
     "operators": (lambda value: value is None or isinstance(value, OperatorSettings), "OperatorSettings, or None"),
@@ -82,16 +72,17 @@ class MatcherSettings:
                 raise bad_value(name, value, allowed)
 
 
-def choose_device(device: Device) -> torch.device:
-    """The torch device for ``"auto"``, ``"cpu"`` or ``"cuda"``.
+def choose_device(device: Device | torch.device) -> torch.device:
+    """The torch device for ``"auto"``, ``"cpu"`` or ``"cuda"``; a torch device of these types is taken as it is.
 
     Raises:
         ArgumentError: if there is no such device.
     """
-    if device not in get_args(Device):
-        raise bad_choice("device", device, get_args(Device))
-    if device == "cuda" and not torch.cuda.is_available():
-        raise ArgumentError("device is 'cuda', but PyTorch finds no CUDA device; use 'cpu' or 'auto'")
+    kind = device.type if isinstance(device, torch.device) else device
+    if kind not in get_args(Device):
+        raise bad_choice("device", str(device), get_args(Device))
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise ArgumentError(f"device is '{device}', but PyTorch finds no CUDA device; use 'cpu' or 'auto'")
     if device == "auto":
         device = "cuda" if torch.cuda.is_available() else "cpu"
     return torch.device(device)

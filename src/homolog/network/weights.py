@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
+from os import PathLike
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -14,6 +15,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from homolog.arguments import check_kind
 from homolog.errors import WeightsError
 from homolog.files import atomic_path, expanded, sha256
 from homolog.geometry import LaplacianKind
@@ -63,8 +65,10 @@ def load_weights(weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
         weights: the file, or the name of weights that ship with the package.
 
     Raises:
+        ArgumentError: if ``weights`` is neither.
         WeightsError: if the file is missing, damaged, or not the weights of such a network.
     """
+    check_kind("weights", weights, PathLike, str)
     path = _found(weights)
     read = _read_published if path.suffix.lower() in (".pth", ".pt") else _read_own
     try:

@@ -109,6 +109,9 @@ def check(shape: Shape) -> Report:
 
     Returns:
         What the shape is, what was found, and what ``repair`` does about it. Never raises for a bad shape.
+
+    Raises:
+        ArgumentError: if it is no ``Shape`` at all.
     """
     return report_on(shape, clean(shape))
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from homolog.arguments import check_kind
 from homolog.shapes.equal_rows import first_of_equal_rows
 from homolog.shapes.shape import Shape
 
@@ -48,6 +49,7 @@ class Cleaning:
 
 def clean(shape: Shape) -> Cleaning:
     """Take out what cannot be used, and nothing else."""
+    check_kind("shape", shape, Shape)
     finite = np.isfinite(shape.points).all(axis=1)
     representative = np.arange(shape.n_points)
     (usable,) = np.nonzero(finite)

@@ -10,10 +10,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
+from homolog.arguments import check_kind
 from homolog.errors import HomologError, ShapeError
 from homolog.files import expanded
 from homolog.shapes.gltf_format import buffer_files, read_glb, read_gltf
@@ -57,9 +59,11 @@ def read_shape(path: str | Path) -> Shape:
         ``repair``.
 
     Raises:
+        ArgumentError: if ``path`` is no path.
         ShapeError: if the file cannot be used; one line with the file, the reason, and what to do.
         MissingExtraError: if reading this format needs a package that is not installed.
     """
+    check_kind("path", path, PathLike, str)
     file = _checked(path)
     reader = _READERS.get(file.suffix.lower())
     if reader is None:

@@ -85,6 +85,7 @@ def repair(shape: Shape) -> Repaired:
         shape: a mesh or a point cloud in any state; never changed.
 
     Raises:
+        ArgumentError: if it is no ``Shape``.
         ShapeError: if what is left is no shape: too few points, no face, or no extent.
     """
     cleaning = clean(shape)

@@ -81,7 +81,7 @@ def _whole(values: object, what: str) -> Int[np.ndarray, "m 3"]:
 def _columns(values: object, what: str) -> np.ndarray:
     """A copy, checked to be real numbers in three columns."""
     try:
-        array = np.array(values)
+        array = np.array(_detached(values))
         array = array.astype(np.float64) if array.dtype.kind == "O" else array
     except (TypeError, ValueError, OverflowError):
         raise ShapeError(f"{what} must be an array of numbers with shape (n, 3)") from None
@@ -90,6 +90,11 @@ def _columns(values: object, what: str) -> np.ndarray:
     if array.ndim != 2 or array.shape[1] != 3:
         raise ShapeError(f"{what} have shape {array.shape}, but must have shape (n, 3)")
     return array
+
+
+def _detached(values: object) -> object:
+    """A tensor that is part of a computation, or lies on a GPU, as one that numpy can read."""
+    return values.detach().cpu().numpy() if hasattr(values, "detach") and hasattr(values, "cpu") else values
 
 
 def _locked(array: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import trimesh
 from jaxtyping import UInt8
 
+from homolog.arguments import check_kind
 from homolog.errors import ArgumentError, ShapeError
 from homolog.files import atomic_path
 from homolog.shapes.point_formats import pcd_class
@@ -38,9 +40,12 @@ def write_shape(path: str | Path, shape: Shape, *, colours: Colours | None = Non
 
     Raises:
         ShapeError: if the format cannot hold the shape.
-        ArgumentError: if the suffix is unknown, the colours do not fit, or the folder cannot be written to.
+        ArgumentError: if it is no ``Shape``, the suffix is unknown, the colours do not fit, or the folder cannot be
+            written to.
         MissingExtraError: if writing this format needs a package that is not installed.
     """
+    check_kind("path", path, PathLike, str)
+    check_kind("shape", shape, Shape)
     suffix = Path(path).suffix.lower()
     if suffix not in _WRITERS:
         raise ArgumentError(
