@@ -12,7 +12,7 @@ import torch
 
 import homolog
 from homolog.errors import ArgumentError
-from homolog.geometry import OperatorCache, OperatorSettings, compute_operators
+from homolog.geometry import OperatorCache, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
     confidence,
     functional_map,
@@ -21,7 +21,7 @@ from homolog.maps import (
     sinkhorn_matches,
     zoom_out,
 )
-from homolog.matching import Matcher, choose_device
+from homolog.matching import Correspondence, Matcher, choose_device, write_result
 from homolog.memory import get_working_memory, set_working_memory
 from homolog.network import load_weights
 from homolog.shapes import Shape, check, read_shape, repair, write_shape
@@ -167,6 +167,26 @@ def test_a_mask_that_is_not_finite_is_called_so() -> None:
 def test_a_functional_map_that_does_not_fit_or_is_not_finite_is_refused(use: Callable[..., Any]) -> None:
     assert "at least 9 columns" in refusal(lambda: use(torch.eye(9), PHI, PHI))
     assert refusal(lambda: use(torch.full((4, 4), NAN), PHI, PHI)).startswith("c_xy holds NaN")
+
+
+def test_where_operators_come_from_must_be_a_function(tmp_path: Path) -> None:
+    cache = OperatorCache(str(tmp_path))  # type: ignore[arg-type]
+    assert "operators is OperatorCache, but must be a function" in refusal(lambda: Matcher(operators=cache))  # type: ignore[arg-type]
+    assert cache.size() == (0, 0)
+
+
+def test_a_length_that_is_no_number_is_refused() -> None:
+    assert "length is 'x'" in refusal(lambda: unit_frame(Shape(POINTS), length=X))
+
+
+def test_a_correspondence_of_other_shapes_is_not_written(tmp_path: Path) -> None:
+    few, many = Shape(POINTS[:10]), Shape(POINTS)
+    ten, thirty = np.zeros(10, dtype=np.int64), np.zeros(30, dtype=np.int64)
+    found = Correspondence(ten, thirty, ten.astype(float), thirty.astype(float), "features")
+    message = refusal(lambda: write_result(tmp_path / "out", many, many, found, {}))
+    assert message == "source has 30 points, but the correspondence is of 10"
+    assert "target has 10 points" in refusal(lambda: write_result(tmp_path / "out", few, few, found, {}))
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_package_itself_offers_what_the_messages_name() -> None:

@@ -325,7 +325,7 @@ for round in range(15):
     found = OperatorCache(folder).operators(shape, settings=OperatorSettings(n_eigenpairs=12))
     print(float(found.eigenvectors.double().abs().sum()).hex())
     if round < 10:  # so that the entry is written and read over and over
-        for path in folder.glob("*.safetensors"):
+        for path in folder.glob("[!.]*.safetensors"):
             path.unlink(missing_ok=True)
 """
 

@@ -63,6 +63,9 @@ class OperatorCache:
     max_bytes: int = 10 * _GIBIBYTE
     eigenvectors: EigenvectorPrecision = "float32"
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "folder", Path(self.folder))
+
     @classmethod
     def default(cls) -> OperatorCache:
         """The cache in the default folder; ``HOMOLOG_CACHE_GB`` changes its bound of 10 GB."""

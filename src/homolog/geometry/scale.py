@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
+from homolog.arguments import is_real
 from homolog.errors import ShapeError, bad_value
 from homolog.geometry.debris import face_areas, main_part, main_points, require_usable
 from homolog.shapes import Shape
@@ -58,7 +59,7 @@ def frame_of(shape: Shape, *, length: float | None = None) -> Frame:
         if not (np.isfinite(area) and area > 0):
             raise ShapeError(f"{shape.name}: its surface area is {area:g}, so it has no scale; check the faces")
         length = float(np.sqrt(area))
-    elif not (np.isfinite(length) and length > 0):
+    elif not (is_real(length) and length > 0):
         raise bad_value("length", length, "a positive finite number")
     return Frame(centre=shape.points.mean(axis=0), length=length)
 

@@ -97,6 +97,11 @@ class Matcher:
             )
             network, self.info = None, WeightsInfo()
         self.network = None if network is None else network.to(self.device).eval()
+        if not callable(operators):
+            raise ArgumentError(
+                f"operators is {type(operators).__name__}, but must be a function like homolog.compute_operators, "
+                "such as an OperatorCache's operators"
+            )
         self._operators = operators
         if network is None and self.settings.method in ("functional-map", "features"):
             raise ArgumentError(

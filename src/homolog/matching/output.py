@@ -48,8 +48,14 @@ def write_result(
             one more, "write".
 
     Raises:
-        ArgumentError: if the folder cannot be made or written to.
+        ArgumentError: if the folder cannot be made or written to, or the correspondence is that of other shapes.
     """
+    for name, shape, points in (
+        ("source", source, correspondence.source_to_target),
+        ("target", target, correspondence.target_to_source),
+    ):
+        if shape.n_points != len(points):
+            raise ArgumentError(f"{name} has {shape.n_points} points, but the correspondence is of {len(points)}")
     folder = expanded(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
