@@ -149,6 +149,7 @@ class OperatorCache:
 
 
 def _read(path: Path) -> Operators | None:
+    before = _identity(path)
     try:
         with safe_open(path, framework="pt") as entry:
             notes = entry.metadata() or {}
@@ -157,13 +158,23 @@ def _read(path: Path) -> Operators | None:
             raise ValueError("its checksum does not match")
         operators = _operators(tensors, length=float.fromhex(notes["length"]), method=notes["method"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        if not path.exists():  # never there, or thrown out by another process amid the reading
+        if before is None or before != _identity(
+            path
+        ):  # thrown out or written anew by another process amid the reading
             return None
         _log.warning("the cached operators %s are damaged (%s) and are computed anew", path, error)
         return None
     with suppress(OSError):
         os.utime(path)  # marks the entry as used
     return operators
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Tells a file from the one that takes its place; None if there is none."""
+    with suppress(OSError):
+        status = path.stat()
+        return status.st_ino, status.st_mtime_ns
+    return None
 
 
 def _tensors(operators: Operators) -> dict[str, Tensor]:

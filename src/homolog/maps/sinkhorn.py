@@ -163,8 +163,8 @@ def balance(
 ) -> Balanced:
     """Run Sinkhorn's iterations on the kernel of two sets of features.
 
-    A sweep over row tiles normalises a tile's rows and at once adds up its columns, so that an iteration reads K once:
-    4 n_y n_x operations. Where K does not fit, its tiles are made anew in every sweep, for 2 n_y n_x d more.
+    A sweep normalises the rows and adds up the columns, 4 n_y n_x operations. Where K does not fit, its tiles are made
+    anew in every sweep, for 2 n_y n_x d more.
 
     Raises:
         ArgumentError: if the temperature or the number of iterations is not positive.
