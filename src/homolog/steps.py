@@ -12,6 +12,13 @@ import psutil
 
 Listener = Callable[[str], None]
 
+# Told how many steps are done of how many, and what is being done.
+Progress = Callable[[int, int, str], None]
+
+
+def unheard(done: int, total: int, what: str) -> None:
+    """Progress that no one wants to know of."""
+
 
 @dataclass(frozen=True)
 class Step:

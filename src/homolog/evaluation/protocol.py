@@ -18,11 +18,9 @@ from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_conf
 from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
 from homolog.matching import Correspondence, Matcher, Prepared
 from homolog.shapes import Shape, add_noise, repair
+from homolog.steps import Progress, unheard
 
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
-
-# Told how many steps are done of how many, and what is being done.
-Progress = Callable[[int, int, str], None]
 
 # Gives the maps of two prepared shapes.
 MatchPair = Callable[[Prepared, Prepared], Correspondence]
@@ -136,12 +134,8 @@ def evaluate(
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     if protocol.n_pairs is not None:
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
-    run = _Run(matcher, folder, protocol, pairs, match or matcher.match_prepared, progress or _silent)
+    run = _Run(matcher, folder, protocol, pairs, match or matcher.match_prepared, progress or unheard)
     return run.evaluation()
-
-
-def _silent(done: int, total: int, what: str) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sparse
 from jaxtyping import Bool, Float, Int
-from scipy.sparse.csgraph import connected_components
 
 from homolog.arguments import check_kind
 from homolog.errors import ShapeError
 from homolog.geometry.tangent import nearest_neighbours
-from homolog.shapes import FEWEST_POINTS, Shape
+from homolog.shapes import FEWEST_POINTS, Shape, components, face_areas
 
 # Pieces with less than this share of the largest one's size are debris.
 _SMALLEST_PIECE = 0.01
@@ -58,7 +56,7 @@ def main_points(shape: Shape, neighbours: Int[np.ndarray, "n j"] | None = None) 
         if neighbours is None:
             neighbours = nearest_neighbours(shape.points, _NEIGHBOURS)
         return _main_points_of_cloud(shape.points, neighbours)
-    piece = _pieces(shape.faces.ravel(), np.roll(shape.faces, -1, axis=1).ravel(), shape.n_points)
+    piece = components(shape.faces[:, 0], shape.faces[:, 1], shape.n_points, shape.faces[:, 2])
     areas = np.bincount(piece[shape.faces[:, 0]], face_areas(shape.points, shape.faces), minlength=piece.max() + 1)
     return _of_large_pieces(piece, areas)
 
@@ -73,21 +71,13 @@ def main_part(shape: Shape, main: Bool[np.ndarray, " n"]) -> Shape:
     return Shape(shape.points[main], place[shape.faces[main[shape.faces[:, 0]]]], name=shape.name)
 
 
-def face_areas(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
-    """Area of each face."""
-    corners = points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    areas: np.ndarray = np.linalg.norm(normals, axis=1) / 2
-    return areas
-
-
 def _main_points_of_cloud(
     points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]
 ) -> Bool[np.ndarray, " n"]:
     distances = np.linalg.norm(points[neighbours] - points[:, None], axis=2)
     near = distances <= _GAP * np.median(distances[:, -1])
     count = neighbours.shape[1] + 1
-    piece = _pieces(np.nonzero(near)[0], neighbours[near], len(points))
+    piece = components(np.nonzero(near)[0], neighbours[near], len(points))
     counts = np.bincount(piece)
     # The neighbours of a smaller piece's points lie across the gap.
     main = _of_large_pieces(piece, np.where(counts < min(count, counts.max()), 0, counts))
@@ -97,9 +87,3 @@ def _main_points_of_cloud(
 def _of_large_pieces(piece: Int[np.ndarray, " n"], sizes: Float[np.ndarray, " p"]) -> Bool[np.ndarray, " n"]:
     main: np.ndarray = (sizes >= _SMALLEST_PIECE * sizes.max())[piece]
     return main if main.sum() >= FEWEST_POINTS else np.ones(len(piece), dtype=bool)
-
-
-def _pieces(starts: Int[np.ndarray, " e"], ends: Int[np.ndarray, " e"], n_points: int) -> Int[np.ndarray, " n"]:
-    links = sparse.coo_array((np.ones(len(starts), dtype=np.int32), (starts, ends)), shape=(n_points, n_points))
-    pieces: np.ndarray = connected_components(links.tocsr(), directed=False)[1]
-    return pieces

@@ -10,8 +10,8 @@ from scipy.spatial import KDTree
 
 from homolog.arguments import is_real
 from homolog.errors import ShapeError, bad_value
-from homolog.geometry.debris import face_areas, main_part, main_points, require_usable
-from homolog.shapes import Shape
+from homolog.geometry.debris import main_part, main_points, require_usable
+from homolog.shapes import Shape, face_areas
 
 # Radii of the two balls that `cloud_area` counts in, as shares of the cloud's root-mean-square radius.
 _BALLS = (0.15, 0.25)

@@ -424,13 +424,17 @@ def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
     """
     if not as_cloud:
         return repair(shape), False
-    cloud = repair(shape.as_cloud())
     try:
         repaired = repair(shape)
     except ShapeError:
-        return cloud, False
-    if repaired.shape.n_points < _SHARE_WITH_FACES * cloud.shape.n_points:
-        return cloud, False
+        return repair(shape.as_cloud()), False
+    n_used = repaired.shape.n_points
+    if (
+        n_used < _SHARE_WITH_FACES * shape.n_points
+    ):  # few enough to look closer: points that repair takes out count, too
+        cloud = repair(shape.as_cloud())
+        if n_used < _SHARE_WITH_FACES * cloud.shape.n_points:
+            return cloud, False
     return repaired, True
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from homolog.shapes.cleaning import Cleaning, clean
 from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
-from homolog.shapes.topology import Topology, topology
+from homolog.shapes.topology import Topology, face_areas, topology
 
 Severity = Literal["note", "repaired", "unusable"]
 
@@ -182,7 +182,7 @@ def _areas(
 ) -> tuple[Float[np.ndarray, " m"], np.ndarray]:
     """The area of each face, and whether it is so thin that its angles are noise."""
     a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    areas = face_areas(points, faces)
     longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
     return areas, areas <= _SLIVER * longest
 

@@ -1,11 +1,11 @@
-"""How the faces of a mesh hang together: components, boundaries, and where it is not a surface."""
+"""Faces: their areas, and how they hang together: components, boundaries, and where they are not a surface."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -42,14 +42,14 @@ def topology(faces: Int[np.ndarray, "m 3"], n_points: int) -> Topology:
 
     fan = _fans(low, high, edge, faces.size)
     boundary = faces_of_edge[edge] == 1
-    rims = _components(fan[low[boundary]], fan[high[boundary]], faces.size)
+    rims = components(fan[low[boundary]], fan[high[boundary]], faces.size)
     crowded = faces_of_edge[edge] > 2
     on_crowded = point[np.concatenate([low[crowded], high[crowded]])]
     _, a_corner = np.unique(fan, return_index=True)
     n_fans = np.bincount(point[a_corner], minlength=n_points)
     n_fans[on_crowded] = 0
     return Topology(
-        n_components=len(np.unique(_components(faces[:, 0], faces[:, 1], n_points, faces[:, 2]))),
+        n_components=len(np.unique(components(faces[:, 0], faces[:, 1], n_points, faces[:, 2]))),
         n_boundary_loops=len(np.unique(rims[fan[low[boundary]]])),
         n_nonmanifold_edges=int(np.sum(faces_of_edge > 2)),
         n_nonmanifold_points=int(np.sum(n_fans > 1)),
@@ -61,16 +61,24 @@ def _fans(
 ) -> Int[np.ndarray, " c"]:
     """For each corner, the fan it belongs to: faces around one point, each sharing an edge with the next."""
     (same,) = np.nonzero(edge[1:] == edge[:-1])
-    return _components(
+    return components(
         np.concatenate([low[same], high[same]]), np.concatenate([low[same + 1], high[same + 1]]), n_corners
     )
 
 
-def _components(
+def components(
     a: Int[np.ndarray, " k"], b: Int[np.ndarray, " k"], n: int, c: Int[np.ndarray, " k"] | None = None
 ) -> Int[np.ndarray, " n"]:
     """A label for each of ``n`` nodes, equal where links a-b (and b-c) lead from one to the other."""
     rows, columns = (a, b) if c is None else (np.concatenate([a, b]), np.concatenate([b, c]))
-    links = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(n, n))
+    links = coo_array((np.ones(len(rows), dtype=np.int32), (rows, columns)), shape=(n, n))
     labels: np.ndarray = connected_components(links.tocsr(), directed=False)[1]
     return labels
+
+
+def face_areas(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
+    """Area of each face."""
+    corners = points[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas: np.ndarray = np.linalg.norm(normals, axis=1) / 2
+    return areas

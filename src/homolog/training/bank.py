@@ -20,6 +20,7 @@ from torch import Tensor
 from homolog.geometry import Basis, Operators, unit_frame
 from homolog.matching import OperatorSource
 from homolog.shapes import Shape, repair
+from homolog.steps import Progress
 from homolog.training.clouds import Cloud, cloud_variants, make_cloud
 from homolog.training.data import TrainingSet
 from homolog.training.objective import TrainingShape
@@ -28,9 +29,6 @@ from homolog.training.recipe import Recipe
 from homolog.training.samples import at_points, subsets
 
 T = TypeVar("T")
-
-# Told how many steps are done of how many, and what is being done.
-Progress = Callable[[int, int, str], None]
 
 # Stands for the mesh where others are numbers of cloud variants.
 _MESH = -1

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float
 
-from homolog.shapes import Shape, add_noise
+from homolog.shapes import Shape, add_noise, face_areas
 from homolog.training.recipe import CloudSettings
 
 
@@ -73,18 +73,11 @@ def _thinned(n_points: int, share: float, random: np.random.Generator) -> sparse
 
 def _resampled(mesh: Shape, number: int, random: np.random.Generator) -> sparse.csr_array:
     """Barycentric weights (number, n) of points drawn evenly from the surface."""
-    areas = _areas(mesh)
+    areas = face_areas(mesh.points, mesh.faces)  # type: ignore[arg-type]
     faces = mesh.faces[random.choice(len(areas), size=number, p=areas / areas.sum())]  # type: ignore[index]
     rows = np.repeat(np.arange(number), 3)
     weights = _barycentric(number, random)
     return sparse.csr_array((weights.ravel(), (rows, faces.ravel())), shape=(number, mesh.n_points))
-
-
-def _areas(mesh: Shape) -> Float[np.ndarray, " m"]:
-    corners = mesh.points[mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    areas: np.ndarray = np.linalg.norm(normals, axis=1)
-    return areas
 
 
 def _barycentric(number: int, random: np.random.Generator) -> Float[np.ndarray, "number 3"]:

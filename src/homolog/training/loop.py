@@ -21,7 +21,8 @@ from homolog.geometry import OperatorCache
 from homolog.matching import Device, Matcher, MatcherSettings, OperatorSource, choose_device
 from homolog.memory import keep_freed_memory
 from homolog.network import DiffusionNet
-from homolog.training.bank import Progress, ShapeBank, TrainingPair, prefetched
+from homolog.steps import Progress, unheard
+from homolog.training.bank import ShapeBank, TrainingPair, prefetched
 from homolog.training.data import TrainingSet
 from homolog.training.interrupts import Interrupts, deferred_interrupts
 from homolog.training.journal import Journal
@@ -87,7 +88,7 @@ def train(
     if is_first_process():
         folder.make(resume=resume)
     fabric.launch()
-    report = progress if progress is not None and fabric.is_global_zero else _silent
+    report = progress if progress is not None and fabric.is_global_zero else unheard
     source = operators or OperatorCache.default().operators
     bank = ShapeBank(shapes, recipe, source, fabric.device)
     bank.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
@@ -131,10 +132,6 @@ def _fabric(recipe: Recipe, device: Device, processes: int, machines: int) -> Fa
         strategy="auto" if processes * machines == 1 else "ddp",
         precision="bf16-mixed" if recipe.training.precision == "bf16" else "32-true",
     )
-
-
-def _silent(done: int, total: int, what: str) -> None:
-    """Report nothing."""
 
 
 class _Training:
