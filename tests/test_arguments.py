@@ -19,7 +19,6 @@ from homolog.maps import (
     functional_map_from_point_map,
     point_map_from_functional_map,
     sinkhorn_matches,
-    zoom_out,
 )
 from homolog.matching import Correspondence, Matcher, choose_device, write_result
 from homolog.memory import get_working_memory, set_working_memory
@@ -100,9 +99,6 @@ def test_an_argument_of_another_kind_is_named_with_what_it_is(name: str, found: 
         ("iterations", lambda: sinkhorn_matches(FEATURES, FEATURES, iterations=0)),
         ("regularisation", lambda: functional_map(PHI.T, PHI.T, torch.ones(8, 8), regularisation=X)),
         ("regularisation", lambda: functional_map(PHI.T, PHI.T, torch.ones(8, 8), regularisation=-1)),
-        ("step", lambda: zoom_out(torch.eye(4), PHI, PHI, step=0)),
-        ("step", lambda: zoom_out(torch.eye(4), PHI, PHI, step=1.5)),  # type: ignore[arg-type]
-        ("largest", lambda: zoom_out(torch.eye(4), PHI, PHI, largest=X)),
     ],
 )
 def test_a_number_that_cannot_be_is_named_with_what_is_allowed(name: str, call: Call) -> None:
@@ -163,10 +159,10 @@ def test_a_mask_that_is_not_finite_is_called_so() -> None:
     assert refusal(lambda: functional_map(PHI.T, PHI.T, torch.full((8, 8), NAN))).startswith("mask is not finite")
 
 
-@pytest.mark.parametrize("use", [point_map_from_functional_map, zoom_out])
-def test_a_functional_map_that_does_not_fit_or_is_not_finite_is_refused(use: Callable[..., Any]) -> None:
-    assert "at least 9 columns" in refusal(lambda: use(torch.eye(9), PHI, PHI))
-    assert refusal(lambda: use(torch.full((4, 4), NAN), PHI, PHI)).startswith("c_xy holds NaN")
+def test_a_functional_map_that_does_not_fit_or_is_not_finite_is_refused() -> None:
+    assert "at least 9 columns" in refusal(lambda: point_map_from_functional_map(torch.eye(9), PHI, PHI))
+    not_finite = torch.full((4, 4), NAN)
+    assert refusal(lambda: point_map_from_functional_map(not_finite, PHI, PHI)).startswith("c_xy holds NaN")
 
 
 def test_where_operators_come_from_must_be_a_function(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from homolog.maps import (
     functional_map_from_point_map,
     point_map_from_functional_map,
     resolvent_mask,
-    zoom_out,
 )
 from homolog.shapes import Shape
 
@@ -184,52 +183,6 @@ def test_the_point_map_is_the_nearest_row_by_brute_force(k_y: int, k_x: int) -> 
     carried = x[:, :k_x].numpy() @ c_xy.numpy().T
     expected = [np.argmin(((carried - row) ** 2).sum(axis=1)) for row in y[:, :k_y].numpy()]
     np.testing.assert_array_equal(point_map_from_functional_map(c_xy, x, y), expected)
-
-
-@pytest.mark.parametrize(("step", "largest", "size"), [(5, None, 40), (1, None, 40), (7, 33, 33), (5, 99, 40)])
-def test_zoom_out_recovers_a_copy_from_a_coarse_start(step: int, largest: int | None, size: int, copies) -> None:
-    x, y, order = copies
-    start = functional_map_from_point_map(order, x.eigenvectors[:, :8], y.eigenvectors[:, :8], y.mass)
-    start = start + 0.1 * random(8, 8, seed=4, dtype=torch.float32)
-    before = point_map_from_functional_map(start, x.eigenvectors, y.eigenvectors)
-    refined = zoom_out(start, x.eigenvectors, y.eigenvectors, step=step, largest=largest)
-    assert refined.shape == (size, size)
-    after = point_map_from_functional_map(refined, x.eigenvectors, y.eigenvectors)
-    assert (before == order).float().mean() < 0.5
-    assert (after == order).float().mean() > 0.99
-    true = functional_map_from_point_map(order, x.eigenvectors[:, :size], y.eigenvectors[:, :size], y.mass)
-    assert (refined - true).norm() < 0.05 * true.norm()
-
-
-def test_zoom_out_finds_the_identity_where_only_some_points_take_part(demo_operators) -> None:
-    """On 5,000 points, of which the refinement samples fewer, and others on each shape."""
-    x = demo_operators[0].eigenvectors
-    order = torch.randperm(len(x), generator=torch.Generator().manual_seed(7))
-    refined = zoom_out(torch.eye(20), x, x[order])
-    found = point_map_from_functional_map(refined, x, x[order])
-    assert (found == order).float().mean() > 0.99
-
-
-def test_zoom_out_of_a_map_that_is_large_enough_is_the_map_itself(copies) -> None:
-    x, y, _ = copies
-    start = random(12, 12, dtype=torch.float32)
-    assert torch.equal(zoom_out(start, x.eigenvectors, y.eigenvectors, largest=12), start)
-
-
-def test_zoom_out_between_different_bodies_improves_the_map(demo, demo_operators) -> None:
-    amber, boris = demo_operators
-    amber_of_boris = np.full(demo.boris.n_points, -1)
-    amber_of_boris[demo.boris_points] = demo.amber_points
-    known = torch.from_numpy(np.flatnonzero(amber_of_boris >= 0))
-    truth = torch.from_numpy(amber_of_boris)[known]
-    # The least-squares map of the known points, in few functions.
-    start = torch.linalg.lstsq(boris.eigenvectors[known, :10], amber.eigenvectors[truth, :10]).solution
-    refined = zoom_out(start, amber.eigenvectors, boris.eigenvectors, step=5)
-    errors = []
-    for c_xy in (start, refined):
-        y_to_x = point_map_from_functional_map(c_xy, amber.eigenvectors, boris.eigenvectors)
-        errors.append(float((amber.points[y_to_x[known]] - amber.points[truth]).norm(dim=1).mean()))
-    assert errors[1] < 0.06 and errors[1] < 0.7 * errors[0], errors
 
 
 # --- the numbers of the published code

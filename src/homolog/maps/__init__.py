@@ -9,7 +9,7 @@ from homolog.maps.functional_map import (
     resolvent_mask,
 )
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
-from homolog.maps.refinement import refined_point_map, zoom_out
+from homolog.maps.refinement import guided_zoom_out
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
 
 __all__ = [
@@ -20,15 +20,14 @@ __all__ = [
     "covered",
     "functional_map",
     "functional_map_from_point_map",
+    "guided_zoom_out",
     "local_stretch",
     "most_similar",
     "nearest_neighbour",
     "normalised",
     "point_map_from_functional_map",
-    "refined_point_map",
     "resolvent_mask",
     "sinkhorn_matches",
     "smoothed_positions",
     "wave_kernel_signature",
-    "zoom_out",
 ]

@@ -121,13 +121,13 @@ def point_map_from_functional_map(
     Raises:
         ArgumentError: if there are fewer eigenvectors than the functional map is for, or it is not finite.
     """
-    check_fits(c_xy, eigenvectors_x, eigenvectors_y)
+    _check_fits(c_xy, eigenvectors_x, eigenvectors_y)
     k_y, k_x = c_xy.shape
     carried = eigenvectors_x[:, :k_x] @ c_xy.T
     return nearest_neighbour(eigenvectors_y[:, :k_y], carried).index
 
 
-def check_fits(c_xy: Tensor, eigenvectors_x: Tensor, eigenvectors_y: Tensor) -> None:
+def _check_fits(c_xy: Tensor, eigenvectors_x: Tensor, eigenvectors_y: Tensor) -> None:
     """Refuse a functional map that is for more eigenvectors than there are, or not finite."""
     check_finite("c_xy", c_xy)
     k_y, k_x = c_xy.shape

@@ -2,77 +2,128 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.arguments import check_count
+from homolog.arguments import check_count, check_finite, check_indices
 from homolog.arrays import takes_arrays
-from homolog.maps.functional_map import check_fits, functional_map_from_point_map, point_map_from_functional_map
+from homolog.maps.nearest import nearest_neighbour
 
 # Points of each shape that take part in the refinement; more change the map little and cost in proportion.
 _SAMPLES = 2000
 
+# In so many rounds, the last of which is for all points, they look among all: there alone a sample's very counterpart is.
+_ROUNDS_AMONG_ALL = 3
 
-@takes_arrays
-def zoom_out(
-    c_xy: Float[Tensor, "k_y k_x"],
-    eigenvectors_x: Float[Tensor, "n_x m_x"],
-    eigenvectors_y: Float[Tensor, "n_y m_y"],
-    *,
-    step: int = 20,
-    largest: int | None = None,
-) -> Float[Tensor, "m m"]:
-    """Refine a functional map by alternating with its point map, in a growing basis.
-
-    Melzi, Ren, Rodola, Sharma, Wonka and Ovsjanikov, "ZoomOut: spectral upsampling for efficient shape
-    correspondence", SIGGRAPH Asia 2019.
-
-    Args:
-        c_xy: the map to start from; its size is where the growth begins.
-        eigenvectors_x: at least as many eigenvectors as the size to reach.
-        eigenvectors_y: likewise.
-        step: eigenvectors added per round.
-        largest: size to reach; by default all eigenvectors that both shapes have.
-
-    Raises:
-        ArgumentError: if there are fewer eigenvectors than ``c_xy`` is for, it is not finite, or ``step`` or
-            ``largest`` is no whole number of at least 1.
-    """
-    check_count("step", step)
-    if largest is not None:
-        check_count("largest", largest)
-    check_fits(c_xy, eigenvectors_x, eigenvectors_y)
-    largest = min(largest or eigenvectors_x.shape[1], eigenvectors_x.shape[1], eigenvectors_y.shape[1])
-    x, y = eigenvectors_x[_samples(eigenvectors_x)], eigenvectors_y[_samples(eigenvectors_y)]
-    for size in range(c_xy.shape[0] + step, largest + step, step):
-        if size > largest - 2 * step:
-            # In the last two rounds: only among all points does a sample find its very counterpart.
-            size, x = min(size, largest), eigenvectors_x
-        y_to_x = point_map_from_functional_map(c_xy, x, y)
-        c_xy = _fitted(x[y_to_x, :size], y[:, :size])
-    return c_xy
+# What the squared distance of unit features weighs in the first round and in the last, against the mean one of
+# eigenfunctions; chosen on pairs of training shapes.
+_FIRST_GUIDANCE, _LAST_GUIDANCE = 1.0, 0.1
 
 
 @takes_arrays
-def refined_point_map(
+def guided_zoom_out(
     y_to_x: Int[Tensor, " n_y"],
+    x_to_y: Int[Tensor, " n_x"],
     eigenvectors_x: Float[Tensor, "n_x m_x"],
     eigenvectors_y: Float[Tensor, "n_y m_y"],
-    mass_y: Float[Tensor, " n_y"],
+    features_x: Float[Tensor, "n_x d"],
+    features_y: Float[Tensor, "n_y d"],
     *,
     smallest: int = 20,
-    largest: int = 100,
-    step: int = 20,
-) -> Int[Tensor, " n_y"]:
-    """Smooth a point map between complete shapes: its coarse functional map, refined by ``zoom_out``, as a point map.
+    step: int = 18,
+) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
+    """Refine the point maps of two complete shapes, both at once, in a growing basis and guided by features.
 
-    Matches of single points scatter; what neighbours agree on survives in the lowest eigenfunctions.
+    ZoomOut (Melzi, Ren, Rodola, Sharma, Wonka and Ovsjanikov, "ZoomOut: spectral upsampling for efficient shape
+    correspondence", SIGGRAPH Asia 2019), which alternates between functional map and point map, with two changes. The
+    functional maps of a round are fitted to the pairs of both point maps, which makes them agree. And points are near
+    each other if their eigenfunctions and their features are: where surfaces touch, or noise hides their detail,
+    eigenfunctions alone carry points to the wrong side. Features weigh less as the basis grows and says more by itself.
+
+    Args:
+        y_to_x: for each point of y a point of x, as good as it is known.
+        x_to_y: likewise the other way.
+        eigenvectors_x: of which as many are used as both shapes have.
+        eigenvectors_y: likewise.
+        features_x: of unit length per point.
+        features_y: likewise.
+        smallest: size of the first functional map.
+        step: eigenvectors added per round.
+
+    Returns:
+        Both maps, y to x first.
+
+    Raises:
+        ArgumentError: if an index is that of no point, a feature is not finite, or a size is no whole number of at
+            least 1.
     """
-    coarse_x, coarse_y = eigenvectors_x[:, :smallest], eigenvectors_y[:, :smallest]
-    c_xy = functional_map_from_point_map(y_to_x, coarse_x, coarse_y, mass_y)
-    c_xy = zoom_out(c_xy, eigenvectors_x, eigenvectors_y, step=step, largest=largest)
-    return point_map_from_functional_map(c_xy, eigenvectors_x, eigenvectors_y)
+    check_count("smallest", smallest)
+    check_count("step", step)
+    check_indices("y_to_x", y_to_x, len(eigenvectors_x))
+    check_indices("x_to_y", x_to_y, len(eigenvectors_y))
+    check_finite("features_x", features_x)
+    check_finite("features_y", features_y)
+    x, y = _Guided(eigenvectors_x, features_x), _Guided(eigenvectors_y, features_y)
+    largest = min(eigenvectors_x.shape[1], eigenvectors_y.shape[1])
+    sizes = [*range(min(smallest, largest), largest, step), largest]
+    rows_x, rows_y = x.samples, y.samples
+    y_to_x, x_to_y = y_to_x[rows_y], x_to_y[rows_x]
+    for n_left, size in zip(reversed(range(len(sizes))), sizes, strict=True):
+        weight = _LAST_GUIDANCE * (_FIRST_GUIDANCE / _LAST_GUIDANCE) ** (n_left / max(len(sizes) - 1, 1))
+        pairs_x, pairs_y = torch.cat([y_to_x, rows_x]), torch.cat([rows_y, x_to_y])
+        among_x, among_y = (x.reached, y.reached) if n_left < _ROUNDS_AMONG_ALL else (x.samples, y.samples)
+        rows_x, rows_y = (x.all, y.all) if n_left == 0 else (x.samples, y.samples)
+        y_to_x = _counterparts(y, x, (pairs_y, pairs_x), rows_y, among_x, size=size, weight=weight)
+        x_to_y = _counterparts(x, y, (pairs_x, pairs_y), rows_x, among_y, size=size, weight=weight)
+    return y_to_x, x_to_y
+
+
+@dataclass(frozen=True)
+class _Guided:
+    """A shape's points as the guided refinement sees them."""
+
+    eigenvectors: Float[Tensor, "n m"]
+    features: Float[Tensor, "n d"]
+
+    @cached_property
+    def all(self) -> Int[Tensor, " n"]:
+        """Every point."""
+        return torch.arange(len(self.eigenvectors), device=self.eigenvectors.device)
+
+    @cached_property
+    def reached(self) -> Int[Tensor, " r"]:
+        """Points that some eigenfunction reaches; of debris the embedding says nothing, so nothing is to go there."""
+        return self.all[self.eigenvectors.any(dim=1)]
+
+    @cached_property
+    def samples(self) -> Int[Tensor, " s"]:
+        """Some of the points that are reached."""
+        shuffled = torch.randperm(len(self.reached), generator=torch.Generator().manual_seed(0))
+        return self.reached[shuffled[:_SAMPLES].sort().values.to(self.reached.device)]
+
+
+def _counterparts(
+    y: _Guided,
+    x: _Guided,
+    pairs: tuple[Int[Tensor, " p"], Int[Tensor, " p"]],
+    rows: Int[Tensor, " r"],
+    among: Int[Tensor, " a"],
+    *,
+    size: int,
+    weight: float,
+) -> Int[Tensor, " r"]:
+    """For some points of y the nearest ones among some of x, once the pairs of points of y and x are laid together."""
+    phi_x, phi_y = x.eigenvectors[:, :size], y.eigenvectors[:, :size]
+    c_xy = _fitted(phi_x[pairs[1]], phi_y[pairs[0]])
+    # Over a shape of unit area the mean square of an eigenfunction is one.
+    scale = (weight * size) ** 0.5
+    queries = torch.cat([phi_y[rows], scale * y.features[rows]], dim=1)
+    candidates = torch.cat([phi_x[among] @ c_xy.T, scale * x.features[among]], dim=1)
+    return among[nearest_neighbour(queries, candidates).index]
 
 
 def _fitted(pulled_back: Float[Tensor, "n k"], eigenvectors_y: Float[Tensor, "n k"]) -> Float[Tensor, "k k"]:
@@ -82,9 +133,3 @@ def _fitted(pulled_back: Float[Tensor, "n k"], eigenvectors_y: Float[Tensor, "n 
     ridge = 1e-6 * gram.diagonal().mean() * torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
     solution: Tensor = torch.linalg.solve(gram + ridge, right).to(pulled_back.dtype)
     return solution
-
-
-def _samples(eigenvectors: Float[Tensor, "n m"]) -> Int[Tensor, " s"]:
-    n = len(eigenvectors)
-    shuffled = torch.randperm(n, generator=torch.Generator().manual_seed(0))
-    return shuffled[:_SAMPLES].sort().values.to(eigenvectors.device)

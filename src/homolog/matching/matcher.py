@@ -21,13 +21,12 @@ from homolog.geometry import Operators, OperatorSettings, compute_operators, uni
 from homolog.maps import (
     confidence,
     covered,
+    guided_zoom_out,
     most_similar,
     nearest_neighbour,
     normalised,
     point_map_from_functional_map,
-    refined_point_map,
     sinkhorn_matches,
-    zoom_out,
 )
 from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem
 from homolog.matching.checks import (
@@ -48,9 +47,6 @@ from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
 from homolog.steps import Steps
 
 _log = logging.getLogger(__name__)
-
-# Size to which functional maps from a network's features are refined.
-_REFINED_EIGENPAIRS = 120
 
 # Where faces use fewer of a shape's points, they do not say how large the cloud of all of them is.
 _SHARE_WITH_FACES = 0.95
@@ -355,10 +351,12 @@ class Matcher:
         route = self.route(source.modality, target.modality)
         if route == "features":
             maps = self._maps_by_features(source.features, target.features, partial=partial)
-            return maps if partial or not self.settings.refine else _refined(maps, source.operators, target.operators)
+        else:
+            maps = self._maps_by_functional_maps(source, target, partial=partial)
+        return maps if partial or not self.settings.refine else _refined(maps, source, target)
+
+    def _maps_by_functional_maps(self, source: Prepared, target: Prepared, *, partial: bool) -> PointMaps:
         c_st, c_ts = self.functional_maps(source, target, partial=partial)
-        if route == "functional-map" and self.settings.refine and not partial:
-            c_st, c_ts = _zoomed_out((c_st, c_ts), source, target, _REFINED_EIGENPAIRS)
         phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
         target_to_source = point_map_from_functional_map(c_st, phi_s, phi_t)
         if partial:
@@ -373,7 +371,7 @@ class Matcher:
     def functional_maps(
         self, source: Prepared, target: Prepared, *, partial: bool = False
     ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
-        """The functional maps from source to target and back; those of a network before their refinement."""
+        """The functional maps from source to target and back, before their refinement."""
         _check_prepared(source, target)
         route = self.route(source.modality, target.modality)
         if route == "axiomatic":
@@ -392,11 +390,10 @@ class Matcher:
     ) -> tuple[Float[Tensor, "k_t k_s"], Float[Tensor, "k_s k_t"]]:
         try:
             problem = axiomatic_problem(source.operators, target.operators, (source.features, target.features))
-            maps = problem.forth(), problem.back()
+            return problem.forth(), problem.back()
         except ArgumentError:
             names = f"{source.repaired.shape.name} or {target.repaired.shape.name}"
             raise ShapeError(f"{names} {_why_undetermined(source.operators, target.operators)}") from None
-        return _zoomed_out(maps, source, target, None)
 
     def _maps_by_features(
         self, source: Float[Tensor, "n_s d"], target: Float[Tensor, "n_t d"], *, partial: bool
@@ -438,20 +435,16 @@ def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
     return repaired, True
 
 
-def _zoomed_out(
-    maps: tuple[Tensor, Tensor], source: Prepared, target: Prepared, largest: int | None
-) -> tuple[Float[Tensor, "m m"], Float[Tensor, "m m"]]:
-    """Functional maps both ways, refined."""
-    phi_s, phi_t = source.operators.eigenvectors, target.operators.eigenvectors
-    return zoom_out(maps[0], phi_s, phi_t, largest=largest), zoom_out(maps[1], phi_t, phi_s, largest=largest)
-
-
-def _refined(maps: PointMaps, source: Operators, target: Operators) -> PointMaps:
-    phi_s, phi_t = source.eigenvectors, target.eigenvectors
-    return PointMaps(
-        source_to_target=refined_point_map(maps.source_to_target, phi_t, phi_s, source.mass),
-        target_to_source=refined_point_map(maps.target_to_source, phi_s, phi_t, target.mass),
+def _refined(maps: PointMaps, source: Prepared, target: Prepared) -> PointMaps:
+    target_to_source, source_to_target = guided_zoom_out(
+        maps.target_to_source,
+        maps.source_to_target,
+        source.operators.eigenvectors,
+        target.operators.eigenvectors,
+        normalised(source.features),
+        normalised(target.features),
     )
+    return PointMaps(source_to_target, target_to_source)
 
 
 def _why_undetermined(*both: Operators) -> str:
