@@ -109,7 +109,7 @@ def test_report(homolog, files, tmp_path):
     assert found["weights"]["given"] == str(files.weights)
     assert (found["weights"]["name"], found["weights"]["licence"]) == ("untrained", "none")
     assert found["settings"]["method"] == "auto"
-    assert found["settings"]["operators"] == {"n_eigenpairs": 128, "laplacian": "robust", "n_neighbours": 30}
+    assert found["settings"]["operators"] == {"n_eigenpairs": 128, "laplacian": "robust", "n_neighbours": 14}
     for side in ("source", "target"):
         assert found["inputs"][side]["eigenpairs"]["number"] == 128
         assert found["inputs"][side]["eigenpairs"]["method"]
