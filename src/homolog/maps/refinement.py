@@ -16,7 +16,7 @@ from homolog.maps.nearest import nearest_neighbour
 # Points of each shape that take part in the refinement; more change the map little and cost in proportion.
 _SAMPLES = 2000
 
-# In so many rounds, the last of which is for all points, they look among all: there alone a sample's very counterpart is.
+# In so many rounds, the last of them for all points, they look among all: only there is a sample's very counterpart.
 _ROUNDS_AMONG_ALL = 3
 
 # What the squared distance of unit features weighs in the first round and in the last, against the mean one of

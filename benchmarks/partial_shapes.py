@@ -1,16 +1,19 @@
-"""How well points without a counterpart are found on SHREC'16 cuts, with the true map and with a network's own.
+"""How well parts of shapes are matched to their complete ones on SHREC'16, and what has no counterpart is found.
 
 Run from the root of the checkout, with the unpacked set::
 
-    python benchmarks/partial_cuts.py SHREC16 --weights surreal.pth --every 8
+    python benchmarks/partial_shapes.py SHREC16 --weights cuts.safetensors --kind cuts --names "*_shape_1?"
 
-Truth: a point of the complete shape has a counterpart if the true position of some partial point lies within one mean
-edge of it. F1 is that of "has no counterpart", pooled over all points of all pairs.
+Prints for meshes and clouds the mean geodesic error x100 of the parts' points, in units of the square root of the
+complete shape's area, and precision, recall and F1 of "has no counterpart", pooled over all points of all pairs.
+Truth for these: a point of the complete shape has a counterpart if the true position of some point of the part lies
+within one mean edge of it.
 """
 
 from __future__ import annotations
 
 import argparse
+from fnmatch import fnmatch
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +21,14 @@ import torch
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from homolog.evaluation import geodesic_errors
 from homolog.geometry import OperatorCache
 from homolog.maps import covered
-from homolog.matching import Matcher
+from homolog.matching import AsCloud, Matcher
 from homolog.shapes import Shape, read_shape
+
+
+MODALITIES: dict[str, AsCloud | None] = {"mesh": None, "cloud": "both"}
 
 
 def true_positions(complete: Shape, ground_truth: Path) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
@@ -44,10 +51,11 @@ def has_counterpart(complete: Shape, positions: Float[np.ndarray, "n 3"]) -> Boo
 
 
 class Score:
-    """Precision, recall and F1 of points found to have no counterpart."""
+    """Errors of parts' points, and how well complete points without a counterpart are found."""
 
     def __init__(self) -> None:
         self.counts = np.zeros(3)
+        self.errors: list[float] = []
 
     def add(self, found: Bool[np.ndarray, " m"], truth: Bool[np.ndarray, " m"]) -> None:
         """Count found, true, and rightly found points without a counterpart."""
@@ -55,31 +63,37 @@ class Score:
 
     def __str__(self) -> str:
         found, true, both = self.counts
-        return f"precision {both / found:.3f}, recall {both / true:.3f}, F1 {2 * both / (found + true):.3f}"
+        error = f"error {100 * np.mean(self.errors):.2f}, " if self.errors else ""
+        return f"{error}precision {both / found:.3f}, recall {both / true:.3f}, F1 {2 * both / (found + true):.3f}"
 
 
 def main() -> None:
-    """Score the cuts."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    """Score the parts, pair by pair."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--kind", default="cuts", choices=("cuts", "holes"))
-    parser.add_argument("--every", type=int, default=8, help="take every so many-th shape")
+    parser.add_argument("--names", default="*", help="pattern of the parts' names")
+    parser.add_argument("--every", type=int, default=1, help="take every so many-th of them")
     arguments = parser.parse_args()
     operators = OperatorCache.default().operators
     matcher = Matcher.from_weights(arguments.weights, operators=operators) if arguments.weights else Matcher()
     scores = {"true map": Score(), "own map, mesh": Score(), "own map, cloud": Score()}
-    for file in sorted((arguments.data / arguments.kind).glob("*.off"))[:: arguments.every]:
-        complete = read_shape(arguments.data / "null" / f"{file.stem.split('_')[1]}.off")
+    files = [
+        file for file in sorted((arguments.data / arguments.kind).glob("*.off")) if fnmatch(file.stem, arguments.names)
+    ]
+    for file in files[:: arguments.every]:
+        part, complete = read_shape(file), read_shape(arguments.data / "null" / f"{file.stem.split('_')[1]}.off")
         positions, nearest = true_positions(complete, file.with_suffix(".baryc_gt"))
         truth = has_counterpart(complete, positions)
         whole = matcher.operators(complete)
-        part = matcher.operators(read_shape(file), length=whole.length)
-        scores["true map"].add(covered(whole, part, torch.from_numpy(nearest)).numpy(), truth)
-        found = matcher.match(complete, read_shape(file), partial="target")
-        scores["own map, mesh"].add(found.source_to_target >= 0, truth)
-        found = matcher.match(complete, read_shape(file), partial="target", as_cloud="both")
-        scores["own map, cloud"].add(found.source_to_target >= 0, truth)
+        true_counterparts = covered(whole, matcher.operators(part, length=whole.length), torch.from_numpy(nearest))
+        scores["true map"].add(true_counterparts.numpy(), truth)
+        for modality, as_cloud in MODALITIES.items():
+            found = matcher.match(complete, part, partial="target", as_cloud=as_cloud)
+            score = scores[f"own map, {modality}"]
+            score.add(found.source_to_target >= 0, truth)
+            score.errors.append(float(geodesic_errors(complete, nearest, found.target_to_source).mean()))
         print(file.stem, {name: str(score) for name, score in scores.items()}, flush=True)
     for name, score in scores.items():
         print(f"{name}: {score}")
