@@ -27,7 +27,6 @@ from homolog.maps import covered
 from homolog.matching import AsCloud, Matcher
 from homolog.shapes import Shape, read_shape
 
-
 MODALITIES: dict[str, AsCloud | None] = {"mesh": None, "cloud": "both"}
 
 
