@@ -1,0 +1,128 @@
+"""Rays from one centre through an image: which triangle each meets first, and what they see.
+
+Triangles and rays meet in the image, where a triangle is a triangle again and a ray a point. A grid of cells tells
+which rays may lie in a triangle's bounding box; three signs tell which meet it. There is no tree and no tolerance: a
+ray that runs through an edge meets both of the triangles there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+# Cells along each side of the image per square root of the number of triangles, and at most.
+_CELLS, _MOST_CELLS = 2.0, 1024
+# What lies deeper than the first hit by less than this share of its depth is that hit, but for rounding.
+_SAME_DEPTH = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What rays meet first.
+
+    Args:
+        triangles: index of the triangle that each ray meets (r,), the lowest of several at one depth; -1 for none.
+        weights: barycentric weights of the place in it (r, 3); zero for none.
+        depths: how deep it lies along the viewing direction (r,); infinite for none.
+    """
+
+    triangles: Int[np.ndarray, " r"]
+    weights: Float[np.ndarray, "r 3"]
+    depths: Float[np.ndarray, " r"]
+
+
+def first_hits(corners: Float[np.ndarray, "m 3 3"], image: Float[np.ndarray, "r 2"]) -> Hits:
+    """What the rays from the origin through (u, v, 1) meet first, from either side.
+
+    Triangles that the origin sees from the edge, or that have no area, are met by no ray.
+
+    Args:
+        corners: of each triangle, in coordinates of the viewer, whose third is the depth; all depths are positive.
+        image: u and v of each ray.
+    """
+    rays, triangles = _candidates(image, corners[:, :, :2] / corners[:, :, 2:])
+    volumes = _volumes(corners, image, rays, triangles)
+    met = ((volumes >= 0).all(axis=1) | (volumes <= 0).all(axis=1)) & (volumes != 0).any(axis=1)
+    rays, triangles, volumes = rays[met], triangles[met], volumes[met]
+    weights = volumes / volumes.sum(axis=1, keepdims=True)
+    depths = np.einsum("hk,hk->h", weights, corners[triangles, :, 2])
+    first = _first(rays, depths)
+    return _filled(len(image), rays[first], triangles[first], weights[first], depths[first])
+
+
+def visible(corners: Float[np.ndarray, "m 3 3"], points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which points the origin sees: no triangle lies before them. Points may lie on triangles, in the same frame."""
+    hits = first_hits(corners, points[:, :2] / points[:, 2:])
+    seen: np.ndarray = points[:, 2] <= hits.depths * (1 + _SAME_DEPTH)
+    return seen
+
+
+def _candidates(
+    image: Float[np.ndarray, "r 2"], outlines: Float[np.ndarray, "m 3 2"]
+) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
+    """Pairs of a ray and a triangle near whose bounding box it lies, ordered by triangle."""
+    low, high = outlines.min(axis=1), outlines.max(axis=1)
+    origin, corner = low.min(axis=0), high.max(axis=0)
+    n = min(int(_CELLS * np.sqrt(len(outlines))) + 1, _MOST_CELLS)
+    scale = n / np.maximum(corner - origin, np.finfo(float).tiny)
+
+    def cell(at: Float[np.ndarray, "k 2"]) -> Int[np.ndarray, "k 2"]:
+        places: np.ndarray = np.clip((at - origin) * scale, 0, n - 1).astype(np.int64)
+        return places
+
+    (inside,) = np.nonzero(((image >= origin) & (image <= corner)).all(axis=1))
+    number = cell(image[inside]) @ [1, n]
+    by_cell = inside[np.argsort(number, kind="stable")]
+    # The rays in cells next to each other in a row lie next to each other in `by_cell`.
+    starts = np.searchsorted(np.sort(number), np.arange(n * n + 1))
+    first, last = cell(low), cell(high)
+    triangle, row = _runs(last[:, 1] - first[:, 1] + 1)
+    row = n * (row + first[triangle, 1])
+    begin, end = starts[row + first[triangle, 0]], starts[row + last[triangle, 0] + 1]
+    run, place = _runs(end - begin)
+    return by_cell[begin[run] + place], triangle[run]
+
+
+def _runs(lengths: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t"]]:
+    """Runs of so many entries, one after the other: for each entry its run, and its place in it."""
+    run = np.repeat(np.arange(len(lengths)), lengths)
+    begins = np.cumsum(lengths) - lengths
+    return run, np.arange(len(run)) - begins[run]
+
+
+def _volumes(
+    corners: Float[np.ndarray, "m 3 3"],
+    image: Float[np.ndarray, "r 2"],
+    rays: Int[np.ndarray, " c"],
+    triangles: Int[np.ndarray, " c"],
+) -> Float[np.ndarray, "c 3"]:
+    """Six times the volume between the ray and each edge: of one sign where the ray meets the triangle.
+
+    Two triangles see an edge from opposite ends, and find exactly opposite numbers: no ray slips through between.
+    """
+    u, v = image[rays].T
+    volumes = np.empty((len(rays), 3))
+    for corner in range(3):
+        x, y, z = np.cross(corners[:, corner - 2], corners[:, corner - 1]).T
+        volumes[:, corner] = u * x[triangles] + v * y[triangles] + z[triangles]
+    return volumes
+
+
+def _first(rays: Int[np.ndarray, " h"], depths: Float[np.ndarray, " h"]) -> Int[np.ndarray, " f"]:
+    """Index of the first hit of each ray that has any; the earliest of those at one depth."""
+    order = np.lexsort((depths, rays))
+    return order[np.flatnonzero(np.diff(rays[order], prepend=-1))]
+
+
+def _filled(
+    n_rays: int,
+    rays: Int[np.ndarray, " f"],
+    triangles: Int[np.ndarray, " f"],
+    weights: Float[np.ndarray, "f 3"],
+    depths: Float[np.ndarray, " f"],
+) -> Hits:
+    hits = Hits(np.full(n_rays, -1), np.zeros((n_rays, 3)), np.full(n_rays, np.inf))
+    hits.triangles[rays], hits.weights[rays], hits.depths[rays] = triangles, weights, depths
+    return hits
