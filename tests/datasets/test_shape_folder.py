@@ -123,6 +123,11 @@ def message(call):
     return str(caught.value)
 
 
+def test_parts_lack_some_common_points(folder):
+    (folder / "corres" / "a.vts").write_text("5\n-1\n7\n")
+    assert ShapeFolder.open(folder).common_points("a").tolist() == [4, -1, 6]
+
+
 @pytest.mark.parametrize("root", ["nowhere", "."])
 def test_no_shapes(tmp_path, root):
     said = message(lambda: ShapeFolder.open(tmp_path / root))

@@ -474,6 +474,24 @@ def test_ground_truth_at_a_point_that_is_nowhere(soiled_folder):
     assert "\n" not in str(caught.value)
 
 
+def test_common_points_that_a_part_lacks_are_not_scored(family, tmp_path):
+    """Ten lines of one shape and five others of the other are none: 75 of 90 points are scored, as in the whole."""
+    root = copied(family, tmp_path)
+    whole = evaluate(Stub(family.truth), ShapeFolder.open(root), Protocol(split="all", pairs_file=root / "pairs.txt"))
+    for name, lacking in (("a", range(10)), ("b", range(40, 45))):
+        lines = (root / "corres" / f"{name}.vts").read_text().split()
+        (root / "corres" / f"{name}.vts").write_text(
+            "\n".join("-1" if i in lacking else x for i, x in enumerate(lines))
+        )
+    found = evaluate(Stub(family.truth), ShapeFolder.open(root), Protocol(split="all", pairs_file=root / "pairs.txt"))
+    kept = np.setdiff1d(np.arange(90), [*range(10), *range(40, 45)])
+    by_pair = {pair.pair: pair for pair in found.pairs}
+    for pair in whole.pairs:
+        if pair.pair in (("a", "b"), ("b", "a")):
+            assert np.array_equal(by_pair[pair.pair].errors, pair.errors[kept])
+    assert found.unmatched_points == 0
+
+
 def test_unequal_numbers_of_lines(family, tmp_path):
     root = copied(family, tmp_path)
     (root / "corres" / "b.vts").write_text("1\n" * 89)

@@ -28,9 +28,10 @@ _TEST_SHAPES = 20
 class ShapeFolder:
     """Shapes in correspondence on disk.
 
-    Line i of every ``corres/NAME.vts`` holds the 1-based index of the vertex of NAME nearest to the i-th common point.
-    Splits are ``train.txt`` and ``test.txt``, a name a line; without them the last 20 shapes in name order are the test
-    set, or all of them where ``pairs.txt`` lists the pairs. ``pairs.txt`` holds ``source,target`` a line.
+    Line i of every ``corres/NAME.vts`` holds the 1-based index of the vertex of NAME nearest to the i-th common point;
+    -1 where NAME, a part, lacks it. Splits are ``train.txt`` and ``test.txt``, a name a line; without them the
+    last 20 shapes in name order are the test set, or all of them where ``pairs.txt`` lists the pairs. ``pairs.txt``
+    holds ``source,target`` a line.
 
     Args:
         root: the folder.
@@ -64,7 +65,7 @@ class ShapeFolder:
         return read_shape(self.root / "off" / f"{name}.off")
 
     def common_points(self, name: str) -> Int[np.ndarray, " p"]:
-        """0-based vertex index of each common point.
+        """0-based vertex index of each common point; -1 for those that the shape does not have.
 
         Raises:
             DataError: if the file does not hold positive whole numbers, one a line.
@@ -76,9 +77,9 @@ class ShapeFolder:
                 indices = np.loadtxt(path, dtype=np.int64, ndmin=1)
         except (OSError, ValueError, OverflowError, Warning) as error:
             raise DataError(f"{path} must hold a vertex number a line ({error})") from None
-        if indices.ndim != 1 or indices.size == 0 or indices.min() < 1:
-            raise DataError(f"{path} must hold a vertex number a line, counted from 1")
-        return indices - 1
+        if indices.ndim != 1 or indices.size == 0 or np.any((indices < 1) & (indices != -1)):
+            raise DataError(f"{path} must hold a vertex number a line, counted from 1, or -1 for none")
+        return np.where(indices < 0, -1, indices - 1)
 
     def split(self, split: Split) -> tuple[str, ...]:
         """The names of the shapes in a split.

@@ -200,7 +200,8 @@ class _Run:
                 f"{self.folder.root / 'corres' / name}.vts names vertex {points.max() + 1}, "
                 f"but the shape has {self.shapes[name].n_points}"
             )
-        nowhere = points[~np.isfinite(self.shapes[name].points[points]).all(axis=1)]
+        there = points[points >= 0]
+        nowhere = there[~np.isfinite(self.shapes[name].points[there]).all(axis=1)]
         if len(nowhere):
             raise DataError(
                 f"{self.folder.root / 'corres' / name}.vts names vertex {nowhere[0] + 1}, which is NaN or infinite; "
@@ -235,8 +236,9 @@ class _Run:
         source, target = pair
         self._tick(f"{source} - {target}")
         found = self.match(prepared[self._variant(source, "source")], prepared[self._variant(target, "target")])
-        at = self.truth[target]
-        return _Queries(pair, self.truth[source], found.target_to_source[at], found.target_confidence[at])
+        both = (self.truth[source] >= 0) & (self.truth[target] >= 0)
+        at = self.truth[target][both]
+        return _Queries(pair, self.truth[source][both], found.target_to_source[at], found.target_confidence[at])
 
     def _errors(self, queries: list[_Queries]) -> list[PairErrors]:
         """Geodesic errors, each source shape's distances searched for all its pairs at once."""

@@ -3,6 +3,7 @@
 from homolog.synthesis.degradation import add_outliers, thin
 from homolog.synthesis.part import Part
 from homolog.synthesis.parts import cut, pierce
+from homolog.synthesis.view_set import write_view_set
 from homolog.synthesis.views import Camera, View, ViewSettings, drawn_camera, view, view_from
 
 __all__ = [
@@ -17,4 +18,5 @@ __all__ = [
     "thin",
     "view",
     "view_from",
+    "write_view_set",
 ]

@@ -11,18 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from homolog.datasets import Pair, ShapeFolder
+from homolog.datasets import Pair, ShapeFolder, mesh_files
 from homolog.errors import DataError
 from homolog.files import expanded
-from homolog.shapes import READABLE, Shape, read_shape
+from homolog.shapes import Shape, read_shape
 from homolog.training.recipe import DataSettings, Recipe
 
 # What tells the choices at random from one another that are made with the recipe's seed.
 _HELD_OUT, _VALIDATION = 0, 1
-
-# Suffixes of files that hold points alone, or anything at all.
-_NO_MESHES = (".xyz", ".txt", ".csv", ".npy", ".npz", ".pcd")
-_MESHES = tuple(suffix for suffix in READABLE if suffix not in _NO_MESHES)
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ def _complete_and_other_files(root: Path, recipe: Recipe) -> tuple[dict[str, Pat
         complete, parts = root / recipe.partial.complete, root / recipe.partial.parts
         if not parts.is_dir():
             raise DataError(f"{root} has complete shapes, but no {recipe.partial.parts!r}; change [partial] parts")
-        return _apart(_meshes(complete), _meshes(parts))
+        return _apart(mesh_files(complete), mesh_files(parts))
     return {}, _split_files(root, recipe.data)
 
 
@@ -104,21 +100,10 @@ def _apart(complete: dict[str, Path], parts: dict[str, Path]) -> tuple[dict[str,
 
 def _split_files(root: Path, settings: DataSettings) -> dict[str, Path]:
     if not (root / "off").is_dir():
-        return _meshes(root)
-    files = _meshes(root / "off")
+        return mesh_files(root)
+    files = mesh_files(root / "off")
     names = ShapeFolder(root, tuple(sorted(files))).split(settings.split)
     return {name: files[name] for name in names}
-
-
-def _meshes(folder: Path) -> dict[str, Path]:
-    found = sorted(path for path in folder.glob("[!.]*") if path.suffix.lower() in _MESHES)
-    files = {path.stem: path for path in found}
-    if not files:
-        raise DataError(f"{folder}: no meshes; put files there whose suffix is one of {', '.join(_MESHES)}")
-    if len(files) < len(found):
-        twice = next(path for path in found if files[path.stem] != path)
-        raise DataError(f"{folder}: {twice.name} and {files[twice.stem].name} have one name; keep one of them")
-    return files
 
 
 def _left_out(name: str, settings: DataSettings) -> bool:
@@ -137,7 +122,7 @@ def _listed_pairs(root: Path, names: Sequence[str], complete: dict[str, Path], r
         return tuple((_partner(name, complete), name) for name in names)
     if recipe.partial is None or not (root / "pairs.txt").is_file():
         return ()
-    every = tuple(sorted(_meshes(root / "off" if (root / "off").is_dir() else root)))
+    every = tuple(sorted(mesh_files(root / "off" if (root / "off").is_dir() else root)))
     kept = tuple(pair for pair in ShapeFolder(root, every).pairs("all") if set(names).issuperset(pair))
     if not kept:
         raise DataError(f"{root / 'pairs.txt'} lists no pair of shapes that are trained on; leave fewer of them out")

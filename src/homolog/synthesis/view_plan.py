@@ -1,0 +1,112 @@
+"""What a set of views is to have: which bodies are trained on and tested with, and which view shows which of them."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from homolog.datasets import ShapeFolder, mesh_files
+from homolog.errors import DataError
+from homolog.files import expanded, sha256
+
+SetSplit = Literal["train", "test"]
+
+# Every so many-th view is for testing, seen on bodies that are in no view for training.
+TEST_EVERY = 5
+
+# What tells the choices at random from one another that are made with one seed.
+_SPLIT, _ORDER, _PARTNER = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class PlannedView:
+    """One view that a set is to have.
+
+    Args:
+        name: of its files.
+        split: whether it is trained on or tested with.
+        own: the complete shape that is looked at.
+        complete: the complete shape that the view is paired with, of the same split; perhaps its own.
+        seed: of its camera and its noise.
+    """
+
+    name: str
+    split: SetSplit
+    own: str
+    complete: str
+    seed: int
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """The complete shapes in a folder.
+
+    Args:
+        files: by name.
+        splits: names of those that are trained on and tested with.
+        truth_root: the folder whose ``corres/`` has the common points of all of them, if it does.
+    """
+
+    files: dict[str, Path]
+    splits: dict[SetSplit, tuple[str, ...]]
+    truth_root: Path | None
+
+    @classmethod
+    def open(cls, source: str | Path, *, seed: int) -> Bodies:
+        """Look into a folder with ``off/`` and perhaps ``corres/``, or any folder of meshes; the seed is the split's.
+
+        Raises:
+            DataError: if it has fewer than two meshes, names that lists cannot hold, or splits that share a shape.
+        """
+        root = expanded(source)
+        if not root.is_dir():
+            raise DataError(f"{source}: there is no such folder; give one that holds meshes")
+        files = mesh_files(root / "off" if (root / "off").is_dir() else root)
+        _check_names(root, tuple(files))
+        folder = ShapeFolder(root, tuple(files))
+        known = all((root / "corres" / f"{name}.vts").is_file() for name in files)
+        return cls(files, _splits(folder, seed), root if known else None)
+
+    def described(self) -> dict[str, dict[str, str]]:
+        """Split and hash of each file."""
+        return {
+            name: {"split": split, "sha256": sha256(self.files[name])}
+            for split, names in self.splits.items()
+            for name in sorted(names)
+        }
+
+
+def _check_names(root: Path, names: Sequence[str]) -> None:
+    if len(names) < 2:
+        raise DataError(f"{root} has {len(names)} mesh, but it takes 2, one to train on and one to test; add others")
+    for name in names:
+        if re.search(r"[\s,]", name) or re.fullmatch(r"view_\d{6}", name):
+            raise DataError(f"{root}: the name {name!r} has a blank or a comma, or is a view's; rename the file")
+
+
+def _splits(folder: ShapeFolder, seed: int) -> dict[SetSplit, tuple[str, ...]]:
+    if (folder.root / "train.txt").is_file() and (folder.root / "test.txt").is_file():
+        train, test = folder.split("train"), folder.split("test")
+        if shared := sorted({*train} & {*test}):
+            raise DataError(f"{folder.root}: {shared[0]!r} is in train.txt and in test.txt; take it out of one")
+        return {"train": train, "test": test}
+    names = [folder.names[place] for place in np.random.default_rng([seed, _SPLIT]).permutation(len(folder.names))]
+    n_test = max(round(len(names) / TEST_EVERY), 1)
+    return {"train": tuple(names[n_test:]), "test": tuple(names[:n_test])}
+
+
+def planned_view(bodies: Bodies, number: int, *, seed: int) -> PlannedView:
+    """The view with this number, whatever others there are. The bodies of a split take turns, in a drawn order."""
+    split: SetSplit = "test" if number % TEST_EVERY == TEST_EVERY - 1 else "train"
+    names = bodies.splits[split]
+    turn = number // TEST_EVERY if split == "test" else number - number // TEST_EVERY
+    own = np.random.default_rng([seed, _ORDER]).permutation(len(names))[turn % len(names)]
+    complete = np.random.default_rng([seed, _PARTNER, number]).integers(len(names))
+    name = f"view_{number:06d}"
+    return PlannedView(name, split, names[own], names[complete], zlib.crc32(f"{seed} {name}".encode()))

@@ -1,0 +1,50 @@
+"""Doing many tasks, one by one or in several processes."""
+
+from __future__ import annotations
+
+import itertools
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+from homolog.steps import Progress
+
+# A name to show, and what to do; several processes need functions that can be pickled.
+Task = tuple[str, Callable[[], None]]
+
+
+def work_off(phases: Sequence[Sequence[Task]], *, processes: int, progress: Progress) -> None:
+    """Do all tasks of a phase, in any order, before those of the next.
+
+    On an error or an interrupt no further task begins.
+    """
+    names = [name for tasks in phases for name, _ in tasks]
+    functions = [[function for _, function in tasks] for tasks in phases]
+    done = itertools.chain.from_iterable(map(_each, functions)) if processes == 1 else _shared(functions, processes)
+    for number, name in enumerate(names):
+        progress(number, len(names), name)
+        next(done)
+    progress(len(names), len(names), "done")
+
+
+def _each(functions: Sequence[Callable[[], None]]) -> Iterator[None]:
+    return map(_call, functions)
+
+
+def _shared(phases: Sequence[Sequence[Callable[[], None]]], processes: int) -> Iterator[None]:
+    # Processes that are forked from one with threads, as PyTorch has, may hang.
+    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_parent)
+    try:
+        for functions in phases:
+            yield from pool.map(_call, functions)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _leave_interrupts_to_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _call(function: Callable[[], None]) -> None:
+    function()
