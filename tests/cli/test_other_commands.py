@@ -314,9 +314,9 @@ def test_demo_fails_if_the_maps_are_bad(homolog, tmp_path, monkeypatch):
     assert "something is wrong" in ended.err
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", [*COMMANDS, "synth views", "synth part"])
 def test_help_shows_an_example(homolog, command):
-    ended = homolog(command, "--help")
+    ended = homolog(*command.split(), "--help")
     assert (ended.code, ended.err) == (0, "")
     assert re.search(f"Usage: .*homolog {command}", ended.out)
     assert "Example" in ended.out
@@ -326,7 +326,7 @@ def test_help_shows_an_example(homolog, command):
 def test_help_names_every_command(homolog):
     ended = homolog("--help")
     assert ended.code == 0
-    for command in COMMANDS:
+    for command in [*COMMANDS, "synth"]:
         assert f" {command} " in ended.out
 
 

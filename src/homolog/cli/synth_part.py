@@ -1,0 +1,67 @@
+"""``homolog synth part``: a part of one shape, with the way back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import typer
+
+from homolog.cli.options import Quiet
+from homolog.errors import ArgumentError
+from homolog.files import all_or_nothing, atomic_path, expanded
+from homolog.shapes import Repaired, Shape, read_shape, repair, write_shape
+from homolog.synthesis import Part, cut, pierce, view
+
+Kind = Literal["cut", "holes", "view"]
+
+
+def part(
+    file: Annotated[Path, typer.Argument(help="A complete mesh in any format.", show_default=False)],
+    kind: Annotated[Kind, typer.Option(help="What takes the rest away: a plane, discs, or what a camera cannot see.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="A folder.")] = Path("part"),
+    seed: Annotated[int, typer.Option(help="Of all that is drawn.", min=0)] = 0,
+    quiet: Quiet = False,
+) -> None:
+    """Make a part of a mesh, and the indices that lead back to it.
+
+    Writes DIR/part.ply and DIR/part.npz, whose complete_index holds for each point of the part the point of FILE that
+    it is. A view (of a shape that stands +y up) also gives what a depth camera takes, DIR/cloud.ply and DIR/cloud.npz:
+    there complete_index is the nearest corner, and corners and weights tell the exact place.
+
+    Examples:
+      homolog synth part horse.ply --kind cut --seed 3 -o half_a_horse
+
+      homolog synth part body.off --kind view -o scan
+    """
+    repaired = repair(read_shape(file))
+    parts = _parts(repaired.shape, kind, seed)
+    place = expanded(output)
+    if place.exists() and not place.is_dir():
+        raise ArgumentError(f"{output} is a file, but must be a folder; give another -o")
+    place.mkdir(parents=True, exist_ok=True)
+    with all_or_nothing():
+        for name, made in parts.items():
+            write_shape(place / f"{name}.ply", made.shape)
+            with atomic_path(place / f"{name}.npz") as temporary:
+                np.savez_compressed(temporary, allow_pickle=False, **_way_back(made, repaired))
+    if not quiet:
+        typer.echo(output)
+
+
+def _parts(shape: Shape, kind: Kind, seed: int) -> dict[str, Part]:
+    """What is to be written, by the names of the files."""
+    if kind == "view":
+        seen = view(shape, seed=seed)
+        return {"part": seen.mesh, "cloud": seen.cloud}
+    return {"part": cut(shape, seed=seed) if kind == "cut" else pierce(shape, seed=seed)}
+
+
+def _way_back(made: Part, repaired: Repaired) -> dict[str, np.ndarray]:
+    """Indices of the file's own points, and where points were sampled anew also the corners around them."""
+    arrays = {"complete_index": repaired.original_index(made.complete_index)}
+    if made.triangles is None or made.weights is None or repaired.shape.faces is None:
+        return arrays
+    corners = repaired.original_index(repaired.shape.faces[made.triangles])
+    return {**arrays, "corners": corners, "weights": made.weights}
