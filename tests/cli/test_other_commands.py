@@ -61,6 +61,7 @@ def test_evaluate(homolog, data, tmp_path):
         "split": "test",
         "pairs_file": None,
         "n_pairs": None,
+        "partial": False,
         "noise": 0.0,
         "seed": 0,
     }
@@ -88,15 +89,17 @@ def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
 def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatch):
     adapted = []
 
-    def noted(matcher, *pair):
-        adapted.append((matcher.info.name, pair[-1].steps))
-        return adapt_to_pair(matcher, *pair)
+    def noted(matcher, *pair, partial):
+        adapted.append((matcher.info.name, pair[-1].steps, partial))
+        return adapt_to_pair(matcher, *pair, partial=partial)
 
     monkeypatch.setattr(evaluate_module, "adapt_to_pair", noted)
     options = "-q", "--weights", files.weights, "--adapt", 2, "--json", tmp_path / "adapted.json"
     assert homolog("evaluate", data, *options).code == 0
-    assert adapted == [("untrained", 2)] * 4
+    assert adapted == [("untrained", 2, None)] * 4
     assert json.loads((tmp_path / "adapted.json").read_text())["adapt"] == 2
+    assert homolog("evaluate", data, "--partial", *options).code == 0
+    assert adapted[4:] == [("untrained", 2, "target")] * 4
 
 
 def test_evaluate_on_pairs_drawn_at_random(homolog, data, tmp_path):

@@ -81,3 +81,26 @@ def test_parts_that_cannot_be(homolog, files, tmp_path):
     ended = homolog("synth", "part", files.mesh, "--kind", "cut", "-o", files.mesh)
     assert ended.is_one_line_of_complaint()
     assert homolog("synth", "part", files.mesh, "--kind", "slice").is_one_line_of_complaint()
+
+
+def test_a_set_of_views_is_scored_as_it_is(homolog, make, tmp_path):
+    """Of two views of copies of one blob the axiomatic way finds something; each target is scored where it is seen."""
+    blob = make.blob(3)
+    (tmp_path / "bodies" / "off").mkdir(parents=True)
+    (tmp_path / "bodies" / "corres").mkdir()
+    for name in ("a", "b"):
+        write_shape(tmp_path / "bodies" / "off" / f"{name}.off", blob)
+        lines = "\n".join(map(str, range(1, blob.n_points + 1)))
+        (tmp_path / "bodies" / "corres" / f"{name}.vts").write_text(lines)
+    homolog("synth", "views", tmp_path / "bodies", "-o", tmp_path / "views", "-n", 10)
+    ended = homolog("evaluate", tmp_path / "views", "--partial", "--json", tmp_path / "score.json")
+    assert (ended.code, ended.err) == (0, "") and "partial" in ended.out
+    found = json.loads((tmp_path / "score.json").read_text())
+    assert found["protocol"]["partial"]
+    views = {entry["name"]: entry for entry in json.loads((tmp_path / "views" / "manifest.json").read_text())["views"]}
+    assert len(found["pairs"]) == 2
+    for pair in found["pairs"]:
+        assert pair["points"] == views[pair["target"]]["mesh_points"]
+        assert pair["source"] == views[pair["target"]]["complete"]
+    # A point at random is some 60 away.
+    assert found["mean_geodesic_error"] < 40

@@ -1,6 +1,6 @@
 """The protocol against a direct computation, with matchers that answer what they are told."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from homolog.errors import ArgumentError, DataError
 from homolog.evaluation import Protocol, evaluate, geodesic_errors
 from homolog.geometry import compute_operators
 from homolog.matching import Correspondence, Matcher, MatcherSettings
-from homolog.shapes import Shape, write_shape
+from homolog.shapes import Shape, face_areas, write_shape
 
 BASE_POINTS = 162
 COMMON = {"a": 90, "b": 90, "c": 90, "d": 31, "e": 31}
@@ -86,7 +86,7 @@ class Stub:
 
     def __init__(self, answer, confidence=None):
         self.answer, self.confidence = answer, confidence
-        self.prepared, self.matched = [], []
+        self.prepared, self.matched, self.partial = [], [], []
 
     def prepare(self, shape, *, as_cloud=False, length=None):
         self.prepared.append((shape, as_cloud, length))
@@ -95,8 +95,9 @@ class Stub:
     def route(self, source, target):
         return f"{source}, {target}"
 
-    def match_prepared(self, source, target):
+    def match_prepared(self, source, target, *, partial=None):
         self.matched.append((source.name, target.name))
+        self.partial.append(partial)
         back = np.asarray(self.answer(source.name, target.name))
         confidence = np.ones(len(back)) if self.confidence is None else self.confidence(source.name, target.name)
         nonsense = np.zeros(BASE_POINTS, int)
@@ -472,6 +473,25 @@ def test_ground_truth_at_a_point_that_is_nowhere(soiled_folder):
     with pytest.raises(DataError, match=rf"b\.vts names vertex {BASE_POINTS + 1}, which is NaN or infinite") as caught:
         evaluate(Stub(never), soiled_folder, ALL)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("protocol", [Protocol(split="all", partial=True), replace(TINY, partial=True)])
+def test_a_part_takes_the_scale_of_each_of_its_complete_shapes(family, tmp_path, protocol):
+    root = copied(family, tmp_path)
+    (root / "pairs.txt").write_text("a,b\nc,b\na,c\na,a\n")
+    stub = Stub(family.truth)
+    found = evaluate(stub, ShapeFolder.open(root), protocol)
+    assert np.all(found.errors == 0)
+    assert stub.matched == [("a", "b"), ("c", "b"), ("a", "c"), ("a", "a")]
+    assert stub.partial == ["target"] * 4
+    unit = {name: np.sqrt(face_areas(shape.points, shape.faces).sum()) for name, shape in family.shapes.items()}
+    prepared = [(shape.name.removesuffix(".off"), length) for shape, _, length in stub.prepared]
+    # Without noise a complete shape's own scale is left to the matcher, and source and target a are one.
+    expected = [("a", "a"), ("b", "a"), ("c", "c"), ("b", "c"), ("c", "a"), *([("a", "a")] if protocol.noise else [])]
+    assert [name for name, _ in prepared] == [name for name, _ in expected]
+    for (name, length), (_, scaled_by) in zip(prepared, expected, strict=True):
+        own = name == scaled_by and not protocol.noise
+        assert length is None if own else length == pytest.approx(unit[scaled_by], rel=1e-9)
 
 
 def test_common_points_that_a_part_lacks_are_not_scored(family, tmp_path):

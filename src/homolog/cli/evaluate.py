@@ -30,7 +30,7 @@ from homolog.datasets import ShapeFolder, Split
 from homolog.evaluation import Evaluation, MatchPair, Modalities, Protocol
 from homolog.evaluation import evaluate as evaluate_folder
 from homolog.files import atomic_path
-from homolog.matching import Correspondence, Matcher, Prepared
+from homolog.matching import Correspondence, Matcher, Prepared, Side
 from homolog.training import AdaptationSettings, adapt_to_pair
 from homolog.versions import versions
 
@@ -46,6 +46,9 @@ def evaluate(
     n_pairs: Annotated[
         int | None, typer.Option(help="Draw so many pairs of different shapes at random, by the seed.", min=1)
     ] = None,
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Each target is a part of a shape like its source, in the same units.")
+    ] = False,
     noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the noise, and of the pairs drawn.")] = 0,
     json: Annotated[Path | None, typer.Option(metavar="OUT", help="Also write everything as JSON.")] = None,
@@ -66,6 +69,8 @@ def evaluate(
 
       homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 --n-pairs 20
 
+      homolog evaluate people_views --weights views.safetensors --partial
+
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -76,13 +81,16 @@ def evaluate(
         split=split,
         pairs_file=None if pairs is None else str(pairs),
         n_pairs=n_pairs,
+        partial=partial,
         noise=noise,
         seed=seed,
     )
     matcher = build_matcher(weights, method, device, no_cache=no_cache)
     folder = ShapeFolder.open(data)
     with progress_bar(quiet=quiet) as progress:
-        evaluation = evaluate_folder(matcher, folder, protocol, match=_match_by(matcher, adapt), progress=progress)
+        evaluation = evaluate_folder(
+            matcher, folder, protocol, match=_match_by(matcher, adapt, partial=partial), progress=progress
+        )
     if json is not None:
         report = {
             **evaluation.to_dict(),
@@ -99,22 +107,26 @@ def evaluate(
         Console().print(_table(evaluation, folder, protocol))
 
 
-def _match_by(matcher: Matcher, steps: int) -> MatchPair:
+def _match_by(matcher: Matcher, steps: int, *, partial: bool) -> MatchPair | None:
     """How a pair is matched: as it is, or after the network is adapted to it."""
     if not steps:
-        return matcher.match_prepared
+        return None
+    side: Side | None = "target" if partial else None
 
     def match(source: Prepared, target: Prepared) -> Correspondence:
-        adapted, *pair = adapt_to_pair(matcher, source, target, AdaptationSettings(steps=steps))
-        return adapted.match_prepared(*pair)
+        adapted, *pair = adapt_to_pair(matcher, source, target, AdaptationSettings(steps=steps), partial=side)
+        return adapted.match_prepared(*pair, partial=side)
 
     return match
 
 
 def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> Table:
     found = evaluation.to_dict()
+    partial = ", partial" if protocol.partial else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
-    table = Table(title=f"{folder.root.name}, {protocol.modality}{noise}", show_header=False, title_justify="left")
+    table = Table(
+        title=f"{folder.root.name}, {protocol.modality}{partial}{noise}", show_header=False, title_justify="left"
+    )
     table.add_row("mean geodesic error x100", f"{found['mean_geodesic_error']:.2f}")
     table.add_row("median geodesic error x100", f"{found['median_geodesic_error']:.2f}")
     table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")

@@ -7,6 +7,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -21,6 +22,11 @@ from homolog.shapes import Shape, add_noise, repair
 from homolog.steps import Progress, unheard
 
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
+Role = Literal["source", "target"]
+
+_ROLES: tuple[Role, Role] = ("source", "target")
+# Name, role if that matters, whether it is a cloud, and whose scale it takes if not its own.
+_Variant = tuple[str, str, bool, str]
 
 # Gives the maps of two prepared shapes.
 MatchPair = Callable[[Prepared, Prepared], Correspondence]
@@ -35,6 +41,7 @@ class Protocol:
         split: which shapes.
         pairs_file: a list of pairs to use instead of the split's.
         n_pairs: how many of the pairs to draw at random, none of a shape with itself; by default all are used.
+        partial: whether each target is a part of a shape like its source, in the same units; it takes its scale then.
         noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
             on source and target.
         seed: of the noise, and of the pairs drawn.
@@ -44,6 +51,7 @@ class Protocol:
     split: Split = "test"
     pairs_file: str | None = None
     n_pairs: int | None = None
+    partial: bool = False
     noise: float = 0.0
     seed: int = 0
 
@@ -55,7 +63,7 @@ class Protocol:
         if self.noise and self.modality == "mesh":
             raise ArgumentError("noise is for clouds, but modality is 'mesh'; use 'cloud', or leave noise at 0")
 
-    def is_cloud(self, role: Literal["source", "target"]) -> bool:
+    def is_cloud(self, role: Role) -> bool:
         """Whether the shapes in this role lose their faces."""
         source, _, target = self.modality.partition("-to-")
         return (source if role == "source" else target or source) == "cloud"
@@ -123,9 +131,9 @@ def evaluate(
 ) -> Evaluation:
     """Match every pair of a folder and measure the maps against its ground truth.
 
-    Each shape's operators and features are computed once. ``match`` makes the maps of a prepared pair; by default
-    ``matcher.match_prepared``. A shape's scale is that of its repaired mesh, before any
-    noise is added and any face dropped, as the published protocol has it.
+    Each shape's operators and features are computed once, those of a part once for each complete shape. ``match`` makes
+    the maps of a prepared pair; by default ``matcher.match_prepared``. A shape's scale is that of its repaired mesh,
+    before any noise is added and any face dropped, as the published protocol has it.
 
     Raises:
         ArgumentError: if more pairs are to be drawn than there are.
@@ -134,7 +142,8 @@ def evaluate(
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     if protocol.n_pairs is not None:
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
-    run = _Run(matcher, folder, protocol, pairs, match or matcher.match_prepared, progress or unheard)
+    match = match or (partial(matcher.match_prepared, partial="target") if protocol.partial else matcher.match_prepared)
+    run = _Run(matcher, folder, protocol, pairs, match, progress or unheard)
     return run.evaluation()
 
 
@@ -165,8 +174,7 @@ class _Run:
         self.truth = {name: self._common_points(name) for name in names}
         for pair in pairs:
             self._check_lines(*pair)
-        roles = dict.fromkeys((self._variant(name, role), name, role) for s, t in pairs for name, role in _roles(s, t))
-        self.to_prepare = {variant: (name, role) for variant, name, role in roles}
+        self.to_prepare = {self._variant(pair, role): (pair, role) for pair in pairs for role in _ROLES}
         self.total = len(self.to_prepare) + len(pairs)
         self.done = 0
 
@@ -188,8 +196,8 @@ class _Run:
             "measure": time.perf_counter() - measured,
             "total": time.perf_counter() - began,
         }
-        first = prepared[self._variant(self.pairs[0][0], "source")], prepared[self._variant(self.pairs[0][1], "target")]
-        route = self.matcher.route(first[0].modality, first[1].modality)
+        source, target = (prepared[self._variant(self.pairs[0], role)] for role in _ROLES)
+        route = self.matcher.route(source.modality, target.modality)
         unmatched = sum(len(query.mapped) - len(pair.errors) for query, pair in zip(queries, errors, strict=True))
         return Evaluation(tuple(errors), route, unmatched, seconds)
 
@@ -217,25 +225,35 @@ class _Run:
                 "every .vts file of a set must have the same number of lines"
             )
 
-    def _variant(self, name: str, role: Literal["source", "target"]) -> tuple[str, str, bool]:
-        """What tells preparations apart: noise makes source and target of one name two different clouds."""
-        cloud = self.protocol.is_cloud(role)
-        return name, role if cloud and self.protocol.noise else "", cloud
+    def _variant(self, pair: Pair, role: Role) -> _Variant:
+        """What tells preparations apart: noise makes source and target of one name two clouds, scale a part several."""
+        cloud, partner = self.protocol.is_cloud(role), self._scaled_by(pair, role)
+        name = _in_role(pair, role)
+        return name, role if cloud and self.protocol.noise else "", cloud, "" if partner == name else partner
 
-    def _prepare(self, name: str, role: Literal["source", "target"]) -> Prepared:
+    def _scaled_by(self, pair: Pair, role: Role) -> str:
+        """Whose scale a shape takes: its own, but a part its complete partner's."""
+        return pair[0] if self.protocol.partial else _in_role(pair, role)
+
+    def _prepare(self, pair: Pair, role: Role) -> Prepared:
+        name, scaled_by, cloud = _in_role(pair, role), self._scaled_by(pair, role), self.protocol.is_cloud(role)
         self._tick(name)
-        shape, cloud = self.shapes[name], self.protocol.is_cloud(role)
+        shape = self.shapes[name]
         if not (cloud and self.protocol.noise):
-            return self.matcher.prepare(shape, as_cloud=cloud)
-        length = unit_frame(repair(shape).shape).length
+            length = None if scaled_by == name else self._length(scaled_by)
+            return self.matcher.prepare(shape, as_cloud=cloud, length=length)
+        length = self._length(scaled_by)
         seed = zlib.crc32(f"{self.protocol.seed} {name} {role}".encode())
         noisy = add_noise(shape, self.protocol.noise * length, seed=seed)
         return self.matcher.prepare(noisy, as_cloud=True, length=length)
 
-    def _match(self, pair: Pair, prepared: dict[tuple[str, str, bool], Prepared]) -> _Queries:
+    def _length(self, name: str) -> float:
+        return unit_frame(repair(self.shapes[name]).shape).length
+
+    def _match(self, pair: Pair, prepared: dict[_Variant, Prepared]) -> _Queries:
         source, target = pair
         self._tick(f"{source} - {target}")
-        found = self.match(prepared[self._variant(source, "source")], prepared[self._variant(target, "target")])
+        found = self.match(*(prepared[self._variant(pair, role)] for role in _ROLES))
         both = (self.truth[source] >= 0) & (self.truth[target] >= 0)
         at = self.truth[target][both]
         return _Queries(pair, self.truth[source][both], found.target_to_source[at], found.target_confidence[at])
@@ -261,8 +279,8 @@ class _Run:
         self.done += 1
 
 
-def _roles(source: str, target: str) -> tuple[tuple[str, Literal["source"]], tuple[str, Literal["target"]]]:
-    return (source, "source"), (target, "target")
+def _in_role(pair: Pair, role: Role) -> str:
+    return pair[_ROLES.index(role)]
 
 
 def geodesic_errors(
