@@ -1,6 +1,7 @@
 """A set of views on disk: who is paired with whom, what leads back to whom, and that it can be gone on with."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from homolog.errors import ArgumentError, DataError
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.synthesis import ViewSettings, view, view_set, write_view_set
 from homolog.training.data import TrainingSet
-from homolog.training.recipe import recipe_from
+from homolog.training.recipe import read_recipe
 
 SMALL = ViewSettings(pixels=(30, 40))
 N_BODIES, N_VIEWS = 6, 15
@@ -111,8 +112,8 @@ def test_common_points_of_views(written):
 
 
 def test_a_training_takes_the_set_as_it_is(written):
-    recipe = recipe_from({"partial": {}, "validation": {"shapes": 0}}, "test")
-    found = TrainingSet.open(written, recipe)
+    recipe = read_recipe("views")
+    found = TrainingSet.open(written, replace(recipe, validation=replace(recipe.validation, shapes=0)))
     entries = [entry for entry in manifest(written)["views"] if entry["split"] == "train"]
     assert found.pairs == tuple((entry["complete"], entry["name"]) for entry in entries)
 

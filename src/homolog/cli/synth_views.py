@@ -43,7 +43,7 @@ def views(
     Examples:
       homolog synth views people -n 5000 --seed 1 -o people_views --processes 8
 
-      homolog train my_views.toml --data people_views --out run    # with a section [partial]
+      homolog train views --data people_views --out run
     """
     settings = ViewSettings(distance=distance, elevation=elevation, pixels=pixels, noise=noise)
     with progress_bar(quiet=quiet) as progress:
