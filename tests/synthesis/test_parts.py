@@ -5,7 +5,7 @@ import heapq
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from homolog.errors import ArgumentError, ShapeError
@@ -29,6 +29,7 @@ def is_whole(part, complete):
     return trimesh.Trimesh(part.shape.points, part.shape.faces, process=False).body_count == 1
 
 
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6), removed=st.floats(0.05, 0.85))
 def test_a_cut_leaves_one_side_of_a_plane(make, seed, removed):
     blob = make.blob(3)
@@ -102,6 +103,7 @@ def test_one_hole_is_the_disc_around_a_point(make):
     assert any(np.array_equal(disc, gone) for disc in discs)
 
 
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10**6))
 def test_holes_leave_one_piece(make, seed):
     blob = make.blob(3)

@@ -48,11 +48,12 @@ def test_first_hits_are_those_of_trying_all(n, size):
     assert any(hit is not None for hit in expected)
 
 
-def test_no_ray_slips_through_a_closed_surface(make):
-    """Rays through the very corners and through the middles of edges, where triangles meet."""
+@pytest.mark.parametrize("turn", [1, -1])
+def test_no_ray_slips_through_a_closed_surface(make, turn):
+    """Rays through the very corners and through the middles of edges, where triangles of either turn meet."""
     sphere = make.sphere(3)
     points = sphere.points @ make.rotation(2).T + [0, 0, 3]
-    corners = points[sphere.faces]
+    corners = points[sphere.faces][:, ::turn]
     edges = (corners + np.roll(corners, 1, axis=1)).reshape(-1, 3) / 2
     targets = np.concatenate([points, edges])
     hits = first_hits(corners, targets[:, :2] / targets[:, 2:])

@@ -93,13 +93,13 @@ def test_a_recipe_that_is_not_there(tmp_path):
         read_recipe(tmp_path / "binary.toml")
 
 
-@pytest.mark.parametrize("name", ["faust", "scape", "quick", "cuts", "holes", "people"])
+@pytest.mark.parametrize("name", ["faust", "scape", "quick", "cuts", "holes", "views", "people"])
 def test_shipped_recipes_can_be_read(name):
     recipe = read_recipe(name)
     assert shipped_recipes()[name].stem == name
     assert recipe.name == name
     assert recipe.licence != "unknown"
-    assert (recipe.partial is not None) == (name in ("cuts", "holes"))
+    assert (recipe.partial is not None) == (name in ("cuts", "holes", "views"))
 
 
 def test_every_setting_is_documented():
