@@ -166,6 +166,14 @@ def test_a_folder_holds_one_set(source, written, change):
     assert contents(written) == before
 
 
+@pytest.mark.parametrize("content", ["", "[]", "no JSON", "{}"])
+def test_a_manifest_of_something_else(source, tmp_path, content):
+    (tmp_path / "manifest.json").write_text(content)
+    with pytest.raises(ArgumentError, match="give another folder"):
+        write_view_set(source, tmp_path, views=5, seed=0)
+    assert contents(tmp_path) == {"manifest.json": content.encode()}
+
+
 def test_a_folder_with_other_things_is_left_alone(source):
     before = contents(source)
     with pytest.raises(ArgumentError, match="give a new folder"):

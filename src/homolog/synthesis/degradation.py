@@ -33,7 +33,7 @@ def add_outliers(shape: Shape, *, share: Range = 0.02, distance: float = 0.1, se
         ArgumentError: if ``share`` or ``distance`` is negative.
         ShapeError: if the shape needs repair.
     """
-    check_range("share", share, 0)
+    check_range("share", share, lambda number: number >= 0, "a number of at least 0")
     check_number("distance", distance, 0)
     require_usable(shape)
     random = np.random.default_rng(seed)
@@ -61,7 +61,7 @@ def thin(shape: Shape, *, least: Range = (0.1, 0.5), direction: ArrayLike | None
         ArgumentError: if ``least`` is not from 0 to 1, or ``direction`` no direction.
         ShapeError: if the shape needs repair, or next to nothing is left.
     """
-    check_range("least", least, 0, 1)
+    check_range("least", least, lambda share: 0 <= share <= 1, "a number from 0 to 1")
     require_usable(shape)
     random = np.random.default_rng(seed)
     towards = drawn_direction(random) if direction is None else given_direction("direction", direction)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,18 +16,15 @@ from homolog.errors import bad_value
 Range = float | tuple[float, float]
 
 
-def check_range(name: str, found: Any, low: float, high: float = np.inf, *, open_low: bool = False) -> None:
-    """Refuse what is neither a number from ``low`` to ``high`` nor two of them in order.
+def check_range(name: str, found: Any, allowed: Callable[[float], bool], described: str) -> None:
+    """Refuse what is neither a number that is allowed, nor two of them in order.
 
     Raises:
-        ArgumentError: naming the argument, and what is allowed.
+        ArgumentError: naming the argument, and what is allowed, as ``described``.
     """
     ends = found if isinstance(found, tuple) else (found, found)
-    numbers = len(ends) == 2 and all(map(is_real, ends))
-    if not (numbers and low <= ends[0] <= ends[1] <= high and not (open_low and ends[0] == low)):
-        least = "above" if open_low else "of at least"
-        most = f" and at most {high:g}" if np.isfinite(high) else ""
-        raise bad_value(name, found, f"a number {least} {low:g}{most}, or two of them, the smaller one first")
+    if not (len(ends) == 2 and all(is_real(end) and allowed(end) for end in ends) and ends[0] <= ends[1]):
+        raise bad_value(name, found, f"{described}, or two such numbers, the smaller one first")
 
 
 def check_number(name: str, found: Any, low: float) -> None:

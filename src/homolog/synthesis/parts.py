@@ -36,7 +36,7 @@ def cut(shape: Shape, *, removed: Range = (0.3, 0.6), normal: ArrayLike | None =
         ArgumentError: if ``removed`` is not from 0 to below 1, or ``normal`` no direction.
         ShapeError: if the shape is a cloud or needs repair, or next to nothing is left.
     """
-    check_range("removed", removed, 0, np.nextafter(1, 0))
+    check_range("removed", removed, lambda share: 0 <= share < 1, "a number from 0 to below 1")
     random = np.random.default_rng(seed)
     direction = drawn_direction(random) if normal is None else given_direction("normal", normal)
     wanted = 1 - drawn(removed, random)
@@ -69,7 +69,7 @@ def pierce(shape: Shape, *, holes: int | tuple[int, int] = (5, 20), radius: Rang
     """
     faces = mesh_faces(shape)
     _check_holes(holes, shape.n_points)
-    check_range("radius", radius, 0, open_low=True)
+    check_range("radius", radius, lambda length: length > 0, "a positive number, in units of sqrt(area)")
     random = np.random.default_rng(seed)
     centres = random.choice(shape.n_points, size=drawn_count(holes, random), replace=False)
     radii = np.array([drawn(radius, random) for _ in centres]) * np.sqrt(surface_area(shape))

@@ -82,8 +82,7 @@ def _claim(place: Path, head: dict[str, Any], *, with_truth: bool) -> None:
     """Make the folder, or make sure that it was begun for the same set."""
     manifest = place / MANIFEST
     if manifest.is_file():
-        begun = json.loads(manifest.read_text(encoding="utf-8"))
-        if {key: begun.get(key) for key in head} != head:
+        if not _begins_with(manifest, head):
             raise ArgumentError(f"{place} holds views of other shapes, or by other settings; give another folder")
     elif place.exists() and (not place.is_dir() or any(place.iterdir())):
         raise ArgumentError(f"{place} holds other things; give a new folder")
@@ -91,6 +90,14 @@ def _claim(place: Path, head: dict[str, Any], *, with_truth: bool) -> None:
         (place / name).mkdir(parents=True, exist_ok=True)
     if not manifest.is_file():
         _write_json(manifest, {**head, "views": []})
+
+
+def _begins_with(manifest: Path, head: dict[str, Any]) -> bool:
+    try:
+        begun = json.loads(manifest.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(begun, dict) and {key: begun.get(key) for key in head} == head
 
 
 def _write_body(file: Path, truth_root: Path | None, place: Path) -> None:

@@ -99,8 +99,8 @@ class ViewSettings:
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        check_range("distance", self.distance, 1, open_low=True)
-        check_range("elevation", self.elevation, -89, 89)
+        check_range("distance", self.distance, lambda radii: radii > 1, "a number above 1, in radii of the shape")
+        check_range("elevation", self.elevation, lambda angle: -89 <= angle <= 89, "a number of degrees from -89 to 89")
         check_number("noise", self.noise, 0)
         _check_pixels(self.pixels)
 
