@@ -11,6 +11,7 @@ from homolog.cli.doctor import doctor
 from homolog.cli.evaluate import evaluate
 from homolog.cli.info import info
 from homolog.cli.match import match
+from homolog.cli.synth import synth
 from homolog.cli.train import train
 from homolog.versions import version_of
 
@@ -41,3 +42,4 @@ def homolog(
 
 for command in (match, train, evaluate, info, doctor, demo):
     app.command()(command)
+app.add_typer(synth)

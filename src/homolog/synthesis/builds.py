@@ -13,7 +13,7 @@ PARAMETERS = ("gender", "age", "muscle", "weight", "height", "proportions")
 
 # Quantiles of age and gender at even steps from 0 to 1. Half of the bodies are adults, a sixth each babies to toddlers,
 # children and adolescents; most are clearly male or clearly female.
-_AGES = (0.0, 0.33, 0.6, 0.7, 0.8, 0.9, 1.0)
+_AGES = (0.03, 0.33, 0.6, 0.7, 0.8, 0.9, 1.0)
 _GENDERS = (0.0, 0.05, 0.15, 0.85, 0.95, 1.0)
 
 
@@ -42,3 +42,8 @@ def _golden_ratio(dimensions: int) -> float:
 
 def _quantile(share: float, values: tuple[float, ...]) -> float:
     return float(np.interp(share, np.linspace(0.0, 1.0, len(values)), values))
+
+
+def nearer_the_mean(build: Build, share: float) -> dict[str, float]:
+    """A build between the mean one, at 0, and itself, at 1."""
+    return {name: round(0.5 + share * (value - 0.5), 6) for name, value in build.items()}

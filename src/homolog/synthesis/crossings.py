@@ -11,9 +11,10 @@ from homolog.synthesis.surface import Surface, face_vectors
 _Pairs = Int[np.ndarray, "p 2"]
 
 
-def crossing_share(surface: Surface) -> float:
-    """The share of a mesh's triangles that cross another one, from 0 to 1."""
-    return float(crossing_faces(surface).mean())
+def crossing_share(surface: Surface, *, by_area: bool = False) -> float:
+    """The share of a mesh's triangles that cross another one, from 0 to 1, counted or by their area."""
+    weights = np.linalg.norm(surface.face_vectors, axis=1) if by_area else np.ones(len(surface.faces))
+    return float(weights[crossing_faces(surface)].sum() / weights.sum())
 
 
 def crossing_faces(surface: Surface) -> Bool[np.ndarray, " m"]:
@@ -35,9 +36,7 @@ def _overlapping(triangles: Float[np.ndarray, "m 3 3"]) -> _Pairs:
     radii = np.linalg.norm(triangles - middles[:, None], axis=2).max(axis=1)
     sizes = np.floor(np.log2(radii.clip(1e-9)))
     classes = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
-    found = [
-        _close(middles, radii, smaller, larger) for i, smaller in enumerate(classes) for larger in classes[i:]
-    ]
+    found = [_close(middles, radii, smaller, larger) for i, smaller in enumerate(classes) for larger in classes[i:]]
     pairs = np.concatenate(found)
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     s, t = pairs.T

@@ -193,5 +193,5 @@ def _unit(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
 def _carrying(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """The smallest rotation that carries one direction to another, which is not its opposite."""
     cross = np.cross(start, end)
-    skew = np.cross(np.eye(3), -cross)
+    skew = np.cross(np.eye(3), cross)
     return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + start @ end))

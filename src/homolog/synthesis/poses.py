@@ -22,7 +22,7 @@ _BY_DEFAULT: Mapping[str, Interval] = {
     "wrist_deviation": (-8.0, 10.0),
     "finger_curl": (0.0, 30.0),
     "hip_flexion": (-5.0, 8.0),
-    "hip_abduction": (0.0, 12.0),
+    "hip_abduction": (-2.0, 9.0),
     "hip_rotation": (-5.0, 20.0),
     "knee_flexion": (0.0, 12.0),
     "toe_extension": (0.0, 5.0),
@@ -204,9 +204,7 @@ FAMILIES: Mapping[str, Mapping[str, Interval]] = {
 
 # Where a pose is drawn back to: nothing touches anything.
 _CALM = {"shoulder_elevation": 30.0, "elbow_flexion": 15.0, "hip_abduction": 6.0, "finger_curl": 5.0}
-STANDING: Angles = {
-    name: _CALM.get(name.removeprefix("left_").removeprefix("right_"), 0.0) for name in RANGES
-}
+STANDING: Angles = {name: _CALM.get(name.removeprefix("left_").removeprefix("right_"), 0.0) for name in RANGES}
 
 
 def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:

@@ -118,5 +118,10 @@ def _neighbours_middle(mesh: Surface) -> Float[np.ndarray, "n 3"]:
 def is_one_closed_surface(mesh: Surface) -> bool:
     """Whether a mesh is one closed manifold of the sphere's topology without loose vertices, its inside within."""
     checked = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    sound = checked.is_watertight and checked.is_winding_consistent and checked.euler_number == 2 and checked.body_count == 1
+    sound = (
+        checked.is_watertight
+        and checked.is_winding_consistent
+        and checked.euler_number == 2
+        and checked.body_count == 1
+    )
     return bool(sound and checked.volume > 0 and len(np.unique(mesh.faces)) == len(mesh.vertices))

@@ -64,9 +64,7 @@ def _with_centres(values: np.ndarray, rims: tuple[np.ndarray, ...]) -> np.ndarra
 
 def _fans(rims: tuple[np.ndarray, ...], n_kept: int) -> list[np.ndarray]:
     """For each rim the triangles that join it to its centre."""
-    return [
-        np.stack([np.roll(rim, -1), rim, np.full(len(rim), n_kept + i)], axis=1) for i, rim in enumerate(rims)
-    ]
+    return [np.stack([np.roll(rim, -1), rim, np.full(len(rim), n_kept + i)], axis=1) for i, rim in enumerate(rims)]
 
 
 def boundary_loops(faces: Int[np.ndarray, "m 3"]) -> list[Int[np.ndarray, " r"]]:
