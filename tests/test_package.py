@@ -28,9 +28,11 @@ FLOORS = {
     "maps": GROUND | {"shapes", "geometry"},
     "matching": GROUND | {"shapes", "geometry", "network", "maps"},
     "datasets": GROUND | {"shapes"},
+    "synthesis": GROUND | {"shapes"},
     "evaluation": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets"},
     "training": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
-    "cli": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation", "training"},
+    "cli": GROUND
+    | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation", "training", "synthesis"},
     "__main__": {"cli"},
     "__init__": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
 }

@@ -60,7 +60,7 @@ def _close(
 
 def _without_common_side(faces: Int[np.ndarray, "m 3"], pairs: _Pairs) -> _Pairs:
     common = (faces[pairs[:, 0], :, None] == faces[pairs[:, 1], None, :]).sum(axis=(1, 2))
-    return pairs[common < 2]
+    return np.asarray(pairs[common < 2])
 
 
 def _straddles(
@@ -91,4 +91,4 @@ def _segment_meets(p: np.ndarray, q: np.ndarray, r: np.ndarray, a: np.ndarray, b
 
 def _volume(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
     """Six times the signed volume of a tetrahedron."""
-    return np.einsum("pk,pk->p", np.cross(b - a, c - a), d - a)
+    return np.asarray(np.einsum("pk,pk->p", np.cross(b - a, c - a), d - a))

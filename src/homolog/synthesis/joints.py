@@ -57,11 +57,11 @@ RANGES = {f"{side}_{name}": limits for side in SIDES for name, limits in SIDED_R
 
 # Backwards the arm is raised by no more than this.
 _BACKWARD_ELEVATION = 60.0
-# Of a raised arm's elevation beyond 30 degrees the shoulder blade does a third (V. T. Inman et al., "Observations on the
-# function of the shoulder joint", J. Bone Joint Surg. 26, 1944), here in two bones.
+# Of a raised arm's elevation beyond 30 degrees the shoulder blade does a third, here in two bones (V. T. Inman et al.,
+# "Observations on the function of the shoulder joint", J. Bone Joint Surg. 26, 1944).
 _GIRDLE = {"clavicle": 0.13, "shoulder01": 0.2}
 _GIRDLE_FROM = 30.0
-# How the spine's bones, from below, and the neck's share bends and turns: the loins hardly turn, the chest hardly bends.
+# How the spine's bones, from below, and the neck's share bends and turns: loins hardly turn, the chest hardly bends.
 _SPINE = ("spine05", "spine04", "spine03", "spine02", "spine01")
 _SPINE_BENDS = (0.25, 0.25, 0.2, 0.15, 0.15)
 _SPINE_TURNS = (0.05, 0.1, 0.2, 0.3, 0.35)

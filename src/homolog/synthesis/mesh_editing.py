@@ -72,7 +72,7 @@ class Edges:
 
 def edge_key(a: Int[np.ndarray, " e"], b: Int[np.ndarray, " e"], n_vertices: int) -> Int[np.ndarray, " e"]:
     """A number for each unordered pair of vertices."""
-    return np.minimum(a, b) * n_vertices + np.maximum(a, b)
+    return np.asarray(np.minimum(a, b) * n_vertices + np.maximum(a, b))
 
 
 def edges_of(faces: Int[np.ndarray, "m 3"], n_vertices: int) -> Edges:
@@ -124,7 +124,7 @@ def _split_faces(faces: Int[np.ndarray, "m 3"], middle: Int[np.ndarray, "m 3"]) 
 
 
 def collapse_short(draft: Draft) -> Draft:
-    """Merge every edge that is too short into its middle, unless that pinches or folds the mesh or makes a long edge."""
+    """Merge every edge that is too short into its middle, where this folds nothing and makes no long edge."""
     refused = np.zeros(0, dtype=np.int64)
     for _ in range(_SWEEPS):
         edges = edges_of(draft.faces, len(draft.points))
@@ -148,7 +148,7 @@ def _far_apart(
     joined = np.stack([edges.a[short], edges.b[short]], axis=1)
     short = short[_first_of_all_near(faces, joined, n_vertices, rings=1)]
     across = np.stack([edges.c[short], edges.d[short]], axis=1)
-    return short[_first_of_all_near(faces, across, n_vertices, rings=0)]
+    return np.asarray(short[_first_of_all_near(faces, across, n_vertices, rings=0)])
 
 
 def _collapsible(draft: Draft, edges: Edges, which: Int[np.ndarray, " e"]) -> Bool[np.ndarray, " e"]:

@@ -89,22 +89,28 @@ class Character:
 
 
 @dataclass(frozen=True)
-class Person:
-    """A finished body.
+class MeshedBody:
+    """A body with a mesh of its own.
 
     Args:
-        character: who it is and how it stands.
-        mesh: its own mesh.
-        places: where the mesh's vertices lie on the common surface.
-        at_points: the mesh's vertex at each point of the template.
-        crossing: the share of the mesh's triangles that cross others.
+        mesh: the mesh.
+        places: where its vertices lie on the common surface.
+        at_points: its vertex at each point of the template.
+        crossing: the share of its triangles that cross others.
     """
 
-    character: Character
     mesh: Surface
     places: Places
     at_points: Int[np.ndarray, " p"]
     crossing: float
+
+
+@dataclass(frozen=True)
+class Person:
+    """A finished body of a set."""
+
+    character: Character
+    body: MeshedBody
 
 
 def make_person(bodies: Bodies, points: Places, settings: PeopleSettings, index: int) -> Person:
@@ -125,25 +131,28 @@ def make_person(bodies: Bodies, points: Places, settings: PeopleSettings, index:
             continue
         spread = 1.0 + _COUNT_SPREAD * generator.uniform(-1.0, 1.0)
         mesh = MeshSettings(round(settings.mesh.vertices * spread), settings.mesh.stretch)
-        person = meshed(bodies.template, points, character, body, mesh, generator)
-        if person.crossing <= MOST_CROSSING and is_one_closed_surface(person.mesh):
-            return person
+        made = meshed(bodies.template, points, body, mesh, generator)
+        if made.crossing <= MOST_CROSSING and is_one_closed_surface(made.mesh):
+            return Person(character, made)
     raise AssertionError("characters never end")
 
 
 def meshed(
-    template: Template,
-    points: Places,
-    character: Character,
-    body: Surface,
-    settings: MeshSettings,
-    generator: np.random.Generator,
-) -> Person:
-    """Give a body its own mesh, and the ground truth on it."""
+    template: Template, points: Places, body: Surface, settings: MeshSettings, generator: np.random.Generator
+) -> MeshedBody:
+    """Give a body its own mesh, and the ground truth on it.
+
+    Args:
+        template: the surface that all bodies share.
+        points: points of it that carry the ground truth.
+        body: the same surface as the body stands.
+        settings: how it is meshed.
+        generator: the body's own source of random numbers.
+    """
     ground = Ground(body)
     mesh, places = settled(remesh(ground, template.detail, settings, generator), ground)
     at_points = vertices_at(points, mesh, places, body, template.rest)
-    return Person(character, mesh, places, at_points, crossing_share(mesh))
+    return MeshedBody(mesh, places, at_points, crossing_share(mesh))
 
 
 def _characters(seed: int, index: int, generator: np.random.Generator) -> Iterator[Character]:

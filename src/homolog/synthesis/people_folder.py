@@ -12,7 +12,7 @@ import numpy as np
 from homolog.errors import DataError
 from homolog.files import all_or_nothing, atomic_path, expanded, sha256
 from homolog.shapes import Shape, write_shape
-from homolog.synthesis.people import MOST_CROSSING, PeopleSettings, Person
+from homolog.synthesis.people import MOST_CROSSING, MeshedBody, PeopleSettings, Person
 from homolog.synthesis.surface import Places, Surface
 from homolog.versions import version_of, versions
 
@@ -28,10 +28,10 @@ _DIGITS = 6
 class PeopleFolder:
     """Where the files of a set are.
 
-    Files, NAME being ``person_00000`` and so on: ``off/NAME.off``, the mesh; ``corres/NAME.vts``, its vertex at each point
-    of the template, counted from 1; ``places/NAME.npz``, for each vertex its ``triangles`` on the template, counted from
-    0, and barycentric ``weights`` there; ``records/NAME.json``, how it was made; ``template/template.off``, the surface
-    that all bodies share, as the mean body at rest, and ``template/points.npz``, the template's points upon it.
+    ``off/NAME.off`` is a body's mesh; ``corres/NAME.vts`` its vertex at each point of the template, counted from 1;
+    ``places/NAME.npz`` for each vertex its triangle on the template, counted from 0, and its barycentric weights there;
+    ``records/NAME.json`` how it was made. ``template/template.off`` is the surface that all bodies share, as the mean
+    body at rest, and ``template/points.npz`` the template's points upon it.
 
     Args:
         root: the folder.
@@ -87,14 +87,9 @@ class PeopleFolder:
         return _read_json(self.root / "records" / f"{name}.json", needs="sha256")
 
     def write_person(self, name: str, person: Person) -> None:
-        """Write all files of a body, or none."""
-        off, vts, npz = self.files(name).values()
-        with all_or_nothing():
-            _write_mesh(off, person.mesh)
-            with atomic_path(vts) as temporary:
-                np.savetxt(temporary, person.at_points + 1, fmt="%d", newline="\n")
-            _write_places(npz, person.places)
-        # The record comes last: without it the others do not count.
+        """Write all files of a body; its record comes last, and without it the others do not count."""
+        write_shape_files(self.root, name, person.body)
+        _write_places(self.root / "places" / f"{name}.npz", person.body.places)
         hashes = {relative: sha256(path) for relative, path in self.files(name).items()}
         _write_json(self.root / "records" / f"{name}.json", {**_described(person), "sha256": hashes})
 
@@ -123,6 +118,16 @@ class PeopleFolder:
         return _read_json(self.root / MANIFEST, needs="making")
 
 
+def write_shape_files(root: Path, name: str, body: MeshedBody) -> None:
+    """Write ``off/NAME.off`` and ``corres/NAME.vts`` into a folder, which is made if need be."""
+    for folder in ("off", "corres"):
+        (root / folder).mkdir(parents=True, exist_ok=True)
+    with all_or_nothing():
+        _write_mesh(root / "off" / f"{name}.off", body.mesh)
+        with atomic_path(root / "corres" / f"{name}.vts") as temporary:
+            np.savetxt(temporary, body.at_points + 1, fmt="%d", newline="\n")
+
+
 def _making(settings: PeopleSettings) -> dict[str, Any]:
     """All that a body depends on, besides its number."""
     return {"way": _MAKING, "anny": version_of("anny"), "seed": settings.seed, **asdict(settings.mesh)}
@@ -139,10 +144,10 @@ def _described(person: Person) -> dict[str, Any]:
         "family": person.character.family,
         "pose_share": person.character.pose_share,
         "angles": dict(person.character.angles),
-        "vertices": len(person.mesh.vertices),
-        "faces": len(person.mesh.faces),
-        "height": round(float(np.ptp(person.mesh.vertices[:, 1])), 4),
-        "crossing_share": round(person.crossing, 6),
+        "vertices": len(person.body.mesh.vertices),
+        "faces": len(person.body.mesh.faces),
+        "height": round(float(np.ptp(person.body.mesh.vertices[:, 1])), 4),
+        "crossing_share": round(person.body.crossing, 6),
     }
 
 

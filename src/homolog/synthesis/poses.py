@@ -10,8 +10,8 @@ from homolog.synthesis.joints import MIDDLE_RANGES, RANGES, SIDED_RANGES, SIDES,
 
 Interval = tuple[float, float]
 
-# What joints do that a family of poses says nothing of. The thigh's flexion is meant against the vertical here: when the
-# pelvis leans, hips make up for it. Ankles, where nothing is said, put the foot flat on the ground.
+# What joints do that a family of poses says nothing of. The thigh's flexion is meant against the vertical here: when
+# the pelvis leans, hips make up for it. Ankles, where nothing is said, put the foot flat on the ground.
 _BY_DEFAULT: Mapping[str, Interval] = {
     "shoulder_elevation": (8.0, 28.0),
     "shoulder_plane": (-20.0, 50.0),

@@ -50,6 +50,9 @@ def synthesize_people(
 ) -> PeopleFolder:
     """Make the first ``n`` bodies of an endless set, or those of them that are not there yet.
 
+    Bodies are made in processes of their own, which begin by importing the program that calls this: a script must call
+    it below ``if __name__ == "__main__":``.
+
     Args:
         out: the folder; it may hold bodies made with the same settings, which are kept.
         n: how many bodies.

@@ -58,7 +58,8 @@ class Places:
 
     def on(self, surface: Surface) -> Float[np.ndarray, "p 3"]:
         """Positions of the places on a surface with the same triangles."""
-        return np.einsum("pck,pc->pk", surface.vertices[surface.faces[self.triangles]], self.weights)
+        corners = surface.vertices[surface.faces[self.triangles]]
+        return np.asarray(np.einsum("pck,pc->pk", corners, self.weights))
 
 
 def face_vectors(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
@@ -110,7 +111,7 @@ class Ground:
         return np.asarray(values[self._parents[nearest]].mean(axis=1))
 
     def slid(self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
-        """Points moved to the tangent plane at the nearest vertex: close to the surface, and as smooth as its normals."""
+        """Points moved to the tangent plane at the nearest vertex, which is close to the surface."""
         near = self.nearest(points, normals)
         away = self._fine.vertex_normals[near]
         height = np.einsum("pk,pk->p", points - self._fine.vertices[near], away)

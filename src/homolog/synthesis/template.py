@@ -21,8 +21,8 @@ class Template:
 
     Args:
         kept: the model's vertices that lie on the outer surface.
-        rims: vertex loops of openings, in the numbering of ``kept``. Each gets one more vertex, at its centre, after the
-            kept ones.
+        rims: vertex loops of openings, in the numbering of ``kept``. Each gets one more vertex, at its centre, after
+            the kept ones.
         faces: triangles over the kept vertices and the centres.
         detail: for each of these the edge length wanted there, relative to that of the trunk.
         rest: the mean body at rest, on which places are compared.
