@@ -25,7 +25,7 @@ def people(
     n: Annotated[int, typer.Option("-n", "--number", help="How many bodies.", min=1, show_default=False)],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the set.", show_default=False)],
     seed: Annotated[int, typer.Option(help="Another seed, other bodies.", min=0)] = 0,
-    vertices: Annotated[int, typer.Option(help="About how many vertices each mesh has.", min=1000)] = 5000,
+    vertices: Annotated[int, typer.Option(help="About how many vertices each mesh has.", min=500)] = 5000,
     stretch: Annotated[
         float,
         typer.Option(help="How much longer than wide triangles are along an arm; 1: equilateral.", min=1.0, max=5.0),

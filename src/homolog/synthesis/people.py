@@ -65,8 +65,8 @@ class PeopleSettings:
     def __post_init__(self) -> None:
         if not is_count(self.seed, least=0):
             raise bad_value("seed", self.seed, "a whole number of at least 0")
-        if not is_count(self.mesh.vertices, least=1000):
-            raise bad_value("vertices", self.mesh.vertices, "a whole number of at least 1000")
+        if not is_count(self.mesh.vertices, least=500):
+            raise bad_value("vertices", self.mesh.vertices, "a whole number of at least 500")
         if not is_real(self.mesh.stretch) or not 1.0 <= self.mesh.stretch <= 5.0:
             raise bad_value("stretch", self.mesh.stretch, "a number from 1 to 5")
 
