@@ -80,7 +80,7 @@ def test_flips_undo_flips():
     assert sum_of_angles(spoilt).max() > np.pi + 0.5
     mended = flip_to_delaunay(spoilt)
     assert is_sphere(mended)
-    assert (sum_of_angles(mended) > np.pi + 0.1).sum() <= 0.25 * (sum_of_angles(spoilt) > np.pi + 0.1).sum()
+    assert sum_of_angles(mended).max() < np.pi + 0.1
 
 
 def sum_of_angles(draft):
@@ -97,13 +97,19 @@ def sum_of_angles(draft):
 
 
 def spoil(draft, generator):
-    """Flip some edges the wrong way."""
+    """Flip some edges the wrong way, where that hardly bends the surface."""
     faces = draft.faces.copy()
-    for _ in range(20):
+    for _ in range(300):
         edges = edges_of(faces, len(draft.points))
         i = generator.integers(len(edges.key))
         a, b, c, d = edges.a[i], edges.b[i], edges.c[i], edges.d[i]
-        if ((faces == c).any(axis=1) & (faces == d).any(axis=1)).any():
-            continue
-        faces[edges.first[i]], faces[edges.second[i]] = (a, d, c), (d, b, c)
+        joined = ((faces == c).any(axis=1) & (faces == d).any(axis=1)).any()
+        normals = [normal(draft.points[list(corners)]) for corners in ((a, b, c), (b, a, d), (a, d, c), (d, b, c))]
+        if not joined and min(first @ second for first in normals for second in normals) > 0.95:
+            faces[edges.first[i]], faces[edges.second[i]] = (a, d, c), (d, b, c)
     return replace(draft, faces=faces)
+
+
+def normal(corners):
+    across = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    return across / np.linalg.norm(across)
