@@ -18,7 +18,7 @@ import pyvista
 from homolog.datasets import ShapeFolder
 from homolog.shapes import read_shape
 
-_CELL = 190
+_WIDTH, _HEIGHT = 150, 200
 # Bodies are drawn at one scale, so that children are small.
 _HALF_HEIGHT = 1.2
 
@@ -37,7 +37,7 @@ def render(folder: ShapeFolder, picture: Path, columns: int, count: int) -> None
     """Draw the first bodies of a set in rows, a little from the side."""
     names = folder.names[:count]
     rows = -(-len(names) // columns)
-    size = [columns * _CELL, rows * _CELL]
+    size = [columns * _WIDTH, rows * _HEIGHT]
     # pyvista's own annotations mislead the type checker here.
     plotter: Any = pyvista.Plotter(off_screen=True, shape=(rows, columns), window_size=size, border=False)
     for i, name in enumerate(names):

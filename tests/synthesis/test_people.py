@@ -16,7 +16,15 @@ from stand_in import Crossing, StandIn, sphere
 from homolog.datasets import ShapeFolder
 from homolog.errors import ArgumentError, DataError, MissingExtraError
 from homolog.shapes import read_shape
-from homolog.synthesis import BodyModel, MeshSettings, PeopleSettings, make_person, production, synthesize_people
+from homolog.synthesis import (
+    BodyModel,
+    MeshSettings,
+    PeopleSettings,
+    make_person,
+    production,
+    remeshing,
+    synthesize_people,
+)
 from homolog.synthesis.crossings import crossing_share
 from homolog.synthesis.people import MOST_CROSSING
 from homolog.synthesis.remeshing import is_one_closed_surface
@@ -36,6 +44,7 @@ def workshop(monkeypatch):
     """Sets of stand-ins, made in this process."""
     monkeypatch.setattr(production, "BodyModel", StandIn)
     monkeypatch.setattr(production, "TEMPLATE_POINTS", 200)
+    monkeypatch.setattr(remeshing, "_ROUNDS", 4)  # rough meshes do, and soon
 
     @contextmanager
     def in_place(processes, points, settings, folder):

@@ -55,11 +55,13 @@ def test_builds_cover_all_there_is_evenly():
         values = np.array([build[name] for build in builds])
         assert values.min() >= 0.0 and values.max() <= 1.0
         assert (np.histogram(values, [0, 1 / 3, 2 / 3, 1])[0] > 0).all()
-    for name in ("muscle", "weight", "height", "proportions"):
+    for name in ("muscle", "height", "proportions"):
         tenths = np.histogram([build[name] for build in builds], 10, (0, 1))[0]
         assert tenths.min() >= 3 and tenths.max() <= 9
     ages = np.array([build["age"] for build in builds])
     assert 0.35 < (ages > 0.66).mean() < 0.85
+    weights = np.array([build["weight"] for build in builds])
+    assert (weights < 0.31).mean() > 0.3 and (weights > 0.69).mean() > 0.3
     genders = np.array([build["gender"] for build in builds])
     assert (genders < 0.2).mean() > 0.35 and (genders > 0.8).mean() > 0.35
 

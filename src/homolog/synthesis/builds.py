@@ -11,10 +11,13 @@ Build = Mapping[str, float]
 
 PARAMETERS = ("gender", "age", "muscle", "weight", "height", "proportions")
 
-# Quantiles of age and gender at even steps from 0 to 1. Half of the bodies are adults, a sixth each babies to toddlers,
-# children and adolescents; most are clearly male or clearly female.
-_AGES = (0.03, 0.33, 0.6, 0.7, 0.8, 0.9, 1.0)
-_GENDERS = (0.0, 0.05, 0.15, 0.85, 0.95, 1.0)
+# Quantiles at even steps from 0 to 1, of what is not spread evenly. Two thirds of the bodies are adults, a third babies,
+# children and adolescents; most are clearly male or clearly female; two fifths each are thin and heavy.
+_QUANTILES = {
+    "age": (0.03, 0.33, 0.6, 0.7, 0.8, 0.9, 1.0),
+    "gender": (0.0, 0.05, 0.15, 0.85, 0.95, 1.0),
+    "weight": (0.0, 0.12, 0.3, 0.7, 0.93, 1.0),
+}
 
 
 def draw_build(seed: int, index: int) -> dict[str, float]:
@@ -27,9 +30,7 @@ def draw_build(seed: int, index: int) -> dict[str, float]:
     steps = _golden_ratio(dimensions) ** -np.arange(1.0, dimensions + 1.0)
     shift = np.random.default_rng(seed).random(dimensions)
     drawn = dict(zip(PARAMETERS, (shift + (index + 1) * steps) % 1.0, strict=True))
-    drawn["age"] = _quantile(drawn["age"], _AGES)
-    drawn["gender"] = _quantile(drawn["gender"], _GENDERS)
-    return {name: round(float(value), 6) for name, value in drawn.items()}
+    return {name: round(_quantile(float(share), _QUANTILES.get(name, (0.0, 1.0))), 6) for name, share in drawn.items()}
 
 
 def _golden_ratio(dimensions: int) -> float:
