@@ -11,8 +11,8 @@ Build = Mapping[str, float]
 
 PARAMETERS = ("gender", "age", "muscle", "weight", "height", "proportions")
 
-# Quantiles at even steps from 0 to 1, of what is not spread evenly. Two thirds of the bodies are adults, a third babies,
-# children and adolescents; most are clearly male or clearly female; two fifths each are thin and heavy.
+# Quantiles at even steps from 0 to 1, of what is not spread evenly. Two thirds of the bodies are adults, a third
+# babies, children and adolescents; most are clearly male or clearly female; two fifths each are thin and heavy.
 _QUANTILES = {
     "age": (0.03, 0.33, 0.6, 0.7, 0.8, 0.9, 1.0),
     "gender": (0.0, 0.05, 0.15, 0.85, 0.95, 1.0),
