@@ -12,6 +12,7 @@ import numpy as np
 from homolog.errors import DataError
 from homolog.files import all_or_nothing, atomic_path, expanded, sha256
 from homolog.shapes import Shape, write_shape
+from homolog.synthesis.body_model import ASSETS
 from homolog.synthesis.people import MOST_CROSSING, MeshedBody, PeopleSettings, Person
 from homolog.synthesis.surface import Places, Surface
 from homolog.versions import version_of, versions
@@ -99,9 +100,9 @@ class PeopleFolder:
             _write_mesh(self.root / "template" / "template.off", rest)
             _write_places(self.root / "template" / "points.npz", points)
 
-    def write_manifest(self, settings: PeopleSettings, names: tuple[str, ...], assets: tuple[Any, ...] = ()) -> None:
+    def write_manifest(self, settings: PeopleSettings, names: tuple[str, ...]) -> None:
         """Write what the set is made from, how, and what each body is."""
-        licensed = [{**asset, "version": version_of(asset["package"])} for asset in assets]
+        licensed = [{**asset, "version": version_of(asset["package"])} for asset in ASSETS]
         bodies = {name: self.record(name) for name in names}
         manifest = {
             "what": "synthetic people with ground truth, made by homolog synth people",

@@ -16,7 +16,7 @@ import torch
 from homolog.arguments import check_count
 from homolog.errors import ArgumentError
 from homolog.steps import Progress, unheard
-from homolog.synthesis.body_model import ASSETS, BodyModel
+from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.people import Bodies, PeopleSettings, make_person
 from homolog.synthesis.people_folder import PeopleFolder
 from homolog.synthesis.surface import Places
@@ -81,7 +81,7 @@ def synthesize_people(
         folder.write_template(bodies.template.rest, points)
         for done, name in enumerate(_made(missing, points, settings, folder, processes), n - len(missing) + 1):
             progress(done, n, name)
-    folder.write_manifest(settings, names, ASSETS)
+    folder.write_manifest(settings, names)
     return folder
 
 
