@@ -20,7 +20,9 @@ def people(
     vertices: Annotated[int, typer.Option(help="About how many vertices each mesh has.", min=500)] = 5000,
     stretch: Annotated[
         float,
-        typer.Option(help="How much longer than wide triangles are along an arm; 1: equilateral.", min=1.0, max=5.0),
+        typer.Option(
+            help="How much longer than wide triangles are, in a direction of each body's own.", min=1.0, max=5.0
+        ),
     ] = 1.0,
     processes: Annotated[
         int, typer.Option(help="Bodies made at once.", min=1, show_default="one per core")

@@ -30,8 +30,7 @@ class Draft:
 
     Args:
         points: the vertices' positions.
-        space: where lengths and angles are measured: the positions, or, for stretched triangles, positions and scaled
-            normals together.
+        space: where lengths and angles are measured: the positions, or, for stretched triangles, squeezed ones.
         lengths: the edge length wanted at each vertex.
         faces: three vertices a triangle.
     """

@@ -1,4 +1,4 @@
-"""Meshes of their own for surfaces: near-equilateral triangles, or stretched ones that follow the curvature."""
+"""Meshes of their own for surfaces: near-equilateral triangles, or ones that are stretched in some direction."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import trimesh
 from jaxtyping import Float
 
 from homolog.synthesis.mesh_editing import Draft, collapse_short, edges_of, flip_to_delaunay, split_long
-from homolog.synthesis.surface import Ground, Surface
+from homolog.synthesis.surface import Ground, Surface, unit
 
 _ROUNDS = 12
 # After so many rounds the edge length is settled; until then it follows the number of vertices.
@@ -19,8 +19,6 @@ _SETTLING = 9
 _RELAX_COSINE = 0.4
 # Random changes to the wanted lengths in the first rounds, so that no mesh inherits the connectivity it comes from.
 _JITTER, _JITTERED_ROUNDS = 0.15, 3
-# Where the surface bends around a limb of this radius, in metres, triangles are stretched as asked.
-_LIMB = 0.05
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,8 @@ class MeshSettings:
 
     Args:
         vertices: about how many vertices the mesh shall have.
-        stretch: how much longer than wide triangles are along a limb of 5 cm radius; 1 for near-equilateral ones.
+        stretch: how much longer than wide triangles are, in a direction drawn for each surface; 1 for near-equilateral
+            ones.
     """
 
     vertices: int = 5000
@@ -41,8 +40,7 @@ def remesh(
 ) -> Surface:
     """Mesh a closed surface anew, in rounds of splits, collapses, flips and relaxation.
 
-    Stretched triangles are near-equilateral ones in six dimensions, those of position and scaled normal (B. Lévy and
-    N. Bonneel, "Variational anisotropic surface meshing with Voronoi parallel linear enumeration", 2013).
+    Stretched triangles are near-equilateral ones of a space that is squeezed in one direction.
 
     Args:
         ground: the surface.
@@ -53,10 +51,11 @@ def remesh(
     Returns:
         A closed mesh whose vertices lie near the surface; ``Ground.places`` says where.
     """
+    squeeze = _squeeze(settings.stretch, generator)
     mesh, base = ground.surface, _first_length(ground.surface, detail, settings.vertices)
     for round_ in range(_ROUNDS):
         jitter = _JITTER if round_ < _JITTERED_ROUNDS else 0.0
-        mesh = _improved(mesh, ground, base * detail, settings.stretch, generator, jitter)
+        mesh = _improved(mesh, ground, base * detail, squeeze, generator, jitter)
         if round_ < _SETTLING:
             base *= math.sqrt(len(mesh.vertices) / settings.vertices)
     return mesh
@@ -72,22 +71,22 @@ def _improved(
     mesh: Surface,
     ground: Ground,
     wanted: Float[np.ndarray, " n"],
-    stretch: float,
+    squeeze: Float[np.ndarray, "3 3"],
     generator: np.random.Generator,
     jitter: float,
 ) -> Surface:
     """One round."""
     lengths = ground.values_at(ground.nearest(mesh.vertices, mesh.vertex_normals), wanted)
     lengths *= 1.0 + jitter * generator.uniform(-1.0, 1.0, len(lengths))
-    draft = Draft(mesh.vertices, _space(mesh, stretch), lengths, mesh.faces)
+    draft = Draft(mesh.vertices, mesh.vertices @ squeeze, lengths, mesh.faces)
     draft = flip_to_delaunay(collapse_short(split_long(draft)))
     return relaxed(Surface(draft.points, draft.faces), ground)
 
 
-def _space(mesh: Surface, stretch: float) -> Float[np.ndarray, "n k"]:
-    if stretch <= 1.0:
-        return mesh.vertices
-    return np.concatenate([mesh.vertices, _LIMB * math.sqrt(stretch**2 - 1.0) * mesh.vertex_normals], axis=1)
+def _squeeze(stretch: float, generator: np.random.Generator) -> Float[np.ndarray, "3 3"]:
+    """The map that makes lengths in a random direction shorter by the stretch."""
+    direction = unit(generator.normal(size=(1, 3)))
+    return np.asarray(np.eye(3) - (1.0 - 1.0 / stretch) * direction.T @ direction)
 
 
 def relaxed(mesh: Surface, ground: Ground) -> Surface:
