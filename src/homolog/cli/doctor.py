@@ -12,7 +12,7 @@ from homolog.memory import get_working_memory
 from homolog.network import shipped_weights
 from homolog.versions import version_of, versions
 
-_EXTRAS = {"vtk": "vtk", "pcd": "pypcd4", "train": "lightning-fabric"}
+_EXTRAS = {"vtk": "vtk", "pcd": "pypcd4", "train": "lightning-fabric", "synth": "anny"}
 
 
 def doctor() -> None:

@@ -1,0 +1,197 @@
+"""The joints of the body: what they can do, and what that turns.
+
+Angles are in degrees and anatomical: 0 everywhere is a person standing upright with hanging arms. Axes are those of the
+standing body, x to its left, y up, z to the front. The left side is worked out, the right one is its mirror image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
+
+from homolog.synthesis.surface import unit
+
+Angles = Mapping[str, float]
+Skeleton = Mapping[str, Float[np.ndarray, " 3"]]
+"""Where each bone begins, on the mean body at rest."""
+Rotations = Mapping[str, Float[np.ndarray, "3 3"]]
+"""For each turned bone its rotation about the axes of the standing body; bones further out follow."""
+
+# Active motion of healthy people: American Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and
+# Recording" (1965), and D. C. Boone and S. P. Azen, "Normal range of motion of joints in male subjects" (J. Bone Joint
+# Surg. 61-A, 1979). The planes of the raised arm are those of G. Wu et al., "ISB recommendation on definitions of joint
+# coordinate systems, part II" (J. Biomech. 38, 2005): 0 to the side, 90 to the front.
+SIDED_RANGES = {
+    "shoulder_elevation": (0.0, 180.0),
+    "shoulder_plane": (-90.0, 130.0),
+    "shoulder_rotation": (-90.0, 70.0),
+    "elbow_flexion": (0.0, 150.0),
+    "forearm_pronation": (-80.0, 80.0),
+    "wrist_flexion": (-70.0, 80.0),
+    "wrist_deviation": (-20.0, 30.0),
+    "finger_curl": (0.0, 90.0),
+    "hip_flexion": (-30.0, 120.0),
+    "hip_abduction": (-30.0, 45.0),
+    "hip_rotation": (-45.0, 45.0),
+    "knee_flexion": (0.0, 135.0),
+    "ankle_dorsiflexion": (-50.0, 20.0),
+    "toe_extension": (0.0, 60.0),
+}
+MIDDLE_RANGES = {
+    "trunk_flexion": (-25.0, 80.0),
+    "trunk_bend": (-35.0, 35.0),
+    "trunk_rotation": (-45.0, 45.0),
+    "neck_flexion": (-45.0, 45.0),
+    "neck_bend": (-45.0, 45.0),
+    "neck_rotation": (-60.0, 60.0),
+    # How the pelvis, and with it the whole body, stands; no joint limits it.
+    "lean": (-30.0, 80.0),
+    "sway": (-20.0, 20.0),
+    "heading": (-15.0, 15.0),
+}
+SIDES = ("left", "right")
+RANGES = {f"{side}_{name}": limits for side in SIDES for name, limits in SIDED_RANGES.items()} | MIDDLE_RANGES
+
+# Backwards the arm is raised by no more than this.
+_BACKWARD_ELEVATION = 60.0
+# Of a raised arm's elevation beyond 30 degrees the shoulder blade does a third, here in two bones (V. T. Inman et al.,
+# "Observations on the function of the shoulder joint", J. Bone Joint Surg. 26, 1944).
+_GIRDLE = {"clavicle": 0.13, "shoulder01": 0.2}
+_GIRDLE_FROM = 30.0
+# How the spine's bones, from below, and the neck's share bends and turns: loins hardly turn, the chest hardly bends.
+_SPINE = ("spine05", "spine04", "spine03", "spine02", "spine01")
+_SPINE_BENDS = (0.25, 0.25, 0.2, 0.15, 0.15)
+_SPINE_TURNS = (0.05, 0.1, 0.2, 0.3, 0.35)
+_NECK = ("neck01", "neck02", "neck03", "head")
+_NECK_SHARES = (0.2, 0.25, 0.25, 0.3)
+
+_X, _Y, _Z = np.eye(3)
+_MIRROR = np.diag([-1.0, 1.0, 1.0])
+
+
+def within_ranges(angles: Angles) -> dict[str, float]:
+    """Angles brought into what joints can do."""
+    allowed = {name: float(np.clip(angle, *RANGES[name])) for name, angle in angles.items()}
+    for side in SIDES:
+        # From the side to the back the arm's elevation falls off to what it is backwards.
+        behind = max(-allowed[f"{side}_shoulder_plane"], 0.0) / 90.0
+        most = 180.0 + behind * (_BACKWARD_ELEVATION - 180.0)
+        allowed[f"{side}_shoulder_elevation"] = min(allowed[f"{side}_shoulder_elevation"], most)
+    return allowed
+
+
+def mirrored(angles: Angles) -> dict[str, float]:
+    """The pose that one sees in a mirror."""
+    swapped = {"left": "right", "right": "left"}
+    turned = ("trunk_bend", "trunk_rotation", "neck_bend", "neck_rotation", "sway", "heading")
+    found = {}
+    for name, angle in angles.items():
+        side, _, rest = name.partition("_")
+        found[f"{swapped[side]}_{rest}" if side in swapped else name] = -angle if name in turned else angle
+    return found
+
+
+def bone_rotations(angles: Angles, skeleton: Skeleton) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """What each bone does when every joint has its angle.
+
+    Args:
+        angles: one for each name in ``RANGES``.
+        skeleton: of the mean body at rest, whose arms hang half raised and half bent.
+    """
+    turned = _middle(angles)
+    for side, letter in zip(SIDES, "LR", strict=True):
+        own = {name: angles[f"{side}_{name}"] for name in SIDED_RANGES}
+        limbs = {**_arm(own, skeleton), **_hand(own, skeleton), **_leg(own)}
+        turned |= {f"{bone}.{letter}": rotation for bone, rotation in limbs.items()}
+    return {
+        bone: _MIRROR @ rotation.as_matrix() @ _MIRROR if bone.endswith(".R") else rotation.as_matrix()
+        for bone, rotation in turned.items()
+    }
+
+
+def _about(axis: Float[np.ndarray, " 3"], degrees: float) -> Rotation:
+    return Rotation.from_rotvec(np.deg2rad(degrees) * axis)
+
+
+def _middle(angles: Angles) -> dict[str, Rotation]:
+    """Trunk, neck and how the whole body stands."""
+    stand = _about(_Y, angles["heading"]) * _about(_X, angles["lean"]) * _about(_Z, -angles["sway"])
+    shares = zip(_SPINE + _NECK, _SPINE_BENDS + _NECK_SHARES, _SPINE_TURNS + _NECK_SHARES, strict=True)
+    turned = {"root": stand}
+    for bone, bends, turns in shares:
+        part = "trunk" if bone in _SPINE else "neck"
+        turn = _about(_Y, turns * angles[f"{part}_rotation"])
+        bend = _about(_Z, -bends * angles[f"{part}_bend"])
+        turned[bone] = turn * bend * _about(_X, bends * angles[f"{part}_flexion"])
+    return turned
+
+
+def _arm(angles: Angles, skeleton: Skeleton) -> dict[str, Rotation]:
+    """The left shoulder girdle, shoulder, elbow and forearm."""
+    upper, fore = _direction(skeleton, "upperarm01.L", "lowerarm01.L"), _direction(skeleton, "lowerarm01.L", "wrist.L")
+    elbow_axis = _unit(np.cross(upper, fore))
+    bent_at_rest = np.rad2deg(np.arccos(upper @ fore))
+    plane, elevation = np.deg2rad(angles["shoulder_plane"]), angles["shoulder_elevation"]
+    axis = np.cos(plane) * _Z - np.sin(plane) * _X
+    hanging = Rotation.from_matrix(_carrying(upper, -_Y))
+    half_turn = _about(upper, angles["shoulder_rotation"] / 2.0)
+    lifted = max(elevation - _GIRDLE_FROM, 0.0)
+    turned = {bone: _about(axis, share * lifted) for bone, share in _GIRDLE.items()}
+    girdle = turned["clavicle"] * turned["shoulder01"]
+    turned["upperarm01"] = girdle.inv() * _about(axis, elevation) * hanging * half_turn
+    turned["upperarm02"] = half_turn
+    turned["lowerarm01"] = _about(elbow_axis, angles["elbow_flexion"] - bent_at_rest)
+    turned["lowerarm02"] = _about(fore, 0.6 * angles["forearm_pronation"])
+    return turned
+
+
+def _hand(angles: Angles, skeleton: Skeleton) -> dict[str, Rotation]:
+    """The left wrist, with what is left of the forearm's turn, and fingers."""
+    fore, ahead = _direction(skeleton, "lowerarm01.L", "wrist.L"), _direction(skeleton, "wrist.L", "finger3-1.L")
+    curls = {i: _curl_axis(skeleton, i) for i in range(1, 6)}
+    flexion_axis = _unit(curls[3] - (curls[3] @ ahead) * ahead)
+    palm = np.cross(flexion_axis, ahead)
+    turn = _about(fore, 0.4 * angles["forearm_pronation"])
+    bend = _about(palm, -angles["wrist_deviation"]) * _about(flexion_axis, angles["wrist_flexion"])
+    turned = {"wrist": turn * bend}
+    for i, axis in curls.items():
+        shares = (0.0, 0.5, 0.5) if i == 1 else (0.8, 1.0, 0.7)
+        for joint, share in enumerate(shares, 1):
+            turned[f"finger{i}-{joint}"] = _about(axis, share * angles["finger_curl"])
+    return turned
+
+
+def _leg(angles: Angles) -> dict[str, Rotation]:
+    """The left hip, knee, ankle and toes."""
+    hip = _about(_X, -angles["hip_flexion"]) * _about(_Z, angles["hip_abduction"])
+    toes = {f"toe{i}-1": _about(_X, -angles["toe_extension"]) for i in range(1, 6)}
+    return {
+        "upperleg01": hip * _about(_Y, angles["hip_rotation"]),
+        "lowerleg01": _about(_X, angles["knee_flexion"]),
+        "foot": _about(_X, -angles["ankle_dorsiflexion"]),
+        **toes,
+    }
+
+
+def _direction(skeleton: Skeleton, start: str, end: str) -> Float[np.ndarray, " 3"]:
+    return _unit(skeleton[end] - skeleton[start])
+
+
+def _curl_axis(skeleton: Skeleton, finger: int) -> Float[np.ndarray, " 3"]:
+    """The axis about which a left finger, a little bent at rest, bends further."""
+    first = _direction(skeleton, f"finger{finger}-1.L", f"finger{finger}-2.L")
+    return _unit(np.cross(first, _direction(skeleton, f"finger{finger}-2.L", f"finger{finger}-3.L")))
+
+
+def _unit(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    return np.asarray(unit(vector[None])[0])
+
+
+def _carrying(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation that carries one direction to another, which is not its opposite."""
+    cross = np.cross(start, end)
+    skew = np.cross(np.eye(3), cross)
+    return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + start @ end))

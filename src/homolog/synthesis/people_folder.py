@@ -1,0 +1,177 @@
+"""A set of people on disk: a folder of shapes with ground truth that can be read, trained on, and gone on with."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homolog.errors import DataError
+from homolog.files import all_or_nothing, atomic_path, expanded, sha256
+from homolog.shapes import Shape, write_shape
+from homolog.synthesis.body_model import ASSETS
+from homolog.synthesis.people import MOST_CROSSING, MeshedBody, PeopleSettings, Person
+from homolog.synthesis.surface import Places, Surface
+from homolog.versions import version_of, versions
+
+MANIFEST = "manifest.json"
+# Changes whenever the same settings come to give other bodies.
+_MAKING = 1
+_FOLDERS = ("off", "corres", "places", "records", "template")
+# Coordinates are whole micrometres.
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class PeopleFolder:
+    """Where the files of a set are.
+
+    ``off/NAME.off`` is a body's mesh; ``corres/NAME.vts`` its vertex at each point of the template, counted from 1;
+    ``places/NAME.npz`` for each vertex its triangle on the template, counted from 0, and its barycentric weights there;
+    ``records/NAME.json`` how it was made. ``template/template.off`` is the surface that all bodies share, as the mean
+    body at rest, and ``template/points.npz`` the template's points upon it.
+
+    Args:
+        root: the folder.
+    """
+
+    root: Path
+
+    @classmethod
+    def prepare(cls, root: str | Path, settings: PeopleSettings) -> PeopleFolder:
+        """Make the folder, or go on with one that was made with the same settings.
+
+        Raises:
+            DataError: if it holds something else, or bodies that were made in another way.
+            ArgumentError: if it cannot be written to.
+        """
+        folder = cls(expanded(root))
+        found = folder._manifest()
+        if found is None and folder.root.is_dir() and any(folder.root.iterdir()):
+            raise DataError(f"{root} is not empty and holds no {MANIFEST} of people; give another folder with -o")
+        if found is not None and found.get("making") != _making(settings):
+            raise DataError(
+                f"{root} holds people made with other settings or versions ({_differences(found, settings)}); "
+                "give those, or another folder with -o"
+            )
+        for name in _FOLDERS:
+            (folder.root / name).mkdir(parents=True, exist_ok=True)
+        if found is None:
+            folder.write_manifest(settings, ())
+        return folder
+
+    @staticmethod
+    def name(index: int) -> str:
+        """What body number ``index`` is called; names are in order."""
+        return f"person_{index:05d}"
+
+    def files(self, name: str) -> dict[str, Path]:
+        """The files of a body that its record vouches for."""
+        paths = (f"off/{name}.off", f"corres/{name}.vts", f"places/{name}.npz")
+        return {path: self.root / path for path in paths}
+
+    def is_whole(self, name: str) -> bool:
+        """Whether all files of a body are there, as they were written."""
+        record = self.record(name)
+        if record is None:
+            return False
+        return all(
+            path.is_file() and sha256(path) == record["sha256"].get(relative)
+            for relative, path in self.files(name).items()
+        )
+
+    def record(self, name: str) -> dict[str, Any] | None:
+        """How a body was made; None if that is not known."""
+        return _read_json(self.root / "records" / f"{name}.json", needs="sha256")
+
+    def write_person(self, name: str, person: Person) -> None:
+        """Write all files of a body; its record comes last, and without it the others do not count."""
+        write_shape_files(self.root, name, person.body)
+        _write_places(self.root / "places" / f"{name}.npz", person.body.places)
+        hashes = {relative: sha256(path) for relative, path in self.files(name).items()}
+        _write_json(self.root / "records" / f"{name}.json", {**_described(person), "sha256": hashes})
+
+    def write_template(self, rest: Surface, points: Places) -> None:
+        """Write the surface that all bodies share, and the points upon it that ``corres/`` speaks of."""
+        with all_or_nothing():
+            _write_mesh(self.root / "template" / "template.off", rest)
+            _write_places(self.root / "template" / "points.npz", points)
+
+    def write_manifest(self, settings: PeopleSettings, names: tuple[str, ...]) -> None:
+        """Write what the set is made from, how, and what each body is."""
+        licensed = [{**asset, "version": version_of(asset["package"])} for asset in ASSETS]
+        bodies = {name: self.record(name) for name in names}
+        manifest = {
+            "what": "synthetic people with ground truth, made by homolog synth people",
+            "making": _making(settings),
+            "most_crossing": MOST_CROSSING,
+            "assets": licensed,
+            "versions": versions(),
+            "n": len(names),
+            "bodies": bodies,
+        }
+        _write_json(self.root / MANIFEST, manifest)
+
+    def _manifest(self) -> dict[str, Any] | None:
+        return _read_json(self.root / MANIFEST, needs="making")
+
+
+def write_shape_files(root: Path, name: str, body: MeshedBody) -> None:
+    """Write ``off/NAME.off`` and ``corres/NAME.vts`` into a folder, which is made if need be."""
+    for folder in ("off", "corres"):
+        (root / folder).mkdir(parents=True, exist_ok=True)
+    with all_or_nothing():
+        _write_mesh(root / "off" / f"{name}.off", body.mesh)
+        with atomic_path(root / "corres" / f"{name}.vts") as temporary:
+            np.savetxt(temporary, body.at_points + 1, fmt="%d", newline="\n")
+
+
+def _making(settings: PeopleSettings) -> dict[str, Any]:
+    """All that a body depends on, besides its number."""
+    return {"way": _MAKING, "anny": version_of("anny"), "seed": settings.seed, **asdict(settings.mesh)}
+
+
+def _differences(found: dict[str, Any], settings: PeopleSettings) -> str:
+    there, wanted = found["making"], _making(settings)
+    return ", ".join(f"{key} {there.get(key)}, not {value}" for key, value in wanted.items() if there.get(key) != value)
+
+
+def _described(person: Person) -> dict[str, Any]:
+    return {
+        "build": dict(person.character.build),
+        "family": person.character.family,
+        "pose_share": person.character.pose_share,
+        "angles": dict(person.character.angles),
+        "vertices": len(person.body.mesh.vertices),
+        "faces": len(person.body.mesh.faces),
+        "height": round(float(np.ptp(person.body.mesh.vertices[:, 1])), 4),
+        "crossing_share": round(person.body.crossing, 6),
+    }
+
+
+def _write_mesh(path: Path, mesh: Surface) -> None:
+    # Adding 0 makes -0.0 of small negative numbers a plain zero.
+    write_shape(path, Shape(mesh.vertices.round(_DIGITS) + 0.0, mesh.faces))
+
+
+def _write_places(path: Path, places: Places) -> None:
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        triangles, weights = places.triangles.astype(np.int32), places.weights.astype(np.float32)
+        np.savez_compressed(file, allow_pickle=False, triangles=triangles, weights=weights)
+
+
+def _write_json(path: Path, content: dict[str, Any]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
+
+
+def _read_json(path: Path, *, needs: str) -> dict[str, Any] | None:
+    """An object with a certain key, or None where there is no such file."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) and needs in content else None

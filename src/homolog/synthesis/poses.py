@@ -1,0 +1,230 @@
+"""Poses that people take, natural and extreme ones, drawn at random within what joints can do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from homolog.synthesis.joints import MIDDLE_RANGES, RANGES, SIDED_RANGES, SIDES, Angles, mirrored, within_ranges
+
+Interval = tuple[float, float]
+
+# What joints do that a family of poses says nothing of. The thigh's flexion is meant against the vertical here: when
+# the pelvis leans, hips make up for it. Ankles, where nothing is said, put the foot flat on the ground.
+_BY_DEFAULT: Mapping[str, Interval] = {
+    "shoulder_elevation": (8.0, 28.0),
+    "shoulder_plane": (-20.0, 50.0),
+    "shoulder_rotation": (-20.0, 30.0),
+    "elbow_flexion": (5.0, 40.0),
+    "forearm_pronation": (-30.0, 50.0),
+    "wrist_flexion": (-20.0, 20.0),
+    "wrist_deviation": (-8.0, 10.0),
+    "finger_curl": (0.0, 30.0),
+    "hip_flexion": (-5.0, 8.0),
+    "hip_abduction": (-2.0, 9.0),
+    "hip_rotation": (-5.0, 20.0),
+    "knee_flexion": (0.0, 12.0),
+    "toe_extension": (0.0, 5.0),
+    "trunk_flexion": (-6.0, 8.0),
+    "trunk_bend": (-5.0, 5.0),
+    "trunk_rotation": (-8.0, 8.0),
+    "neck_flexion": (-15.0, 20.0),
+    "neck_bend": (-8.0, 8.0),
+    "neck_rotation": (-25.0, 25.0),
+    "lean": (-4.0, 6.0),
+    "sway": (-3.0, 3.0),
+    "heading": (-10.0, 10.0),
+}
+
+# Names without a side stand for both sides, drawn apart; every other pose is mirrored.
+FAMILIES: Mapping[str, Mapping[str, Interval]] = {
+    "standing": {},
+    "arms raised": {
+        "shoulder_elevation": (80.0, 175.0),
+        "shoulder_plane": (-10.0, 100.0),
+        "elbow_flexion": (0.0, 60.0),
+        "shoulder_rotation": (-50.0, 20.0),
+    },
+    "reaching": {
+        "left_shoulder_elevation": (60.0, 150.0),
+        "left_shoulder_plane": (40.0, 115.0),
+        "left_elbow_flexion": (0.0, 25.0),
+        "trunk_flexion": (0.0, 35.0),
+        "trunk_rotation": (-35.0, 10.0),
+        "lean": (0.0, 25.0),
+        "left_hip_flexion": (0.0, 35.0),
+        "knee_flexion": (0.0, 40.0),
+    },
+    "striding": {
+        "left_hip_flexion": (15.0, 45.0),
+        "left_knee_flexion": (0.0, 30.0),
+        "right_hip_flexion": (-25.0, -5.0),
+        "right_knee_flexion": (0.0, 45.0),
+        "right_ankle_dorsiflexion": (-20.0, 15.0),
+        "right_toe_extension": (0.0, 35.0),
+        "left_shoulder_plane": (-90.0, -60.0),
+        "left_shoulder_elevation": (15.0, 45.0),
+        "right_shoulder_plane": (65.0, 95.0),
+        "right_shoulder_elevation": (15.0, 60.0),
+        "elbow_flexion": (5.0, 90.0),
+        "trunk_rotation": (0.0, 15.0),
+        "lean": (0.0, 12.0),
+    },
+    "lunging": {
+        "left_hip_flexion": (50.0, 90.0),
+        "left_knee_flexion": (50.0, 100.0),
+        "right_hip_flexion": (-25.0, 0.0),
+        "right_knee_flexion": (10.0, 60.0),
+        "right_ankle_dorsiflexion": (-10.0, 20.0),
+        "right_toe_extension": (10.0, 45.0),
+        "shoulder_elevation": (15.0, 110.0),
+        "shoulder_plane": (0.0, 95.0),
+        "elbow_flexion": (0.0, 80.0),
+        "lean": (0.0, 20.0),
+        "trunk_rotation": (-25.0, 25.0),
+    },
+    "kicking": {
+        "left_hip_flexion": (40.0, 105.0),
+        "left_knee_flexion": (0.0, 60.0),
+        "left_ankle_dorsiflexion": (-45.0, 15.0),
+        "right_knee_flexion": (0.0, 25.0),
+        "lean": (-20.0, 5.0),
+        "trunk_flexion": (-10.0, 25.0),
+        "shoulder_elevation": (20.0, 95.0),
+        "shoulder_plane": (-20.0, 80.0),
+        "elbow_flexion": (0.0, 80.0),
+    },
+    "balancing": {
+        "left_hip_flexion": (50.0, 110.0),
+        "left_hip_abduction": (0.0, 40.0),
+        "left_hip_rotation": (0.0, 40.0),
+        "left_knee_flexion": (60.0, 130.0),
+        "left_ankle_dorsiflexion": (-40.0, 10.0),
+        "shoulder_elevation": (50.0, 120.0),
+        "shoulder_plane": (-15.0, 45.0),
+        "trunk_bend": (-15.0, 15.0),
+        "sway": (-10.0, 10.0),
+    },
+    "crouching": {
+        "hip_flexion": (60.0, 105.0),
+        "knee_flexion": (80.0, 130.0),
+        "hip_abduction": (5.0, 30.0),
+        "hip_rotation": (0.0, 25.0),
+        "toe_extension": (0.0, 35.0),
+        "lean": (0.0, 35.0),
+        "trunk_flexion": (0.0, 35.0),
+        "shoulder_elevation": (35.0, 90.0),
+        "shoulder_plane": (35.0, 105.0),
+        "elbow_flexion": (0.0, 90.0),
+    },
+    "sitting": {
+        "hip_flexion": (75.0, 95.0),
+        "knee_flexion": (65.0, 105.0),
+        "hip_abduction": (0.0, 22.0),
+        "lean": (-15.0, 12.0),
+        "trunk_flexion": (0.0, 25.0),
+        "shoulder_elevation": (20.0, 50.0),
+        "shoulder_plane": (30.0, 90.0),
+        "elbow_flexion": (20.0, 80.0),
+    },
+    "kneeling": {
+        "hip_flexion": (-5.0, 20.0),
+        "knee_flexion": (80.0, 125.0),
+        "ankle_dorsiflexion": (-50.0, -15.0),
+        "shoulder_elevation": (10.0, 120.0),
+        "shoulder_plane": (0.0, 95.0),
+        "elbow_flexion": (0.0, 90.0),
+    },
+    "bending": {
+        "lean": (20.0, 70.0),
+        "trunk_flexion": (15.0, 60.0),
+        "neck_flexion": (-40.0, 20.0),
+        "knee_flexion": (0.0, 40.0),
+        "hip_flexion": (0.0, 20.0),
+        "shoulder_elevation": (40.0, 120.0),
+        "shoulder_plane": (50.0, 100.0),
+        "elbow_flexion": (0.0, 40.0),
+    },
+    "twisting": {
+        "trunk_rotation": (20.0, 45.0),
+        "trunk_flexion": (-10.0, 30.0),
+        "trunk_bend": (-20.0, 20.0),
+        "neck_rotation": (0.0, 55.0),
+        "shoulder_elevation": (20.0, 110.0),
+        "shoulder_plane": (-20.0, 100.0),
+        "elbow_flexion": (0.0, 100.0),
+        "knee_flexion": (0.0, 30.0),
+    },
+    "leaning aside": {
+        "trunk_bend": (15.0, 35.0),
+        "sway": (0.0, 15.0),
+        "neck_bend": (0.0, 30.0),
+        "right_shoulder_elevation": (80.0, 175.0),
+        "right_shoulder_plane": (-10.0, 40.0),
+        "hip_abduction": (5.0, 30.0),
+    },
+    "arms crossed": {
+        "left_shoulder_elevation": (30.0, 45.0),
+        "right_shoulder_elevation": (48.0, 65.0),
+        "shoulder_plane": (70.0, 105.0),
+        "shoulder_rotation": (35.0, 65.0),
+        "elbow_flexion": (80.0, 120.0),
+        "finger_curl": (0.0, 20.0),
+    },
+    "legs crossed": {
+        "left_hip_abduction": (-18.0, -6.0),
+        "left_hip_flexion": (10.0, 22.0),
+        "right_hip_abduction": (-14.0, 0.0),
+        "right_hip_flexion": (-12.0, -2.0),
+        "hip_rotation": (-5.0, 10.0),
+        "shoulder_elevation": (10.0, 90.0),
+    },
+    "hands on hips": {
+        "shoulder_elevation": (30.0, 55.0),
+        "shoulder_plane": (-30.0, 10.0),
+        "shoulder_rotation": (25.0, 60.0),
+        "elbow_flexion": (75.0, 115.0),
+        "hip_abduction": (3.0, 20.0),
+    },
+    "hands at the head": {
+        "shoulder_elevation": (85.0, 140.0),
+        "shoulder_plane": (0.0, 70.0),
+        "shoulder_rotation": (-60.0, 0.0),
+        "elbow_flexion": (95.0, 145.0),
+        "neck_flexion": (-5.0, 20.0),
+    },
+    "extreme": {
+        **{name: (0.8 * low, 0.8 * high) for name, (low, high) in {**SIDED_RANGES, **MIDDLE_RANGES}.items()},
+        "finger_curl": (0.0, 45.0),
+        "lean": (-15.0, 45.0),
+        "heading": (-10.0, 10.0),
+    },
+}
+
+# Where a pose is drawn back to: nothing touches anything.
+_CALM = {"shoulder_elevation": 30.0, "elbow_flexion": 15.0, "hip_abduction": 6.0, "finger_curl": 5.0}
+STANDING: Angles = {name: _CALM.get(name.removeprefix("left_").removeprefix("right_"), 0.0) for name in RANGES}
+
+
+def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:
+    """Draw the angles of all joints in a pose of a family, in degrees."""
+    intervals = {**_both_sides(_BY_DEFAULT), **_both_sides(FAMILIES[family])}
+    angles = {name: float(generator.uniform(*intervals.get(name, (-4.0, 4.0)))) for name in RANGES}
+    for side in SIDES:
+        if f"{side}_ankle_dorsiflexion" not in intervals:
+            flat = angles[f"{side}_knee_flexion"] - angles[f"{side}_hip_flexion"]
+            angles[f"{side}_ankle_dorsiflexion"] += flat
+        angles[f"{side}_hip_flexion"] += angles["lean"]
+    return within_ranges(mirrored(angles) if generator.random() < 0.5 else angles)
+
+
+def _both_sides(intervals: Mapping[str, Interval]) -> dict[str, Interval]:
+    """Intervals by the names of ``RANGES``; what is said of one side goes before what is said of both."""
+    common = {f"{side}_{name}": values for name, values in intervals.items() if name in SIDED_RANGES for side in SIDES}
+    return {**common, **{name: values for name, values in intervals.items() if name in RANGES}}
+
+
+def drawn_back(angles: Angles, share: float) -> dict[str, float]:
+    """A pose between standing, at 0, and itself, at 1."""
+    return {name: STANDING[name] + share * (angle - STANDING[name]) for name, angle in angles.items()}

@@ -1,0 +1,176 @@
+"""Closed triangle surfaces: normals, and the places on a surface where points of another mesh lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+
+# A point's place is looked for among so many vertices nearest to it, on the side that faces its way.
+_NEAR = 16
+_SAME_SIDE = 0.3
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A triangle mesh without holes.
+
+    Args:
+        vertices: positions in metres.
+        faces: three vertices a triangle, counter-clockwise from outside.
+    """
+
+    vertices: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"]
+
+    @cached_property
+    def face_vectors(self) -> Float[np.ndarray, "m 3"]:
+        """The normal of each triangle, as long as twice its area."""
+        return face_vectors(self.vertices[self.faces])
+
+    @cached_property
+    def face_normals(self) -> Float[np.ndarray, "m 3"]:
+        """The unit normal of each triangle; zero where it has no area."""
+        return unit(self.face_vectors)
+
+    @cached_property
+    def vertex_normals(self) -> Float[np.ndarray, "n 3"]:
+        """The unit normal at each vertex: its triangles' normals, weighted by area."""
+        corners, count = self.faces.ravel(), len(self.vertices)
+        vectors = np.repeat(self.face_vectors, 3, axis=0)
+        return unit(np.stack([np.bincount(corners, column, count) for column in vectors.T], axis=1))
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where points lie on a surface.
+
+    Args:
+        triangles: the triangle that each point lies on.
+        weights: its barycentric weights there, which sum to one.
+    """
+
+    triangles: Int[np.ndarray, " p"]
+    weights: Float[np.ndarray, "p 3"]
+
+    def on(self, surface: Surface) -> Float[np.ndarray, "p 3"]:
+        """Positions of the places on a surface with the same triangles."""
+        corners = surface.vertices[surface.faces[self.triangles]]
+        return np.asarray(np.einsum("pck,pc->pk", corners, self.weights))
+
+
+def face_vectors(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
+    """The normals of triangles, as long as twice their areas."""
+    p, q, r = np.moveaxis(triangles, 1, 0)
+    return np.cross(q - p, r - p)
+
+
+def unit(vectors: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
+    """Vectors scaled to length one; zero stays zero."""
+    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
+
+
+def subdivided(surface: Surface) -> tuple[Surface, Int[np.ndarray, "v 2"]]:
+    """Split each triangle in four.
+
+    Returns:
+        The finer surface, whose triangles 4i to 4i + 3 are those of triangle i, and for each of its vertices the two of
+        the coarser one that it lies amid: one twice, if it is that one.
+    """
+    half_edges = surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, edge_of = np.unique(np.sort(half_edges, axis=1), axis=0, return_inverse=True)
+    count = len(surface.vertices)
+    parents = np.concatenate([np.arange(count)[:, None].repeat(2, axis=1), edges])
+    p, q, r = surface.faces.T
+    pq, qr, rp = count + edge_of.reshape(-1, 3).T
+    faces = np.stack([p, pq, rp, q, qr, pq, r, rp, qr, pq, qr, rp], axis=1).reshape(-1, 3)
+    return Surface(surface.vertices[parents].mean(axis=1), faces), parents
+
+
+class Ground:
+    """A surface to put points on: finds the nearest part that faces their way, never the other side of a thin one."""
+
+    def __init__(self, surface: Surface) -> None:
+        self.surface = surface
+        self._fine, self._parents = subdivided(surface)
+        self._tree = cKDTree(self._fine.vertices)
+        self._fans = _fans(self._fine.faces, len(self._fine.vertices))
+
+    def nearest(self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
+        """For each point the nearest vertex of the subdivided surface whose normal agrees with the one given."""
+        _, near = self._tree.query(points, k=_NEAR)
+        facing = np.einsum("pjk,pk->pj", self._fine.vertex_normals[near], normals) > _SAME_SIDE
+        return np.asarray(near[np.arange(len(near)), facing.argmax(axis=1)], dtype=np.int64)
+
+    def values_at(self, nearest: Int[np.ndarray, " p"], values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " p"]:
+        """Values given at the surface's vertices, at vertices of the subdivided one."""
+        return np.asarray(values[self._parents[nearest]].mean(axis=1))
+
+    def slid(self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
+        """Points moved to the tangent plane at the nearest vertex, which is close to the surface."""
+        near = self.nearest(points, normals)
+        away = self._fine.vertex_normals[near]
+        height = np.einsum("pk,pk->p", points - self._fine.vertices[near], away)
+        return np.asarray(points - height[:, None] * away)
+
+    def places(self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]) -> Places:
+        """The nearest places on the surface itself, among the triangles around the nearest vertex."""
+        triangles = self._fans[self.nearest(points, normals)] // 4
+        corners = self.surface.vertices[self.surface.faces[triangles]]
+        weights = closest_weights(corners.reshape(-1, 3, 3), np.repeat(points, triangles.shape[1], axis=0))
+        weights = weights.reshape(*triangles.shape, 3)
+        offset = np.einsum("pfck,pfc->pfk", corners, weights) - points[:, None]
+        best = np.einsum("pfk,pfk->pf", offset, offset).argmin(axis=1)
+        rows = np.arange(len(points))
+        return Places(triangles[rows, best], weights[rows, best])
+
+
+def _fans(faces: Int[np.ndarray, "m 3"], n_vertices: int) -> Int[np.ndarray, "n d"]:
+    """The triangles around each vertex, a row a vertex; shorter rows repeat their first triangle."""
+    order = np.argsort(faces.ravel(), kind="stable")
+    degrees = np.bincount(faces.ravel(), minlength=n_vertices)
+    starts = np.cumsum(degrees) - degrees
+    steps = np.arange(degrees.max())
+    return np.asarray(order[starts[:, None] + np.where(steps < degrees[:, None], steps, 0)] // 3)
+
+
+def closest_weights(
+    triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarray, "p 3"]
+) -> Float[np.ndarray, "p 3"]:
+    """Barycentric weights of the point of each triangle that is closest to a point, one point a triangle.
+
+    Where the foot of the perpendicular lies outside, the closest of the three sides is taken.
+    """
+    inside = _plane_weights(triangles, points)
+    outside = np.flatnonzero((inside < 0).any(axis=1))
+    inside[outside] = _side_weights(triangles[outside], points[outside])
+    return inside
+
+
+def _plane_weights(triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarray, "p 3"]) -> np.ndarray:
+    """Weights of the foot of the perpendicular; negative outside, and all -1 where the triangle has no area."""
+    normals = face_vectors(triangles)
+    squares = np.einsum("pk,pk->p", normals, normals)
+    spans = triangles - points[:, None]
+    areas = np.cross(spans[:, [1, 2, 0]], spans[:, [2, 0, 1]])
+    weights = np.einsum("pck,pk->pc", areas, normals) / np.where(squares > 0, squares, 1.0)[:, None]
+    return np.asarray(np.where(squares[:, None] > 0, weights, -1.0))
+
+
+def _side_weights(triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarray, "p 3"]) -> np.ndarray:
+    """Weights of the closest point on the triangle's sides."""
+    starts, sides = triangles, triangles[:, [1, 2, 0]] - triangles
+    squares = np.einsum("pck,pck->pc", sides, sides)
+    along = np.einsum("pck,pck->pc", points[:, None] - starts, sides) / np.where(squares > 0, squares, 1.0)
+    along = along.clip(0.0, 1.0)
+    offset = starts + along[..., None] * sides - points[:, None]
+    best = np.einsum("pck,pck->pc", offset, offset).argmin(axis=1)
+    rows = np.arange(len(points))
+    weights = np.zeros((len(points), 3))
+    weights[rows, best] = 1.0 - along[rows, best]
+    weights[rows, (best + 1) % 3] = along[rows, best]
+    return weights

@@ -1,0 +1,60 @@
+"""Surfaces: subdivision, closest points, and the places of points on the side that faces their way."""
+
+import numpy as np
+import trimesh
+from stand_in import sphere
+
+from homolog.synthesis.surface import Ground, Places, Surface, closest_weights, subdivided
+
+
+def test_subdividing_keeps_the_surface():
+    coarse = Surface(*sphere(2))
+    fine, parents = subdivided(coarse)
+    area = np.linalg.norm(fine.face_vectors, axis=1).reshape(-1, 4).sum(axis=1)
+    np.testing.assert_allclose(area, np.linalg.norm(coarse.face_vectors, axis=1))
+    np.testing.assert_allclose(np.repeat(coarse.face_normals, 4, axis=0), fine.face_normals, atol=1e-12)
+    np.testing.assert_array_equal(fine.vertices, coarse.vertices[parents].mean(axis=1))
+    assert trimesh.Trimesh(fine.vertices, fine.faces, process=False).is_watertight
+
+
+def test_closest_points_of_triangles():
+    generator = np.random.default_rng(0)
+    triangles, points = generator.normal(size=(500, 3, 3)), 2.0 * generator.normal(size=(500, 3))
+    weights = closest_weights(triangles, points)
+    assert weights.min() >= 0
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    expected = trimesh.triangles.closest_point(triangles, points)
+    np.testing.assert_allclose(np.einsum("pck,pc->pk", triangles, weights), expected, atol=1e-9)
+
+
+def test_closest_point_of_a_needle():
+    needle = np.array([[[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]])
+    weights = closest_weights(needle, np.array([[1.5, 1.0, 0.0]]))
+    np.testing.assert_allclose(np.einsum("pck,pc->pk", needle, weights), [[1.5, 0, 0]])
+
+
+def test_places_of_points_on_the_surface():
+    surface = Surface(*sphere(3))
+    generator = np.random.default_rng(1)
+    triangles = generator.integers(len(surface.faces), size=300)
+    given = Places(triangles, generator.dirichlet([1.0, 1.0, 1.0], 300))
+    found = Ground(surface).places(given.on(surface), surface.face_normals[triangles])
+    np.testing.assert_allclose(found.on(surface), given.on(surface), atol=1e-9)
+
+
+def test_points_stay_on_their_side_of_a_thin_sheet():
+    vertices, faces = sphere(4)
+    sheet = Surface(vertices * [1.0, 1.0, 0.005], faces)
+    upper = sheet.vertices[sheet.vertices[:, 2] > 0.003]
+    # The points are nearer to the lower side, but face up.
+    points, up = upper - [0.0, 0.0, 0.012], np.tile([0.0, 0.0, 1.0], (len(upper), 1))
+    assert (Ground(sheet).places(points, up).on(sheet)[:, 2] > 0).all()
+
+
+def test_values_at_subdivided_vertices():
+    surface = Surface(*sphere(2))
+    ground = Ground(surface)
+    values = surface.vertices @ [1.0, 2.0, 3.0]
+    middles = surface.vertices[surface.faces[:, :2]].mean(axis=1)
+    nearest = ground.nearest(middles, middles)
+    np.testing.assert_allclose(ground.values_at(nearest, values), middles @ [1.0, 2.0, 3.0])
