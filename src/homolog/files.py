@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from typing import Any
 
 from homolog.errors import ArgumentError
 
@@ -27,6 +29,20 @@ def expanded(path: str | Path) -> Path:
         return Path(path).expanduser()
     except RuntimeError:
         raise ArgumentError(f"{path}: there is no such user's home folder; write the path out") from None
+
+
+def made_folder(path: str | Path) -> Path:
+    """A folder, made if need be, with the folders above it; ``~`` is expanded.
+
+    Raises:
+        ArgumentError: if it cannot be made, or is a file.
+    """
+    folder = expanded(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ArgumentError(f"{path} cannot be made a folder ({error.strerror}); give another one") from None
+    return folder
 
 
 @contextmanager
@@ -120,6 +136,25 @@ def _blamed(path: str | Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise ArgumentError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def write_json(path: str | Path, content: dict[str, Any]) -> None:
+    """Write an object for people and programs to read.
+
+    Raises:
+        ArgumentError: as ``atomic_path`` does.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
+
+
+def read_json(path: Path, *, needs: str) -> dict[str, Any] | None:
+    """An object that has a certain key; None if the file holds anything else, or is not there."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) and needs in content else None
 
 
 def sha256(*paths: str | Path) -> str:

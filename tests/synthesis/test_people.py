@@ -4,8 +4,6 @@ import json
 import os
 import shutil
 import sys
-from concurrent.futures import Future
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ import trimesh
 from stand_in import Crossing, StandIn, sphere
 
 from homolog.datasets import ShapeFolder
-from homolog.errors import ArgumentError, DataError, MissingExtraError
+from homolog.errors import ArgumentError, MissingExtraError
 from homolog.shapes import read_shape
 from homolog.synthesis import (
     BodyModel,
@@ -41,24 +39,10 @@ def points():
 
 @pytest.fixture
 def workshop(monkeypatch):
-    """Sets of stand-ins, made in this process."""
-    monkeypatch.setattr(production, "BodyModel", StandIn)
+    """Sets of stand-ins."""
+    monkeypatch.setattr(production, "_body_model", StandIn)
     monkeypatch.setattr(production, "TEMPLATE_POINTS", 200)
     monkeypatch.setattr(remeshing, "_ROUNDS", 4)  # rough meshes do, and soon
-
-    @contextmanager
-    def in_place(processes, points, settings, folder):
-        workshop = production._Workshop(StandIn(), points, settings, folder)
-
-        class Pool:
-            def submit(self, _make, index):
-                future = Future()
-                future.set_result(workshop.make(index))
-                return future
-
-        yield Pool()
-
-    monkeypatch.setattr(production, "_pool", in_place)
 
 
 def contents(root):
@@ -112,7 +96,7 @@ def test_openings_are_closed():
 def test_a_set_is_a_folder_of_shapes_with_ground_truth(tmp_path, workshop):
     told = []
     synthesize_people(tmp_path / "set", 3, SMALL, progress=lambda *state: told.append(state))
-    assert [done for done, _, _ in told] == [0, 1, 2, 3]
+    assert [done for done, _, _ in told] == [0, 0, 1, 2, 3]
     folder = ShapeFolder.open(tmp_path / "set")
     assert folder.names == ("person_00000", "person_00001", "person_00002")
     template = read_shape(tmp_path / "set" / "template" / "template.off")
@@ -171,14 +155,14 @@ def test_going_on_makes_only_what_is_missing_or_damaged(tmp_path, workshop, monk
 def test_other_settings_need_another_folder(tmp_path, workshop):
     synthesize_people(tmp_path, 1, SMALL)
     before = contents(tmp_path)
-    with pytest.raises(DataError, match="seed 3, not 4"):
+    with pytest.raises(ArgumentError, match="seed 3, not 4"):
         synthesize_people(tmp_path, 1, PeopleSettings(seed=4, mesh=MeshSettings(500)))
     assert contents(tmp_path) == before
 
 
 def test_a_folder_with_other_things_is_left_alone(tmp_path, workshop):
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(DataError, match="not empty"):
+    with pytest.raises(ArgumentError, match="holds other things; give another folder"):
         synthesize_people(tmp_path, 1, SMALL)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 

@@ -62,7 +62,7 @@ def test_bodies_of_the_test_are_not_trained_on(written):
     assert sum(entry["split"] == "test" for entry in entries) == N_VIEWS / 5
     assert {entry["own"] for entry in entries if entry["split"] == "train"} == bodies["train"]
     assert any(entry["own"] != entry["complete"] for entry in entries)
-    split = {name: body["split"] for name, body in manifest(written)["bodies"].items()}
+    split = {name: body["split"] for name, body in manifest(written)["making"]["bodies"].items()}
     assert sorted(split.values()) == ["test"] + ["train"] * (N_BODIES - 1)
     assert all(split[entry["own"]] == split[entry["complete"]] == entry["split"] for entry in entries)
     folder = ShapeFolder.open(written)
@@ -158,10 +158,16 @@ def test_another_seed_gives_other_views(source, written, tmp_path):
     assert manifest(tmp_path)["views"][0]["camera"] != manifest(written)["views"][0]["camera"]
 
 
-@pytest.mark.parametrize("change", [{"seed": 4}, {"settings": ViewSettings(pixels=(31, 40))}])
-def test_a_folder_holds_one_set(source, written, change):
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"seed": 4}, "seed 3, not 4"),
+        ({"settings": ViewSettings(pixels=(31, 40))}, r"\(pixels \[30, 40\], not \[31, 40\]\)"),
+    ],
+)
+def test_a_folder_holds_one_set(source, written, change, told):
     before = contents(written)
-    with pytest.raises(ArgumentError, match="give another folder"):
+    with pytest.raises(ArgumentError, match=told):
         write_view_set(source, written, **{"views": 5, "seed": 3, "settings": SMALL, **change})
     assert contents(written) == before
 
@@ -176,7 +182,7 @@ def test_a_manifest_of_something_else(source, tmp_path, content):
 
 def test_a_folder_with_other_things_is_left_alone(source):
     before = contents(source)
-    with pytest.raises(ArgumentError, match="give a new folder"):
+    with pytest.raises(ArgumentError, match="holds other things; give another folder"):
         write_view_set(source, source, views=5, seed=0)
     assert contents(source) == before
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_format
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -29,7 +28,7 @@ from homolog.cli.progress import progress_bar
 from homolog.datasets import ShapeFolder, Split
 from homolog.evaluation import Evaluation, MatchPair, Modalities, Protocol
 from homolog.evaluation import evaluate as evaluate_folder
-from homolog.files import atomic_path
+from homolog.files import write_json
 from homolog.matching import Correspondence, Matcher, Prepared, Side
 from homolog.training import AdaptationSettings, adapt_to_pair
 from homolog.versions import versions
@@ -101,8 +100,7 @@ def evaluate(
             "command": ["homolog", *sys.argv[1:]],
             "versions": versions(),
         }
-        with atomic_path(json) as temporary:
-            temporary.write_text(json_format.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_json(json, report)
     if not quiet:
         Console().print(_table(evaluation, folder, protocol))
 

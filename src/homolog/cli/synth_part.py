@@ -9,8 +9,7 @@ import numpy as np
 import typer
 
 from homolog.cli.options import Quiet
-from homolog.errors import ArgumentError
-from homolog.files import all_or_nothing, atomic_path, expanded
+from homolog.files import all_or_nothing, atomic_path, made_folder
 from homolog.shapes import Repaired, Shape, read_shape, repair, write_shape
 from homolog.synthesis import Part, cut, pierce, view
 
@@ -37,10 +36,7 @@ def part(
     """
     repaired = repair(read_shape(file))
     parts = _parts(repaired.shape, kind, seed)
-    place = expanded(output)
-    if place.exists() and not place.is_dir():
-        raise ArgumentError(f"{output} is a file, but must be a folder; give another -o")
-    place.mkdir(parents=True, exist_ok=True)
+    place = made_folder(output)
     with all_or_nothing():
         for name, made in parts.items():
             write_shape(place / f"{name}.ply", made.shape)

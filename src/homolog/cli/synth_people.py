@@ -14,8 +14,10 @@ from homolog.synthesis import MeshSettings, PeopleSettings, synthesize_people
 
 
 def people(
-    n: Annotated[int, typer.Option("-n", "--number", help="How many bodies.", min=1, show_default=False)],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the set.", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to go on with.")
+    ] = Path("people"),
+    number: Annotated[int, typer.Option("--number", "-n", help="How many bodies.", min=1)] = 500,
     seed: Annotated[int, typer.Option(help="Another seed, other bodies.", min=0)] = 0,
     vertices: Annotated[int, typer.Option(help="About how many vertices each mesh has.", min=500)] = 5000,
     stretch: Annotated[
@@ -25,7 +27,7 @@ def people(
         ),
     ] = 1.0,
     processes: Annotated[
-        int, typer.Option(help="Bodies made at once.", min=1, show_default="one per core")
+        int, typer.Option(help="Processes that share the work.", min=1, show_default="one per core")
     ] = os.cpu_count() or 1,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -46,6 +48,6 @@ def people(
     set_verbosity(quiet=quiet, verbose=verbose)
     settings = PeopleSettings(seed, MeshSettings(vertices, stretch))
     with progress_bar(quiet=quiet) as progress:
-        folder = synthesize_people(out, n, settings, processes=processes, progress=progress)
+        folder = synthesize_people(output, number, settings, processes=processes, progress=progress)
     if not quiet:
         typer.echo(folder.root)

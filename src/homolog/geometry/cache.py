@@ -158,9 +158,8 @@ def _read(path: Path) -> Operators | None:
             raise ValueError("its checksum does not match")
         operators = _operators(tensors, length=float.fromhex(notes["length"]), method=notes["method"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        if before is None or before != _identity(
-            path
-        ):  # thrown out or written anew by another process amid the reading
+        # Another process may have thrown it out or written it anew amid the reading.
+        if before is None or before != _identity(path):
             return None
         _log.warning("the cached operators %s are damaged (%s) and are computed anew", path, error)
         return None

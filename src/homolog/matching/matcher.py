@@ -426,9 +426,8 @@ def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
     except ShapeError:
         return repair(shape.as_cloud()), False
     n_used = repaired.shape.n_points
-    if (
-        n_used < _SHARE_WITH_FACES * shape.n_points
-    ):  # few enough to look closer: points that repair takes out count, too
+    # Points that repair takes out count, too: where few have faces, the cloud as repaired tells how many there were.
+    if n_used < _SHARE_WITH_FACES * shape.n_points:
         cloud = repair(shape.as_cloud())
         if n_used < _SHARE_WITH_FACES * cloud.shape.n_points:
             return cloud, False

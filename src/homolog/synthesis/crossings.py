@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
-from homolog.synthesis.surface import Surface, face_vectors
+from homolog.shapes import face_vectors
+from homolog.synthesis.surface import Surface
 
 _Pairs = Int[np.ndarray, "p 2"]
 

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 
-from homolog.synthesis.surface import face_vectors
+from homolog.shapes import face_vectors
+from homolog.synthesis.grouping import FacesAround
 
 # Edges longer or shorter than this, relative to the length wanted, are split or collapsed.
 LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
@@ -184,13 +185,8 @@ def _faces_around(
     faces: Int[np.ndarray, "m 3"], a: Int[np.ndarray, " e"], b: Int[np.ndarray, " e"], n_vertices: int
 ) -> tuple[Int[np.ndarray, " q"], Int[np.ndarray, " q"], Int[np.ndarray, " q"]]:
     """Edge, triangle and end for every triangle that has just one end of an edge."""
-    order = np.argsort(faces.ravel(), kind="stable") // 3
-    degrees = np.bincount(faces.ravel(), minlength=n_vertices)
-    starts = np.cumsum(degrees) - degrees
     ends = np.stack([a, b], axis=1).ravel()
-    edge_end = np.repeat(np.arange(len(ends)), degrees[ends])
-    within = np.arange(len(edge_end)) - np.repeat(np.cumsum(degrees[ends]) - degrees[ends], degrees[ends])
-    face = order[starts[ends[edge_end]] + within]
+    edge_end, face = FacesAround.of(faces, n_vertices).of_each(ends)
     other = np.stack([b, a], axis=1).ravel()[edge_end]
     alone = (faces[face] != other[:, None]).all(axis=1)
     return edge_end[alone] // 2, face[alone], ends[edge_end[alone]]

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from homolog.errors import DataError
-from homolog.files import all_or_nothing, atomic_path, expanded, sha256
+from homolog.files import all_or_nothing, atomic_path, expanded, made_folder, read_json, sha256, write_json
 from homolog.shapes import Shape, write_shape
 from homolog.synthesis.body_model import ASSETS
 from homolog.synthesis.people import MOST_CROSSING, MeshedBody, PeopleSettings, Person
+from homolog.synthesis.set_folder import MANIFEST, claim
 from homolog.synthesis.surface import Places, Surface
 from homolog.versions import version_of, versions
 
-MANIFEST = "manifest.json"
 # Changes whenever the same settings come to give other bodies.
 _MAKING = 1
 _FOLDERS = ("off", "corres", "places", "records", "template")
@@ -45,22 +44,10 @@ class PeopleFolder:
         """Make the folder, or go on with one that was made with the same settings.
 
         Raises:
-            DataError: if it holds something else, or bodies that were made in another way.
-            ArgumentError: if it cannot be written to.
+            ArgumentError: if it holds something else, or bodies that were made in another way, or cannot be written to.
         """
         folder = cls(expanded(root))
-        found = folder._manifest()
-        if found is None and folder.root.is_dir() and any(folder.root.iterdir()):
-            raise DataError(f"{root} is not empty and holds no {MANIFEST} of people; give another folder with -o")
-        if found is not None and found.get("making") != _making(settings):
-            raise DataError(
-                f"{root} holds people made with other settings or versions ({_differences(found, settings)}); "
-                "give those, or another folder with -o"
-            )
-        for name in _FOLDERS:
-            (folder.root / name).mkdir(parents=True, exist_ok=True)
-        if found is None:
-            folder.write_manifest(settings, ())
+        claim(folder.root, folder._manifest(settings, ()), _FOLDERS)
         return folder
 
     @staticmethod
@@ -85,14 +72,14 @@ class PeopleFolder:
 
     def record(self, name: str) -> dict[str, Any] | None:
         """How a body was made; None if that is not known."""
-        return _read_json(self.root / "records" / f"{name}.json", needs="sha256")
+        return read_json(self.root / "records" / f"{name}.json", needs="sha256")
 
     def write_person(self, name: str, person: Person) -> None:
         """Write all files of a body; its record comes last, and without it the others do not count."""
         write_shape_files(self.root, name, person.body)
         _write_places(self.root / "places" / f"{name}.npz", person.body.places)
         hashes = {relative: sha256(path) for relative, path in self.files(name).items()}
-        _write_json(self.root / "records" / f"{name}.json", {**_described(person), "sha256": hashes})
+        write_json(self.root / "records" / f"{name}.json", {**_described(person), "sha256": hashes})
 
     def write_template(self, rest: Surface, points: Places) -> None:
         """Write the surface that all bodies share, and the points upon it that ``corres/`` speaks of."""
@@ -100,29 +87,27 @@ class PeopleFolder:
             _write_mesh(self.root / "template" / "template.off", rest)
             _write_places(self.root / "template" / "points.npz", points)
 
-    def write_manifest(self, settings: PeopleSettings, names: tuple[str, ...]) -> None:
+    def write_manifest(self, settings: PeopleSettings, names: Sequence[str]) -> None:
         """Write what the set is made from, how, and what each body is."""
+        write_json(self.root / MANIFEST, self._manifest(settings, names))
+
+    def _manifest(self, settings: PeopleSettings, names: Sequence[str]) -> dict[str, Any]:
         licensed = [{**asset, "version": version_of(asset["package"])} for asset in ASSETS]
-        bodies = {name: self.record(name) for name in names}
-        manifest = {
+        return {
             "what": "synthetic people with ground truth, made by homolog synth people",
             "making": _making(settings),
             "most_crossing": MOST_CROSSING,
             "assets": licensed,
             "versions": versions(),
             "n": len(names),
-            "bodies": bodies,
+            "bodies": {name: self.record(name) for name in names},
         }
-        _write_json(self.root / MANIFEST, manifest)
-
-    def _manifest(self) -> dict[str, Any] | None:
-        return _read_json(self.root / MANIFEST, needs="making")
 
 
 def write_shape_files(root: Path, name: str, body: MeshedBody) -> None:
     """Write ``off/NAME.off`` and ``corres/NAME.vts`` into a folder, which is made if need be."""
     for folder in ("off", "corres"):
-        (root / folder).mkdir(parents=True, exist_ok=True)
+        made_folder(root / folder)
     with all_or_nothing():
         _write_mesh(root / "off" / f"{name}.off", body.mesh)
         with atomic_path(root / "corres" / f"{name}.vts") as temporary:
@@ -132,11 +117,6 @@ def write_shape_files(root: Path, name: str, body: MeshedBody) -> None:
 def _making(settings: PeopleSettings) -> dict[str, Any]:
     """All that a body depends on, besides its number."""
     return {"way": _MAKING, "anny": version_of("anny"), "seed": settings.seed, **asdict(settings.mesh)}
-
-
-def _differences(found: dict[str, Any], settings: PeopleSettings) -> str:
-    there, wanted = found["making"], _making(settings)
-    return ", ".join(f"{key} {there.get(key)}, not {value}" for key, value in wanted.items() if there.get(key) != value)
 
 
 def _described(person: Person) -> dict[str, Any]:
@@ -161,17 +141,3 @@ def _write_places(path: Path, places: Places) -> None:
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         triangles, weights = places.triangles.astype(np.int32), places.weights.astype(np.float32)
         np.savez_compressed(file, allow_pickle=False, triangles=triangles, weights=weights)
-
-
-def _write_json(path: Path, content: dict[str, Any]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
-
-
-def _read_json(path: Path, *, needs: str) -> dict[str, Any] | None:
-    """An object with a certain key, or None where there is no such file."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) and needs in content else None

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from homolog.synthesis.grouping import runs
+
 # Cells along each side of the image per square root of the number of triangles, and at most.
 _CELLS, _MOST_CELLS = 2.0, 1024
 # What lies deeper than the first hit by less than this share of its depth is that hit, but for rounding.
@@ -78,18 +80,11 @@ def _candidates(
     # The rays in cells next to each other in a row lie next to each other in `by_cell`.
     starts = np.searchsorted(np.sort(number), np.arange(n * n + 1))
     first, last = cell(low), cell(high)
-    triangle, row = _runs(last[:, 1] - first[:, 1] + 1)
+    triangle, row = runs(last[:, 1] - first[:, 1] + 1)
     row = n * (row + first[triangle, 1])
     begin, end = starts[row + first[triangle, 0]], starts[row + last[triangle, 0] + 1]
-    run, place = _runs(end - begin)
+    run, place = runs(end - begin)
     return by_cell[begin[run] + place], triangle[run]
-
-
-def _runs(lengths: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t"]]:
-    """Runs of so many entries, one after the other: for each entry its run, and its place in it."""
-    run = np.repeat(np.arange(len(lengths)), lengths)
-    begins = np.cumsum(lengths) - lengths
-    return run, np.arange(len(run)) - begins[run]
 
 
 def _volumes(

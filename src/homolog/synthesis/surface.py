@@ -9,6 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
+from homolog.shapes import face_vectors
+from homolog.synthesis.grouping import FacesAround
+
 # A point's place is looked for among so many vertices nearest to it, on the side that faces its way.
 _NEAR = 16
 _SAME_SIDE = 0.3
@@ -62,12 +65,6 @@ class Places:
         return np.asarray(np.einsum("pck,pc->pk", corners, self.weights))
 
 
-def face_vectors(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
-    """The normals of triangles, as long as twice their areas."""
-    p, q, r = np.moveaxis(triangles, 1, 0)
-    return np.cross(q - p, r - p)
-
-
 def unit(vectors: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
     """Vectors scaled to length one; zero stays zero."""
     lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -98,7 +95,7 @@ class Ground:
         self.surface = surface
         self._fine, self._parents = subdivided(surface)
         self._tree = cKDTree(self._fine.vertices)
-        self._fans = _fans(self._fine.faces, len(self._fine.vertices))
+        self._around = FacesAround.of(self._fine.faces, len(self._fine.vertices)).padded()
 
     def nearest(self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
         """For each point the nearest vertex of the subdivided surface whose normal agrees with the one given."""
@@ -119,7 +116,7 @@ class Ground:
 
     def places(self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]) -> Places:
         """The nearest places on the surface itself, among the triangles around the nearest vertex."""
-        triangles = self._fans[self.nearest(points, normals)] // 4
+        triangles = self._around[self.nearest(points, normals)] // 4
         corners = self.surface.vertices[self.surface.faces[triangles]]
         weights = closest_weights(corners.reshape(-1, 3, 3), np.repeat(points, triangles.shape[1], axis=0))
         weights = weights.reshape(*triangles.shape, 3)
@@ -127,15 +124,6 @@ class Ground:
         best = np.einsum("pfk,pfk->pf", offset, offset).argmin(axis=1)
         rows = np.arange(len(points))
         return Places(triangles[rows, best], weights[rows, best])
-
-
-def _fans(faces: Int[np.ndarray, "m 3"], n_vertices: int) -> Int[np.ndarray, "n d"]:
-    """The triangles around each vertex, a row a vertex; shorter rows repeat their first triangle."""
-    order = np.argsort(faces.ravel(), kind="stable")
-    degrees = np.bincount(faces.ravel(), minlength=n_vertices)
-    starts = np.cumsum(degrees) - degrees
-    steps = np.arange(degrees.max())
-    return np.asarray(order[starts[:, None] + np.where(steps < degrees[:, None], steps, 0)] // 3)
 
 
 def closest_weights(

@@ -8,7 +8,8 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
-from homolog.synthesis.surface import Places, Surface
+from homolog.shapes import farthest_points
+from homolog.synthesis.surface import Places, Surface, closest_weights
 
 # The points are always the same ones, whatever set they are for.
 _SEED = 7
@@ -87,23 +88,7 @@ def sample_evenly(surface: Surface, count: int) -> Places:
     """Places spread over a surface, each far from all before it."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
     points, on = trimesh.sample.sample_surface(mesh, _DRAWN_PER_POINT * count, seed=_SEED)
-    chosen = _farthest(np.asarray(points), count)
+    chosen = farthest_points(np.asarray(points), count, seed=_SEED)
     triangles = np.asarray(on)[chosen].astype(np.int64)
-    return Places(triangles, _weights(surface.vertices[surface.faces[triangles]], np.asarray(points)[chosen]))
-
-
-def _farthest(points: Float[np.ndarray, "p 3"], count: int) -> Int[np.ndarray, " c"]:
-    """Indices of points, beginning with the first, each the farthest from all before it."""
-    chosen = np.zeros(count, dtype=np.int64)
-    distance = np.full(len(points), np.inf)
-    for i in range(1, count):
-        distance = np.minimum(distance, np.square(points - points[chosen[i - 1]]).sum(axis=1))
-        chosen[i] = distance.argmax()
-    return chosen
-
-
-def _weights(triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
-    """The barycentric weights of points on triangles, by the areas across from the corners."""
-    spans = triangles - points[:, None]
-    areas = np.linalg.norm(np.cross(spans[:, [1, 2, 0]], spans[:, [2, 0, 1]]), axis=2)
-    return np.asarray(areas / areas.sum(axis=1, keepdims=True))
+    corners = surface.vertices[surface.faces[triangles]]
+    return Places(triangles, closest_weights(corners, np.asarray(points)[chosen]))

@@ -17,16 +17,17 @@ from jaxtyping import Int
 
 from homolog.arguments import check_count, is_count
 from homolog.datasets import ShapeFolder
-from homolog.errors import ArgumentError, DataError, bad_value
-from homolog.files import all_or_nothing, atomic_path, expanded
+from homolog.errors import DataError, bad_value
+from homolog.files import all_or_nothing, atomic_path, expanded, write_json
 from homolog.shapes import read_shape, repair, write_shape
 from homolog.steps import Progress, unheard
+from homolog.synthesis.set_folder import MANIFEST, claim
 from homolog.synthesis.view_plan import TEST_EVERY, Bodies, PlannedView, SetSplit, planned_view
 from homolog.synthesis.views import View, ViewSettings, view
 from homolog.synthesis.work import work_off
 
-MANIFEST = "manifest.json"
-
+# Changes whenever the same settings come to give other views.
+_MAKING = 1
 _MOST_VIEWS = 1_000_000
 _FOLDERS = ("off", "clouds", "truth")
 
@@ -66,8 +67,8 @@ def write_view_set(
     check_count("seed", seed, least=0)
     check_count("processes", processes)
     bodies, place, settings = Bodies.open(source, seed=seed), expanded(output), settings or ViewSettings()
-    head = _as_json({"seed": seed, "settings": asdict(settings), "bodies": bodies.described()})
-    _claim(place, head, with_truth=bodies.truth_root is not None)
+    manifest = _manifest(bodies, seed, settings)
+    claim(place, manifest, [*_FOLDERS, *(["corres"] if bodies.truth_root is not None else [])])
     planned = [planned_view(bodies, number, seed=seed) for number in range(views)]
     used = sorted({name for one in planned for name in (one.own, one.complete)})
     make_bodies = [(name, partial(_write_body, bodies.files[name], bodies.truth_root, place)) for name in used]
@@ -75,29 +76,14 @@ def write_view_set(
     work_off([make_bodies, make_views], processes=processes, progress=progress or unheard)
     _write_lists(place, planned)
     records = [json.loads(_record(place, one.name).read_text(encoding="utf-8")) for one in planned]
-    _write_json(place / MANIFEST, {**head, "views": records})
+    write_json(place / MANIFEST, {**manifest, "views": records})
 
 
-def _claim(place: Path, head: dict[str, Any], *, with_truth: bool) -> None:
-    """Make the folder, or make sure that it was begun for the same set."""
-    manifest = place / MANIFEST
-    if manifest.is_file():
-        if not _begins_with(manifest, head):
-            raise ArgumentError(f"{place} holds views of other shapes, or by other settings; give another folder")
-    elif place.exists() and (not place.is_dir() or any(place.iterdir())):
-        raise ArgumentError(f"{place} holds other things; give a new folder")
-    for name in (*_FOLDERS, *(["corres"] if with_truth else [])):
-        (place / name).mkdir(parents=True, exist_ok=True)
-    if not manifest.is_file():
-        _write_json(manifest, {**head, "views": []})
-
-
-def _begins_with(manifest: Path, head: dict[str, Any]) -> bool:
-    try:
-        begun = json.loads(manifest.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    return isinstance(begun, dict) and {key: begun.get(key) for key in head} == head
+def _manifest(bodies: Bodies, seed: int, settings: ViewSettings) -> dict[str, Any]:
+    """Of a set without views as yet; in the types that JSON has, to be compared with what is read back."""
+    settled = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(settings).items()}
+    making = {"way": _MAKING, "seed": seed, **settled, "bodies": bodies.described()}
+    return {"what": "partial views with ground truth, made by homolog synth views", "making": making, "views": []}
 
 
 def _write_body(file: Path, truth_root: Path | None, place: Path) -> None:
@@ -130,7 +116,7 @@ def _write_view(planned: PlannedView, place: Path, settings: ViewSettings) -> No
             _write_common(place, planned.name, _where(found.mesh.complete_index, folder.common_points(planned.own)))
         with atomic_path(place / "truth" / f"{planned.name}.npz") as temporary:
             np.savez_compressed(temporary, allow_pickle=False, **_truth(planned, found, folder))
-        _write_json(record, _described(planned, found))
+        write_json(record, _described(planned, found))
 
 
 def _truth(planned: PlannedView, found: View, folder: ShapeFolder | None) -> dict[str, np.ndarray]:
@@ -187,16 +173,5 @@ def _write_lines(path: Path, lines: Sequence[str]) -> None:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _write_json(path: Path, values: dict[str, Any]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
-
-
 def _record(place: Path, name: str) -> Path:
     return place / "truth" / f"{name}.json"
-
-
-def _as_json(values: dict[str, Any]) -> dict[str, Any]:
-    """The values as they read back."""
-    read: dict[str, Any] = json.loads(json.dumps(values))
-    return read

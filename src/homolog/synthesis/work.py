@@ -6,8 +6,10 @@ import itertools
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 
+from homolog.errors import ArgumentError
 from homolog.steps import Progress
 
 # A name to show, and what to do; several processes need functions that can be pickled.
@@ -17,7 +19,11 @@ Task = tuple[str, Callable[[], None]]
 def work_off(phases: Sequence[Sequence[Task]], *, processes: int, progress: Progress) -> None:
     """Do all tasks of a phase, in any order, before those of the next.
 
-    On an error or an interrupt no further task begins.
+    On an error or an interrupt no further task begins. One process is this one; several begin by importing the program
+    that calls this, so that a script must call it below ``if __name__ == "__main__":``.
+
+    Raises:
+        ArgumentError: if one of several processes is ended from outside.
     """
     names = [name for tasks in phases for name, _ in tasks]
     functions = [[function for _, function in tasks] for tasks in phases]
@@ -38,6 +44,11 @@ def _shared(phases: Sequence[Sequence[Callable[[], None]]], processes: int) -> I
     try:
         for functions in phases:
             yield from pool.map(_call, functions)
+    except BrokenProcessPool:
+        raise ArgumentError(
+            "a process was ended from outside, perhaps for want of memory; run the same command again, "
+            "with fewer --processes"
+        ) from None
     finally:
         pool.shutdown(cancel_futures=True)
 

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from homolog.errors import ArgumentError
-from homolog.files import atomic_path
+from homolog.files import made_folder, write_json
 from homolog.network import WeightsInfo, save_weights
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
@@ -52,10 +52,7 @@ class RunFolder:
         Raises:
             ArgumentError: if it cannot be made, or holds files and ``resume`` is not given.
         """
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ArgumentError(f"{self.path} cannot be made a folder ({error.strerror}); give another --out") from None
+        made_folder(self.path)
         if not os.access(self.path, os.W_OK):
             raise ArgumentError(f"{self.path} is read-only; give another --out")
         if not resume and any(self.path.iterdir()):
@@ -92,8 +89,7 @@ class RunFolder:
             "validations": state.records,
             "versions": versions(),
         }
-        with atomic_path(self.path / "report.json") as temporary:
-            temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_json(self.path / "report.json", report)
 
     def _export(self, state: TrainingState) -> None:
         save_weights(self.path / WEIGHTS, state.result(), weights_info(self.recipe))

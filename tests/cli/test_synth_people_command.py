@@ -1,4 +1,4 @@
-"""``homolog synth``: options reach the making of people, and its errors are one line."""
+"""``homolog synth people``: options reach the making of people, and its errors are one line."""
 
 import sys
 
@@ -13,9 +13,9 @@ def asked(monkeypatch):
     """What the command asks for, instead of its being done."""
     calls = []
 
-    def synthesize(out, n, settings, *, processes, progress):
-        calls.append((out, n, settings, processes))
-        return PeopleFolder(out)
+    def synthesize(output, n, settings, *, processes, progress):
+        calls.append((output, n, settings, processes))
+        return PeopleFolder(output)
 
     monkeypatch.setattr(synth_people, "synthesize_people", synthesize)
     return calls
@@ -36,7 +36,7 @@ def test_quiet(homolog, asked, tmp_path):
     assert homolog("synth", "people", "-n", 1, "-o", tmp_path, "-q").out == ""
 
 
-@pytest.mark.parametrize("wrong", [["-n", 0], ["-n", 1, "--stretch", 9], ["-n", 1, "--vertices", 3], []])
+@pytest.mark.parametrize("wrong", [["-n", 0], ["-n", 1, "--stretch", 9], ["-n", 1, "--vertices", 3]])
 def test_wrong_options(homolog, asked, tmp_path, wrong):
     assert homolog("synth", "people", "-o", tmp_path / "set", *wrong).is_one_line_of_complaint()
     assert not asked

@@ -1,0 +1,48 @@
+"""The folder of a set that is being made: begun for one way of making, and gone on with in that way alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from homolog.errors import ArgumentError
+from homolog.files import made_folder, read_json, write_json
+
+MANIFEST = "manifest.json"
+"""What a set is and how it is made, in its folder; there from the start, and complete once the set is."""
+
+
+def claim(root: Path, manifest: dict[str, Any], folders: Sequence[str]) -> None:
+    """Make a set's folder, or make sure that the set in it was begun in the same way.
+
+    Args:
+        root: the folder.
+        manifest: what it is to say until the set is complete; all that the set's files depend on is under ``making``.
+        folders: to make within it.
+
+    Raises:
+        ArgumentError: if it holds another set or other things, or cannot be written to; nothing is changed then.
+    """
+    begun = read_json(root / MANIFEST, needs="making")
+    if begun is None:
+        if root.exists() and (not root.is_dir() or any(root.iterdir())):
+            raise ArgumentError(f"{root} holds other things; give another folder with -o, a new or an empty one")
+    elif different := _differences(begun["making"], manifest["making"]):
+        raise ArgumentError(
+            f"{root} holds a set made in another way ({different}); give the same settings, or another folder with -o"
+        )
+    for folder in folders:
+        made_folder(root / folder)
+    if begun is None:
+        write_json(root / MANIFEST, manifest)
+
+
+def _differences(begun: Any, wanted: dict[str, Any]) -> str:
+    if not isinstance(begun, dict):
+        return "nothing tells how"
+    return ", ".join(
+        key if isinstance(value, dict) else f"{key} {begun.get(key)}, not {value}"
+        for key, value in wanted.items()
+        if begun.get(key) != value
+    )
