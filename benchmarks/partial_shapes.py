@@ -54,7 +54,7 @@ class Score:
 
     def __init__(self) -> None:
         self.counts = np.zeros(3)
-        self.errors: list[float] = []
+        self.errors: list[Float[np.ndarray, " n"]] = []
 
     def add(self, found: Bool[np.ndarray, " m"], truth: Bool[np.ndarray, " m"]) -> None:
         """Count found, true, and rightly found points without a counterpart."""
@@ -62,7 +62,7 @@ class Score:
 
     def __str__(self) -> str:
         found, true, both = self.counts
-        error = f"error {100 * np.mean(self.errors):.2f}, " if self.errors else ""
+        error = f"error {100 * np.concatenate(self.errors).mean():.2f}, " if self.errors else ""
         return f"{error}precision {both / found:.3f}, recall {both / true:.3f}, F1 {2 * both / (found + true):.3f}"
 
 
@@ -92,7 +92,7 @@ def main() -> None:
             found = matcher.match(complete, part, partial="target", as_cloud=as_cloud)
             score = scores[f"own map, {modality}"]
             score.add(found.source_to_target >= 0, truth)
-            score.errors.append(float(geodesic_errors(complete, nearest, found.target_to_source).mean()))
+            score.errors.append(geodesic_errors(complete, nearest, found.target_to_source))
         print(file.stem, {name: str(score) for name, score in scores.items()}, flush=True)
     for name, score in scores.items():
         print(f"{name}: {score}")

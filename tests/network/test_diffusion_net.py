@@ -150,6 +150,17 @@ def test_diffusion_smooths_for_each_channel_s_time(operators: Operators) -> None
     torch.testing.assert_close(out[:, 3], mean.expand(operators.n_points), atol=1e-4, rtol=1e-4)
 
 
+def test_long_times_leave_no_numbers_that_are_slow_to_multiply() -> None:
+    eigenvalues, times = torch.linspace(0, 2000, 300), torch.linspace(1e-4, 0.1, 50).requires_grad_()
+    decay = heat_decay(eigenvalues, times)
+    expected = torch.exp(-eigenvalues[:, None] * times).detach()
+    assert ((expected > 0) & (expected < torch.finfo(torch.float32).tiny)).any()
+    assert not ((decay > 0) & (decay < 1e-15)).any()
+    torch.testing.assert_close(decay, expected, atol=1e-13, rtol=1e-6)
+    decay.sum().backward()
+    torch.testing.assert_close(times.grad, -(eigenvalues[:, None] * expected).sum(dim=0))
+
+
 def test_the_times_learn_from_where_they_begin_and_are_lifted_from_below_zero(operators: Operators) -> None:
     torch.manual_seed(0)
     network = DiffusionNet(SMALL)
