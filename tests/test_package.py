@@ -14,6 +14,7 @@ MODULES = sorted(path for path in ROOT.rglob("*.py"))
 
 # Floor by floor, what each part may import of homolog. `errors`, `memory` and the like are the ground.
 GROUND = {"errors", "arguments", "memory", "arrays", "files", "steps", "versions"}
+BENEATH_EVALUATION = {"shapes", "geometry", "network", "maps", "matching", "datasets"}
 FLOORS = {
     "errors": set(),
     "arguments": {"errors"},
@@ -28,13 +29,13 @@ FLOORS = {
     "maps": GROUND | {"shapes", "geometry"},
     "matching": GROUND | {"shapes", "geometry", "network", "maps"},
     "datasets": GROUND | {"shapes"},
+    "volumes": GROUND | {"shapes"},
     "synthesis": GROUND | {"shapes", "geometry", "datasets"},
-    "evaluation": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets"},
-    "training": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
-    "cli": GROUND
-    | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation", "training", "synthesis"},
+    "evaluation": GROUND | BENEATH_EVALUATION,
+    "training": GROUND | BENEATH_EVALUATION | {"evaluation"},
+    "cli": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "synthesis", "volumes"},
     "__main__": {"cli"},
-    "__init__": GROUND | {"shapes", "geometry", "network", "maps", "matching", "datasets", "evaluation"},
+    "__init__": GROUND | BENEATH_EVALUATION | {"evaluation"},
 }
 HEAVY = [
     "pyvista",
@@ -43,6 +44,8 @@ HEAVY = [
     "anny",
     "pypcd4",
     "fast_simplification",
+    "SimpleITK",
+    "skimage",
     "tensorboard",
     "lightning_fabric",
 ]

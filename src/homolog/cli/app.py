@@ -13,6 +13,7 @@ from homolog.cli.info import info
 from homolog.cli.match import match
 from homolog.cli.synth import synth
 from homolog.cli.train import train
+from homolog.cli.volume import volume
 from homolog.versions import version_of
 
 app = typer.Typer(
@@ -42,4 +43,5 @@ def homolog(
 
 for command in (match, train, evaluate, info, doctor, demo):
     app.command()(command)
-app.add_typer(synth)
+for group in (synth, volume):
+    app.add_typer(group)

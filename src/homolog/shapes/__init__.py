@@ -1,7 +1,7 @@
 """What a shape is: reading, writing, checking and repairing meshes and point clouds."""
 
 from homolog.shapes.checking import Finding, Report, check
-from homolog.shapes.reading import READABLE, files_of_shape, read_shape
+from homolog.shapes.reading import READABLE, VOLUMES, files_of_shape, read_shape
 from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
@@ -12,6 +12,7 @@ from homolog.shapes.writing import WRITABLE, write_shape
 __all__ = [
     "FEWEST_POINTS",
     "READABLE",
+    "VOLUMES",
     "WRITABLE",
     "Finding",
     "Modality",

@@ -46,6 +46,9 @@ _READERS: dict[str, Callable[[Path], Arrays]] = {
 READABLE: tuple[str, ...] = tuple(_READERS)
 """The suffixes of the files that ``read_shape`` reads."""
 
+VOLUMES: tuple[str, ...] = (".mhd", ".mha", ".nii", ".nii.gz", ".nrrd", ".nhdr")
+"""The suffixes of volumes, which are no shapes as yet; ``homolog.volumes`` makes surfaces of them."""
+
 
 def read_shape(path: str | Path) -> Shape:
     """Read a mesh or a point cloud; the suffix says which format, whatever its case.
@@ -66,6 +69,8 @@ def read_shape(path: str | Path) -> Shape:
     check_kind("path", path, PathLike, str)
     file = _checked(path)
     reader = _READERS.get(file.suffix.lower())
+    if reader is None and file.name.lower().endswith(VOLUMES):
+        raise ShapeError(f"{path} is a volume; make a surface of its mask first, with homolog volume surface")
     if reader is None:
         found = f"the suffix {file.suffix!r}" if file.suffix else "no suffix"
         raise ShapeError(f"{path} has {found}, but must have one of {', '.join(READABLE)}")

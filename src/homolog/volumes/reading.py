@@ -1,0 +1,92 @@
+"""Reading segmentation masks: MetaImage, NIfTI and NRRD."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homolog.errors import MissingExtraError, ShapeError
+from homolog.files import expanded
+from homolog.shapes import VOLUMES
+from homolog.volumes.mask import Mask
+
+# What reads a file with such a suffix.
+_KINDS = {".mh": "MetaImageIO", ".nii": "NiftiImageIO", ".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO"}
+
+# A mask has few values. What has more is an image that a mask might be of.
+_MOST_LABELS = 256
+_LABELS_SHOWN = 12
+
+
+def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
+    """Read a segmentation mask; the suffix says which format, whatever its case.
+
+    Positions are in the frame of medical images, whichever way the voxels run: millimetres, x to the left, y to the
+    back and z to the head of the patient.
+
+    Args:
+        path: a file with one of the suffixes in ``VOLUMES``; the voxels of ``.mhd`` and ``.nhdr`` lie in a file beside
+            it.
+        label: the value of the voxels that are meant; by default all that are not 0.
+
+    Raises:
+        ShapeError: if the file cannot be read, holds no volume or no mask, or no voxel has that label.
+        MissingExtraError: if SimpleITK is not installed.
+    """
+    file = expanded(path)
+    if not file.name.lower().endswith(VOLUMES):
+        raise ShapeError(f"{path} is no volume; its suffix must be one of {', '.join(VOLUMES)}")
+    if not file.is_file():
+        raise ShapeError(f"{path}: there is no such file; give a segmentation mask")
+    image = _read(file)
+    values = _simple_itk().GetArrayViewFromImage(image).T
+    inside = values != 0 if label is None else values == label
+    if label is None:
+        _check_values(path, values)
+    elif not inside.any():
+        raise ShapeError(f"{path}: no voxel has label {label}; those there are {_labels(values)}")
+    steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
+    return Mask(inside, np.array(image.GetOrigin()), steps, name=file.name)
+
+
+def _read(file: Path) -> Any:
+    reader = _simple_itk().ImageFileReader()
+    reader.SetFileName(str(file))
+    reader.SetImageIO(next(kind for suffix, kind in _KINDS.items() if suffix in file.name.lower()))
+    try:
+        reader.ReadImageInformation()
+        size = tuple(length for length in reader.GetSize() if length != 1)
+        if len(size) != 3 or len(reader.GetSize()) != 3 or reader.GetNumberOfComponents() != 1:
+            found = " x ".join(map(str, reader.GetSize()))
+            raise ShapeError(f"{file} holds {found} voxels of {reader.GetNumberOfComponents()} values; give one volume")
+        return reader.Execute()
+    except RuntimeError as error:
+        reason = str(error).strip().splitlines()[-1].strip()
+        raise ShapeError(f"{file} cannot be read as a volume ({reason[:200]}); write it again") from None
+
+
+def _check_values(path: str | Path, values: np.ndarray) -> None:
+    if not np.isfinite(values).all():
+        raise ShapeError(f"{path} has voxels that are no numbers; write the mask again")
+    if values.dtype.kind == "f" and not np.array_equal(values, values.round()):
+        raise ShapeError(f"{path} has fractions for values and is no mask of labels; write it with whole numbers")
+    if len(np.unique(values)) > _MOST_LABELS:
+        raise ShapeError(
+            f"{path} has more than {_MOST_LABELS} values and looks like an image; give a mask, or a label"
+        )
+
+
+def _labels(values: np.ndarray) -> str:
+    found = np.unique(values)
+    shown = ", ".join(f"{value:g}" for value in found[:_LABELS_SHOWN])
+    return f"{shown} and {len(found) - _LABELS_SHOWN} more" if len(found) > _LABELS_SHOWN else shown
+
+
+def _simple_itk() -> Any:
+    try:
+        import SimpleITK
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("reading volumes", str(error.name), "volumes") from None
+    return SimpleITK
