@@ -18,3 +18,18 @@ def written(path):
 def test_a_home_folder_that_is_not_there_is_named(use):
     with pytest.raises(ArgumentError, match=r"^~nobody-of-that-name/a\.off: there is no such user's home folder"):
         use("~nobody-of-that-name/a.off")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other permissions")
+def test_who_may_read_a_file_is_not_for_the_library_that_writes_it_to_say(tmp_path):
+    (tmp_path / "plain").touch()
+    usual = (tmp_path / "plain").stat().st_mode
+    old = tmp_path / "old"
+    old.touch()
+    old.chmod(0o640)
+    for path, mode in ((tmp_path / "new", usual), (old, old.stat().st_mode)):
+        with atomic_path(path) as temporary:
+            temporary.write_text("content")
+            temporary.chmod(0o600)
+        assert path.stat().st_mode == mode
+        assert path.read_text() == "content"

@@ -6,6 +6,7 @@ import hashlib
 import json
 import secrets
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
@@ -49,7 +50,8 @@ def made_folder(path: str | Path) -> Path:
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside ``path`` that takes its place when the block ends well.
 
-    On an error or an interrupt the temporary file is removed and ``path`` stays as it was.
+    On an error or an interrupt the temporary file is removed and ``path`` stays as it was. Who may read it is as with
+    any file, whatever the library that writes it thinks: as before, or as the process makes new files.
 
     Args:
         path: the file to write; ``~`` is expanded, and a link is followed, not replaced.
@@ -67,8 +69,21 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         raise ArgumentError(f"{path} cannot be written: it is a folder; give a file name")
     temporary = _beside(target)
     with all_or_nothing() as moves, _blamed(path):
+        mode = _mode(target if target.exists() else temporary)
         moves[temporary] = target
         yield temporary
+        temporary.chmod(mode)
+
+
+def _mode(file: Path) -> int:
+    """The permissions of a file, or those that it gets when it is made."""
+    if file.exists():
+        return stat.S_IMODE(file.stat().st_mode)
+    file.touch()
+    try:
+        return stat.S_IMODE(file.stat().st_mode)
+    finally:
+        file.unlink()
 
 
 @contextmanager
