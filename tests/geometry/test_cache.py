@@ -107,10 +107,11 @@ def test_the_name_of_a_shape_is_not_part_of_it(shape, tmp_path, computed) -> Non
 def test_half_precision_keeps_all_but_the_last_digits_of_the_eigenvectors(shape, tmp_path, computed) -> None:
     full, half = OperatorCache(tmp_path), OperatorCache(tmp_path, eigenvectors="float16")
     exact = full.operators(shape, settings=SETTINGS)
-    half.operators(shape, settings=SETTINGS)
+    first = half.operators(shape, settings=SETTINGS)
     again = half.operators(shape, settings=SETTINGS)
     assert len(computed) == 2 and half.size()[0] == 2
     assert again.eigenvectors.dtype == torch.float32
+    assert torch.equal(first.eigenvectors, again.eigenvectors)
     torch.testing.assert_close(again.eigenvectors, exact.eigenvectors, rtol=5e-4, atol=1e-6)
     assert not torch.equal(again.eigenvectors, exact.eigenvectors)
     assert torch.equal(again.eigenvalues, exact.eigenvalues)

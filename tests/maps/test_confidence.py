@@ -7,6 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from homolog.errors import ArgumentError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import (
     confidence,
@@ -109,6 +110,10 @@ def test_a_whole_shape_covers_itself_and_a_coarse_one_the_fine_one(make) -> None
     assert covered(fine, fine, identity).all()
     # Points of the coarse sphere are the first ones of the fine: a quarter of them hold all of the mass.
     assert covered(fine, coarse, identity[: coarse.n_points]).float().mean() > 0.99
+    nowhere = identity[: coarse.n_points].clone()
+    nowhere[3] = -1
+    with pytest.raises(ArgumentError, match="partial_to_complete holds -1"):
+        covered(fine, coarse, nowhere)
 
 
 def test_smoothing_keeps_the_mass_and_uniform_density_is_one(blob: Operators) -> None:

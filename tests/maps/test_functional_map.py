@@ -64,6 +64,7 @@ def test_the_mask_has_symmetric_roles_no_scale_and_a_zero_for_equal_values(eigen
     mask = resolvent_mask(x, y)
     torch.testing.assert_close(resolvent_mask(y, x), mask.T, atol=0, rtol=0)
     torch.testing.assert_close(resolvent_mask(1000 * x, 1000 * y), mask, atol=1e-6, rtol=1e-5)
+    assert resolvent_mask(torch.zeros(1), torch.zeros(1)) == 0  # the constants of two shapes
     assert (resolvent_mask(x, x).diagonal() == 0).all()
     assert (mask >= 0).all() and mask[0, 0] == 0
     # Rounding below zero counts as zero.

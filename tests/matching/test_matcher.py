@@ -88,8 +88,9 @@ def test_prepared_shapes_can_be_matched_again(build, blobs):
 
 
 def test_functional_maps_have_the_size_asked_for(build, blobs, network):
-    def size(partial=False, **settings):
-        matcher = Matcher(network, WeightsInfo(map_eigenpairs=40), settings=MatcherSettings(**settings), device="cpu")
+    def size(partial=False, of_parts=False, **settings):
+        info = WeightsInfo(map_eigenpairs=40, partial=of_parts)
+        matcher = Matcher(network, info, settings=MatcherSettings(**settings), device="cpu")
         prepared = [matcher.prepare(shape) for shape in (blobs.source, blobs.target)]
         c_st, c_ts = matcher.functional_maps(*prepared, partial=partial)
         assert c_st.shape == c_ts.shape == c_ts.mT.shape
@@ -98,6 +99,16 @@ def test_functional_maps_have_the_size_asked_for(build, blobs, network):
     assert size() == 40
     assert size(map_eigenpairs=25) == 25
     assert size(map_eigenpairs=25, partial=True, partial_eigenpairs=30) == 30
+    assert size(partial=True) == 50
+    assert size(partial=True, of_parts=True) == 40
+
+
+def test_operators_are_those_that_the_weights_were_trained_with(network):
+    info = WeightsInfo(n_eigenpairs=60, laplacian="cotangent", n_neighbours=20)
+    assert Matcher(network, info, device="cpu").operator_settings == OperatorSettings(60, "cotangent", 20)
+    own = OperatorSettings(30)
+    settings = MatcherSettings(operators=own)
+    assert Matcher(network, info, settings=settings, device="cpu").operator_settings == own
 
 
 def test_a_functional_map_takes_functions_from_source_to_target(build, blobs):
@@ -246,7 +257,7 @@ def test_words_that_are_not_choices(build, blobs, call, words):
         ({"method": None}, "method is 'None', but must be one of"),
         ({"map_eigenpairs": 0}, "map_eigenpairs is 0, but must be a whole number of at least 1, or None"),
         ({"map_eigenpairs": 40.0}, "map_eigenpairs is 40.0"),
-        ({"partial_eigenpairs": None}, "partial_eigenpairs is None"),
+        ({"partial_eigenpairs": 0}, "partial_eigenpairs is 0, but must be a whole number of at least 1, or None"),
         ({"partial_eigenpairs": True}, "partial_eigenpairs is True"),
         ({"regularisation": -1e-9}, "regularisation is -1e-09, but must be a finite number of at least 0"),
         ({"regularisation": np.nan}, "regularisation is nan"),

@@ -141,6 +141,12 @@ def test_a_foreign_safetensors_file_is_refused(tmp_path: Path) -> None:
     refuses(path, "not one that homolog wrote")
 
 
+def test_a_checkpoint_is_called_so(tmp_path: Path) -> None:
+    path = tmp_path / "last.safetensors"
+    save_file({"weights.first.weight": torch.ones(3)}, path, metadata={"progress": "{}"})
+    refuses(path, "is a checkpoint, to go on training from; give the weights.safetensors beside it")
+
+
 def rewritten(saved: Path, tensors: dict | None = None, **notes: str) -> Path:
     with safe_open(saved, framework="pt") as file:
         header = {**file.metadata(), **notes}

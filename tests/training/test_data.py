@@ -1,6 +1,7 @@
 """Which shapes are found in which folders, and in which pairs."""
 
 import itertools
+import shutil
 
 import pytest
 
@@ -82,14 +83,29 @@ def test_partial_pairs_may_be_listed(meshes, tmp_path, small):
     assert TrainingSet.open(tmp_path, small(partial={})).pairs == (("ape", "bee"), ("cat", "ape"))
 
 
+def test_without_ground_truth_or_lists_nothing_is_kept_for_a_test(meshes, tmp_path, small):
+    shutil.copytree(meshes / "off", tmp_path / "off")
+    recipe = small(data={"split": "train"})
+    assert TrainingSet.open(tmp_path, recipe).names == ("ape", "bee", "cat", "dog")
+    (tmp_path / "train.txt").write_text("ape\ncat\ndog\n")
+    assert TrainingSet.open(tmp_path, recipe).names == ("ape", "cat", "dog")
+
+
+def test_pairs_of_a_shape_with_itself_are_no_pairs(meshes, tmp_path, small):
+    shutil.copytree(meshes / "off", tmp_path / "off")
+    (tmp_path / "pairs.txt").write_text("ape,ape\nbee,bee\n")
+    with pytest.raises(DataError, match="lists no pair"):
+        TrainingSet.open(tmp_path, small(partial={}))
+
+
 def test_what_is_wrong_is_said(meshes, parts, tmp_path, small):
     empty = tmp_path / "empty"
     empty.mkdir()
     cases = [
         (tmp_path / "gone", {}, "no such folder"),
         (empty, {}, "no meshes"),
-        (meshes, {"data": {"leave_out": ["[abc]*"]}}, "1 shapes are left"),
-        (meshes, {"validation": {"shapes": 4}}, "0 shapes are left"),
+        (meshes, {"data": {"leave_out": ["[abc]*"]}}, "1 of its meshes are left"),
+        (meshes, {"validation": {"shapes": 4}}, "0 of its meshes are left"),
         (parts, {"partial": {"parts": "holes"}}, "no 'holes'"),
         (parts, {"partial": {}, "validation": {"shapes": 4}}, "no pair is left"),
     ]

@@ -15,6 +15,7 @@ from safetensors.torch import load_file
 from homolog.errors import ArgumentError, TrainingError
 from homolog.geometry import OperatorCache
 from homolog.network import load_weights
+from homolog.shapes import write_shape
 from homolog.training import loop
 from homolog.training.data import TrainingSet
 from homolog.training.objective import Losses, pair_losses
@@ -270,6 +271,29 @@ def test_a_polite_stop_saves_first(meshes, as_toml, tmp_path):
     assert said == f"Stopped after step {step} of 3000 and saved; --resume goes on from there."
     assert last.startswith("Interrupted")
     assert json.loads((run / "report.json").read_text())["steps"] == step
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="gloo needs other settings there")
+def test_where_one_process_fails_all_do_and_the_first_one_says_it(as_toml, tmp_path, make):
+    """A cloud among the meshes is found by the process that prepares it: shapes are dealt out by turns."""
+    for number, faulty in enumerate(("b", "c")):
+        data = tmp_path / faulty
+        data.mkdir()
+        for name in "abcd":
+            shape = make.blob(2)
+            write_shape(data / f"{name}.ply", shape.as_cloud() if name == faulty else shape)
+        (tmp_path / "two.toml").write_text(as_toml(training={"pairs_per_step": 2}, validation={"pairs": 0}))
+        options = ["--data", data, "--out", tmp_path / f"run{number}", "--device", "cpu", "--processes", "2"]
+        ended = subprocess.run(
+            [*START, tmp_path / "two.toml", *map(str, options)],
+            capture_output=True,
+            text=True,
+            timeout=100,
+            check=False,
+        )
+        assert (ended.returncode, ended.stdout) == (2, "")
+        told = [line for line in ended.stderr.splitlines() if not line.startswith("[W")]
+        assert len(told) == 1 and told[0].startswith("Error: ") and f"{faulty}.ply has no faces" in told[0]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="gloo needs other settings there")

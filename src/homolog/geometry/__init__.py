@@ -3,12 +3,13 @@
 from homolog.geometry.basis import Basis
 from homolog.geometry.cache import OperatorCache, cache_folder
 from homolog.geometry.geodesics import edge_graph, pair_distances
-from homolog.geometry.laplacian import LaplacianKind, cloud_laplacian, mesh_laplacian
+from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
 from homolog.geometry.spectrum import Spectrum, lowest_eigenpairs
 
 __all__ = [
+    "CLOUD_NEIGHBOURS",
     "Basis",
     "Frame",
     "LaplacianKind",

@@ -9,7 +9,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import NoneType
 from typing import Literal
@@ -89,7 +89,7 @@ class OperatorCache:
             return cached
         operators = compute_operators(shape, settings=settings, length=length)
         self._keep(path, operators)
-        return operators
+        return self._as_kept(operators)
 
     def size(self) -> tuple[int, int]:
         """Number of entries and their bytes."""
@@ -102,6 +102,12 @@ class OperatorCache:
         digest.update(shape.points.tobytes())
         digest.update(b"cloud" if shape.faces is None else shape.faces.tobytes())
         return digest.hexdigest()[:40]
+
+    def _as_kept(self, operators: Operators) -> Operators:
+        """What the next call will read: the first one must not give anything else."""
+        if self.eigenvectors == "float32":
+            return operators
+        return replace(operators, eigenvectors=operators.eigenvectors.half().float())
 
     def _keep(self, path: Path, operators: Operators) -> None:
         tensors = _tensors(operators)

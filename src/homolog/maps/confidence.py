@@ -77,7 +77,12 @@ def covered(complete: Operators, partial: Operators, partial_to_complete: Int[Te
 def coverage_density(
     complete: Operators, mass: Float[Tensor, " n_p"], partial_to_complete: Int[Tensor, " n_p"]
 ) -> Float[Tensor, " n_c"]:
-    """Smoothed density of pushed-forward mass relative to the complete shape's own; see ``covered``."""
+    """Smoothed density of pushed-forward mass relative to the complete shape's own; see ``covered``.
+
+    Raises:
+        ArgumentError: if an index is that of no point of the complete shape.
+    """
+    check_indices("partial_to_complete", partial_to_complete, len(complete.mass))
     own = complete.mass.double().cpu().numpy()
     pushed = np.bincount(partial_to_complete.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))
     spacing = np.sqrt(own.sum() / len(own))

@@ -32,6 +32,7 @@ def resolvent_mask(
     It grows with the difference of the eigenvalues, more slowly where they are large.
     """
     largest = torch.maximum(eigenvalues_x.amax(dim=-1), eigenvalues_y.amax(dim=-1))[..., None]
+    largest = largest.clamp(min=torch.finfo(largest.dtype).tiny)  # constants alone differ in nothing
     x = (eigenvalues_x.clamp(min=0) / largest)[..., None, :] ** gamma
     y = (eigenvalues_y.clamp(min=0) / largest)[..., :, None] ** gamma
     real = y / (y**2 + 1) - x / (x**2 + 1)

@@ -50,6 +50,8 @@ _log = logging.getLogger(__name__)
 
 # Where faces use fewer of a shape's points, they do not say how large the cloud of all of them is.
 _SHARE_WITH_FACES = 0.95
+# Eigenpairs of the functional map to a part, with weights that were trained on complete shapes.
+_PARTIAL_SIZE = 50
 
 # A function like `compute_operators`: the operators of a clean shape, from wherever they come.
 OperatorSource = Callable[..., Operators]
@@ -131,13 +133,14 @@ class Matcher:
     @property
     def operator_settings(self) -> OperatorSettings:
         """What operators are computed: as set, or as the weights were trained with."""
-        return self.settings.operators or OperatorSettings(self.info.n_eigenpairs, self.info.laplacian)
+        info = self.info
+        return self.settings.operators or OperatorSettings(info.n_eigenpairs, info.laplacian, info.n_neighbours)
 
     def map_size(self, *, partial: bool) -> int:
         """Eigenpairs of a functional map from the network's features."""
-        if partial:
-            return self.settings.partial_eigenpairs
-        return self.settings.map_eigenpairs or self.info.map_eigenpairs
+        if not partial:
+            return self.settings.map_eigenpairs or self.info.map_eigenpairs
+        return self.settings.partial_eigenpairs or (self.info.map_eigenpairs if self.info.partial else _PARTIAL_SIZE)
 
     def route(self, source: Modality, target: Modality) -> Route:
         """How two shapes of these modalities are matched."""

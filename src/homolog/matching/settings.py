@@ -21,7 +21,7 @@ Device = Literal["auto", "cpu", "cuda"]
 # For each setting but the method what it may be, as a test and in words.
 _ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
     "map_eigenpairs": (lambda value: value is None or is_count(value), "a whole number of at least 1, or None"),
-    "partial_eigenpairs": (is_count, "a whole number of at least 1"),
+    "partial_eigenpairs": (lambda value: value is None or is_count(value), "a whole number of at least 1, or None"),
     "regularisation": (lambda value: is_real(value) and value >= 0, "a finite number of at least 0"),
     "temperature": (lambda value: is_real(value) and value > 0, "a finite number above 0"),
     "iterations": (is_count, "a whole number of at least 1"),
@@ -39,7 +39,7 @@ class MatcherSettings:
         method: the route; ``"auto"`` takes functional maps between meshes and features wherever a cloud takes part,
             or the axiomatic route if there are no weights.
         map_eigenpairs: eigenpairs of the functional map; by default what the weights were trained with.
-        partial_eigenpairs: the same where one shape is partial.
+        partial_eigenpairs: the same where one shape is partial; 50 for weights that were not trained on parts.
         regularisation: weight of the resolvent mask.
         temperature: of the soft map between features.
         iterations: of Sinkhorn's algorithm.
@@ -54,7 +54,7 @@ class MatcherSettings:
 
     method: Method = "auto"
     map_eigenpairs: int | None = None
-    partial_eigenpairs: int = 50
+    partial_eigenpairs: int | None = None
     regularisation: float = 100.0
     temperature: float = 0.1
     iterations: int = 10

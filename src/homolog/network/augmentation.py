@@ -19,8 +19,8 @@ class AugmentationSettings:
     """How the positions are varied, drawn anew for each pass of the network.
 
     Args:
-        turn: ``"none"``, about the ``"vertical"`` (y), or about each axis in turn (``"any"``).
-        degrees: largest angle of a turn about an axis, to either side.
+        turn: ``"none"``, about the ``"vertical"`` (y), or ``"any"`` turn, all of them as likely.
+        degrees: largest angle of a turn about the vertical, to either side.
         least_scale: smallest factor per axis.
         most_scale: largest factor per axis.
         jitter: standard deviation of noise per coordinate, in units of sqrt(area).
@@ -58,15 +58,23 @@ def augmented(
 
 
 def _turn(settings: AugmentationSettings, generator: torch.Generator | None) -> Float[Tensor, "3 3"]:
-    turned = torch.eye(3)
-    for axis in {"none": (), "vertical": (1,), "any": (0, 1, 2)}[settings.turn]:
-        angle = torch.deg2rad(settings.degrees * (2 * _uniform(1, generator)[0] - 1))
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        about = torch.eye(3)
-        about[first, first] = about[second, second] = angle.cos()
-        about[second, first], about[first, second] = angle.sin(), -angle.sin()
-        turned = about @ turned
-    return turned
+    if settings.turn == "none":
+        return torch.eye(3)
+    if settings.turn == "any":
+        return _rotation(torch.randn(4, generator=generator, device=_device(generator)).cpu())
+    half = torch.deg2rad(settings.degrees * (2 * _uniform(1, generator)[0] - 1)) / 2
+    return _rotation(torch.stack([half.cos(), torch.zeros(()), half.sin(), torch.zeros(())]))
+
+
+def _rotation(quaternion: Float[Tensor, 4]) -> Float[Tensor, "3 3"]:
+    """The rotation of a quaternion of any length; those in random directions give all rotations as likely."""
+    w, x, y, z = quaternion / quaternion.norm()
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack([torch.stack(row) for row in rows])
 
 
 def _uniform(count: int, generator: torch.Generator | None) -> Float[Tensor, " c"]:

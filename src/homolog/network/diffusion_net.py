@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
+from homolog.arguments import check_count, is_real
 from homolog.errors import bad_choice, bad_value
 from homolog.geometry import Basis, Operators
 from homolog.network.block import Dropout, Stack, diffusion_block
@@ -53,6 +54,14 @@ class NetworkSettings:
     dropout: float = 0.5
     gradient_product: GradientProduct = "equivariant"
 
+    def __post_init__(self) -> None:
+        for name in ("in_channels", "out_channels", "width", "blocks"):
+            check_count(name, getattr(self, name))
+        if self.gradient_product not in get_args(GradientProduct):
+            raise bad_choice("gradient_product", self.gradient_product, get_args(GradientProduct))
+        if not (is_real(self.dropout) and 0 <= self.dropout < 1):
+            raise bad_value("dropout", self.dropout, "at least 0 and below 1")
+
 
 class DiffusionNet(nn.Module):
     """Features per point from positions and operators; the same weights serve meshes and clouds."""
@@ -60,10 +69,6 @@ class DiffusionNet(nn.Module):
     def __init__(self, settings: NetworkSettings | None = None) -> None:
         super().__init__()
         self.settings = settings = settings or NetworkSettings()
-        if settings.gradient_product not in get_args(GradientProduct):
-            raise bad_choice("gradient_product", settings.gradient_product, get_args(GradientProduct))
-        if not 0 <= settings.dropout < 1:
-            raise bad_value("dropout", settings.dropout, "at least 0 and below 1")
         self.first = nn.Linear(settings.in_channels, settings.width)
         self.blocks = nn.ModuleList(DiffusionBlock(settings) for _ in range(settings.blocks))
         self.last = nn.Linear(settings.width, settings.out_channels)

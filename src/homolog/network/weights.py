@@ -18,7 +18,7 @@ from torch import Tensor
 from homolog.arguments import check_kind
 from homolog.errors import WeightsError
 from homolog.files import atomic_path, expanded, sha256
-from homolog.geometry import LaplacianKind
+from homolog.geometry import CLOUD_NEIGHBOURS, LaplacianKind
 from homolog.network.diffusion_net import DiffusionNet, NetworkSettings
 
 _FORMAT = "homolog-weights-1"
@@ -35,7 +35,9 @@ class WeightsInfo:
         upright: whether shapes must stand as those trained on did: +y up, facing +z.
         n_eigenpairs: eigenpairs of the operators that the network was trained with.
         laplacian: the Laplacian of meshes that it was trained with.
+        n_neighbours: points that each point of a cloud is connected to in its operators.
         map_eigenpairs: eigenpairs of the functional map that it was trained with.
+        partial: whether it was trained on parts with their complete shapes.
         sha256: hash of the file; empty before it is saved.
     """
 
@@ -44,7 +46,9 @@ class WeightsInfo:
     upright: bool = True
     n_eigenpairs: int = 128
     laplacian: LaplacianKind = "robust"
+    n_neighbours: int = CLOUD_NEIGHBOURS
     map_eigenpairs: int = 80
+    partial: bool = False
     sha256: str = field(default="", compare=False)
 
 
@@ -94,6 +98,8 @@ def _read_own(path: Path) -> _Contents:
     with safe_open(path, framework="pt") as file:
         described = file.metadata() or {}
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if "progress" in described:
+        raise WeightsError(f"{path} is a checkpoint, to go on training from; give the weights.safetensors beside it")
     if described.get("format") != _FORMAT:
         raise WeightsError(f"{path} is a safetensors file, but not one that homolog wrote")
     settings = NetworkSettings(**_known(NetworkSettings, json.loads(described["settings"])))

@@ -19,6 +19,18 @@ from homolog.training.state import TrainingState
 
 _FORMAT = "homolog-checkpoint-1"
 # What Adam remembers of each weight, beside the number of steps.
+# Settings that change no weight; a training may go on with others.
+_WITHOUT_EFFECT = frozenset(
+    {
+        "name",
+        "licence",
+        "data.memory_gb",
+        "data.workers",
+        "training.checkpoint_minutes",
+        "validation.score_every",
+        "validation.score_pairs",
+    }
+)
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
@@ -99,7 +111,9 @@ def _fill(place: Tensor, values: Tensor) -> Tensor:
 
 def _check_recipe(path: Path, found: dict[str, Any], recipe: Recipe) -> None:
     before, now = _flat(found), _flat(json.loads(json.dumps(asdict(recipe))))
-    for key in sorted(before.keys() | now.keys()):
+    # What an older checkpoint does not name was as it is by default.
+    before = {**_flat(asdict(Recipe())), **before}
+    for key in sorted((before.keys() | now.keys()) - _WITHOUT_EFFECT):
         if before.get(key) != now.get(key):
             raise TrainingError(
                 f"{path} was trained with {key} = {before.get(key)!r}, but the recipe has {now.get(key)!r}; "

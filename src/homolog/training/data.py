@@ -102,6 +102,8 @@ def _split_files(root: Path, settings: DataSettings) -> dict[str, Path]:
     if not (root / "off").is_dir():
         return mesh_files(root)
     files = mesh_files(root / "off")
+    if not any((root / name).exists() for name in ("corres", "train.txt", "test.txt", "pairs.txt")):
+        return files  # nothing is kept for tests where nothing could be scored
     names = ShapeFolder(root, tuple(sorted(files))).split(settings.split)
     return {name: files[name] for name in names}
 
@@ -123,10 +125,11 @@ def _listed_pairs(root: Path, names: Sequence[str], complete: dict[str, Path], r
     if recipe.partial is None or not (root / "pairs.txt").is_file():
         return ()
     every = tuple(sorted(mesh_files(root / "off" if (root / "off").is_dir() else root)))
-    kept = tuple(pair for pair in ShapeFolder(root, every).pairs("all") if set(names).issuperset(pair))
+    listed = (pair for pair in ShapeFolder(root, every).pairs("all") if pair[0] != pair[1])
+    kept = tuple(pair for pair in listed if set(names).issuperset(pair))
     if not kept:
         raise DataError(f"{root / 'pairs.txt'} lists no pair of shapes that are trained on; leave fewer of them out")
-    return tuple(pair for pair in kept if pair[0] != pair[1])
+    return kept
 
 
 def _partner(part: str, complete: Iterable[str]) -> str:
@@ -141,7 +144,10 @@ def _check_numbers(root: Path, names: Sequence[str], listed: Sequence[Pair], pai
     if listed and not pairs:
         raise DataError(f"{root}: no pair is left to train on; hold fewer [validation] shapes out, or leave fewer out")
     if not listed and len(names) < 2:
-        raise DataError(f"{root}: {len(names)} shapes are left to train on, but it takes at least 2 to make a pair")
+        raise DataError(
+            f"{root}: {len(names)} of its meshes are left to train on, but it takes at least 2; add meshes, hold fewer "
+            "[validation] shapes out, or leave fewer out"
+        )
 
 
 def _some_pairs(names: Sequence[str], listed: Sequence[Pair], recipe: Recipe) -> tuple[Pair, ...]:

@@ -6,7 +6,7 @@ import contextlib
 import logging
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +32,7 @@ from homolog.training.recipe import Recipe
 from homolog.training.run_folder import RunFolder, weights_info
 from homolog.training.schedule import learning_rate
 from homolog.training.state import Record, TrainingState
+from homolog.training.together import failing_together
 from homolog.training.validation import scores, validation_losses
 
 if TYPE_CHECKING:
@@ -91,9 +92,10 @@ def train(
     report = progress if progress is not None and fabric.is_global_zero else unheard
     source = operators or OperatorCache.default().operators
     bank = ShapeBank(shapes, recipe, source, fabric.device)
-    bank.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
-    fabric.barrier()
-    state = folder.load(fabric.device)
+    with failing_together():
+        bank.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
+    with failing_together():
+        state = folder.load(fabric.device)
     if state.step < recipe.training.steps:
         keep_freed_memory()
         with deferred_interrupts() as interrupts:
@@ -159,8 +161,10 @@ class _Training:
         steps = range(self.state.step, self.recipe.training.steps)
         pairs_of_steps = prefetched(self._load, steps, workers=self.recipe.data.workers)
         with contextlib.closing(self), contextlib.closing(pairs_of_steps):
-            for pairs in pairs_of_steps:
-                stopped = self._step(pairs, interrupts)
+            if self.journal is not None:
+                self._validate_if_due()  # an interrupt is saved at once, and may leave this undone
+            for _ in steps:
+                stopped = self._step(pairs_of_steps, interrupts)
                 if self.journal is not None:
                     self._look_after(stopped)
                 if stopped:
@@ -177,9 +181,10 @@ class _Training:
         """The share of a step's pairs that falls to this process."""
         return self.bank.pairs(self.plan.draws(step)[self.fabric.global_rank :: self.fabric.world_size])
 
-    def _step(self, pairs: Sequence[TrainingPair], interrupts: Interrupts) -> bool:
+    def _step(self, pairs_of_steps: Iterator[list[TrainingPair]], interrupts: Interrupts) -> bool:
         """Take one step; whether any process was interrupted."""
-        losses = self._gradients(pairs)
+        with failing_together():
+            losses = self._gradients(next(pairs_of_steps))
         stopped = self._share(losses, bool(interrupts))
         norm = self.gradient.norm()
         self._check(losses, norm)
@@ -248,16 +253,21 @@ class _Training:
         self._count_time()
         step, steps = self.state.step, self.recipe.training.steps
         self.progress(step, steps, "training")
-        watched = self.recipe.validation
-        scored = self._is_due(watched.score_every)
-        if watched.pairs and (scored or self._is_due(watched.every)):
-            self._validate(scored=scored)
-            self._count_time()
+        if not stopped or step == steps:
+            self._validate_if_due()
         waited = self.clock - self.saved >= 60 * self.recipe.training.checkpoint_minutes
         if waited or stopped or step == steps:
             self._save()
         if stopped and step < steps:
             _log.warning("Stopped after step %d of %d and saved; --resume goes on from there.", step, steps)
+
+    def _validate_if_due(self) -> None:
+        watched, records = self.recipe.validation, self.state.records
+        scored = self._is_due(watched.score_every)
+        done = self.state.step == 0 or (records and records[-1]["step"] == self.state.step)
+        if watched.pairs and not done and (scored or self._is_due(watched.every)):
+            self._validate(scored=scored)
+            self._count_time()
 
     def _is_due(self, every: int) -> bool:
         """Whether this is one of every so many steps, or the last one; never if ``every`` is 0."""

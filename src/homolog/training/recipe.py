@@ -240,6 +240,19 @@ class Recipe:
 
     def __post_init__(self) -> None:
         _require("seed", self.seed, _not_negative, "at least 0")
+        # What sections ask of one another.
+        n = self.operators.n_eigenpairs
+        _require("[network] in_channels", self.network.in_channels, lambda given: given == 3, "3, for positions")
+        _require(
+            "[loss] map_eigenpairs", self.loss.map_eigenpairs, lambda size: size <= n, f"at most n_eigenpairs, {n}"
+        )
+        # Coefficients of positions from as many samples as eigenpairs are off by a tenth, from twice as many by 2 %.
+        _require(
+            "[samples] points",
+            self.samples.points,
+            lambda points: points == 0 or points >= 2 * n,
+            f"0 for all, or at least twice [operators] n_eigenpairs, {2 * n}",
+        )
 
 
 def read_recipe(recipe: str | Path) -> Recipe:

@@ -6,13 +6,14 @@ import hashlib
 import json
 import os
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from homolog.errors import ArgumentError
-from homolog.files import made_folder, write_json
+from homolog.files import made_folder, sha256, write_json
 from homolog.network import WeightsInfo, save_weights
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
@@ -61,18 +62,18 @@ class RunFolder:
     def load(self, device: torch.device | str) -> TrainingState:
         """The state of the latest checkpoint, or a new one where there is none."""
         if self.last.is_file():
-            return load_checkpoint(self.last, self.recipe, self._digest(), device)
+            return load_checkpoint(self.last, self.recipe, self._digest, device)
         return TrainingState.new(self.recipe, device)
 
     def save_last(self, state: TrainingState) -> None:
         """Write the latest checkpoint."""
-        save_checkpoint(self.last, state, self.recipe, self._digest())
-        if not self.recipe.validation.pairs:
+        save_checkpoint(self.last, state, self.recipe, self._digest)
+        if state.best is None:  # nothing is validated, or nothing yet
             self._export(state)
 
     def save_best(self, state: TrainingState) -> None:
         """Write the best checkpoint, and its weights for use."""
-        save_checkpoint(self.path / "best.safetensors", state, self.recipe, self._digest())
+        save_checkpoint(self.path / "best.safetensors", state, self.recipe, self._digest)
         self._export(state)
 
     def save_report(self, state: TrainingState, device: torch.device) -> None:
@@ -94,9 +95,11 @@ class RunFolder:
     def _export(self, state: TrainingState) -> None:
         save_weights(self.path / WEIGHTS, state.result(), weights_info(self.recipe))
 
+    @cached_property
     def _digest(self) -> str:
-        """Tells which shapes and pairs are trained on, by name."""
-        described: Any = [self.shapes.names, self.shapes.pairs, self.shapes.held_out]
+        """Tells which shapes and pairs are trained on, by their names and contents."""
+        contents = sha256(*(self.shapes.files[name] for name in self.shapes.used))
+        described: Any = [self.shapes.names, self.shapes.pairs, self.shapes.held_out, contents]
         return hashlib.sha256(json.dumps(described).encode()).hexdigest()
 
 
@@ -108,5 +111,7 @@ def weights_info(recipe: Recipe) -> WeightsInfo:
         upright=recipe.augmentation.turn != "any",
         n_eigenpairs=recipe.operators.n_eigenpairs,
         laplacian=recipe.operators.laplacian,
+        n_neighbours=recipe.operators.n_neighbours,
         map_eigenpairs=recipe.loss.map_eigenpairs,
+        partial=recipe.partial is not None,
     )

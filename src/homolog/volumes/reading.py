@@ -73,9 +73,7 @@ def _check_values(path: str | Path, values: np.ndarray) -> None:
     if values.dtype.kind == "f" and not np.array_equal(values, values.round()):
         raise ShapeError(f"{path} has fractions for values and is no mask of labels; write it with whole numbers")
     if len(np.unique(values)) > _MOST_LABELS:
-        raise ShapeError(
-            f"{path} has more than {_MOST_LABELS} values and looks like an image; give a mask, or a label"
-        )
+        raise ShapeError(f"{path} has more than {_MOST_LABELS} values and looks like an image; give a mask, or a label")
 
 
 def _labels(values: np.ndarray) -> str:
