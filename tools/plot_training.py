@@ -28,13 +28,14 @@ def draw(reports: list[dict[str, Any]], picture: Path) -> None:
         for key, label in _SCORES.items():
             scored = [(record["minutes"], record[key]) for record in records if key in record]
             column[0].plot(*zip(*scored, strict=True), marker="o", label=label)
-        column[0].set_ylabel("geodesic error x100, held-out pairs")
-        column[0].set_ylim(bottom=0)
+        column[0].set_ylabel("error x100 of held-out pairs")
+        column[0].set_ylim(0, 3.5)
         column[0].legend()
         column[1].plot([record["minutes"] for record in records], [record[_LOSS] for record in records], color="0.3")
         column[1].set_ylabel("validation loss")
-        column[1].set_yscale("log")
+        column[1].set_ylim(bottom=0)
         column[1].set_xlabel("minutes on two cores")
+        column[1].set_xlim(left=0)
         for axis in column:
             axis.grid(alpha=0.3)
     figure.savefig(picture, dpi=150)

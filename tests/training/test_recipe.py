@@ -97,7 +97,7 @@ def test_a_recipe_that_is_not_there(tmp_path):
         read_recipe(tmp_path / "binary.toml")
 
 
-@pytest.mark.parametrize("name", ["faust", "scape", "quick", "cuts", "holes", "views", "people"])
+@pytest.mark.parametrize("name", ["faust", "scape", "paper_faust", "paper_scape", "quick", "cuts", "holes", "views", "people"])
 def test_shipped_recipes_can_be_read(name):
     recipe = read_recipe(name)
     assert shipped_recipes()[name].stem == name
