@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 from fnmatch import fnmatch
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
@@ -25,7 +26,7 @@ from homolog.evaluation import geodesic_errors
 from homolog.geometry import OperatorCache
 from homolog.maps import covered
 from homolog.matching import AsCloud, Matcher
-from homolog.shapes import Shape, read_shape
+from homolog.shapes import Shape, Up, read_shape
 
 MODALITIES: dict[str, AsCloud | None] = {"mesh": None, "cloud": "both"}
 
@@ -73,6 +74,7 @@ def main() -> None:
     parser.add_argument("--weights", type=Path)
     parser.add_argument("--kind", default="cuts", choices=("cuts", "holes"))
     parser.add_argument("--names", default="*", help="pattern of the parts' names")
+    parser.add_argument("--up", default="z", choices=get_args(Up), help="which axis of the files points up")
     parser.add_argument("--every", type=int, default=1, help="take every so many-th of them")
     arguments = parser.parse_args()
     operators = OperatorCache.default().operators
@@ -89,7 +91,9 @@ def main() -> None:
         true_counterparts = covered(whole, matcher.operators(part, length=whole.length), torch.from_numpy(nearest))
         scores["true map"].add(true_counterparts.numpy(), truth)
         for modality, as_cloud in MODALITIES.items():
-            found = matcher.match(complete, part, partial="target", as_cloud=as_cloud)
+            found = matcher.match(
+                complete, part, partial="target", as_cloud=as_cloud, source_up=arguments.up, target_up=arguments.up
+            )
             score = scores[f"own map, {modality}"]
             score.add(found.source_to_target >= 0, truth)
             score.errors.append(geodesic_errors(complete, nearest, found.target_to_source))

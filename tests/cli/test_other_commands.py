@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from homolog.cli import demo as demo_module
 from homolog.cli import evaluate as evaluate_module
 from homolog.cli.options import check_file
 from homolog.matching import Correspondence, Matcher
-from homolog.shapes import Shape, write_shape
+from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
 from homolog.training import adapt_to_pair
 
 COMMANDS = ["match", "train", "evaluate", "info", "doctor", "demo"]
@@ -69,6 +70,22 @@ def test_evaluate(homolog, data, tmp_path):
     assert found["command"] == ["homolog", "evaluate", str(data), "--json", str(tmp_path / "score.json")]
     assert found["versions"]["homolog"]
     assert f"{found['mean_geodesic_error']:.2f}" in ended.out
+
+
+def test_evaluate_shapes_that_lie(homolog, data, files, tmp_path):
+    """With weights, which know upright shapes alone, ``--up`` gives the score of the shapes as they stood."""
+    two = read_shape(data / "off" / "two.off")
+    write_shape(data / "off" / "two.off", replace(two, points=two.points * [1.0, 1.5, 0.7]))
+    shutil.copytree(data, tmp_path / "lying")
+    for file in (tmp_path / "lying" / "off").iterdir():
+        shape = read_shape(file)
+        write_shape(file, replace(shape, points=shape.points @ upright_rotation("z")))
+    scores = []
+    for folder, up in ((data, "y"), (tmp_path / "lying", "z"), (tmp_path / "lying", "y")):
+        options = ["--weights", files.weights, "--up", up, "--json", tmp_path / "score.json"]
+        assert homolog("evaluate", folder, *options).code == 0
+        scores.append(json.loads((tmp_path / "score.json").read_text())["mean_geodesic_error"])
+    assert scores[1] == pytest.approx(scores[0], abs=1e-6) and scores[2] != pytest.approx(scores[0], abs=1e-6)
 
 
 def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):

@@ -3,10 +3,11 @@
 import itertools
 import shutil
 
+import numpy as np
 import pytest
 
 from homolog.errors import DataError
-from homolog.shapes import write_shape
+from homolog.shapes import read_shape, stand_upright, write_shape
 from homolog.training.data import TrainingSet
 
 
@@ -89,6 +90,17 @@ def test_without_ground_truth_or_lists_nothing_is_kept_for_a_test(meshes, tmp_pa
     assert TrainingSet.open(tmp_path, recipe).names == ("ape", "bee", "cat", "dog")
     (tmp_path / "train.txt").write_text("ape\ncat\ndog\n")
     assert TrainingSet.open(tmp_path, recipe).names == ("ape", "cat", "dog")
+
+
+@pytest.mark.parametrize("up", ["x", "z"])
+def test_shapes_are_stood_upright(meshes, small, up):
+    """Those for the losses and those for the scores alike."""
+    recipe = small(data={"up": up}, validation={"score_every": 1})
+    found = TrainingSet.open(meshes, recipe)
+    given = read_shape(meshes / "off" / "ape.off")
+    for shape in (found.shape("ape"), found.truth.shape("ape")):
+        np.testing.assert_array_equal(shape.points, stand_upright(given, up).points)
+        np.testing.assert_allclose(shape.points[:, 1], given.points[:, "xyz".index(up)])
 
 
 def test_pairs_of_a_shape_with_itself_are_no_pairs(meshes, tmp_path, small):

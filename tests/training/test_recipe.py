@@ -70,6 +70,7 @@ MISTAKES = {
     "[network]\nin_channels = 16": ["[network] in_channels is 16", "3, for positions"],
     "[loss]\nmap_eigenpairs = 300": ["[loss] map_eigenpairs is 300", "at most n_eigenpairs, 128"],
     "[samples]\npoints = 200": ["[samples] points is 200", "at least twice [operators] n_eigenpairs, 256"],
+    "[data]\nup = 'Z'": ["[data] up is 'Z'", "x, y, z"],
     "training = 3": ["training is 3", "a section [training]"],
     "seed = -1": ["seed is -1", "at least 0"],
     "name = 3": ["name is 3", "a text in quotes"],
@@ -97,7 +98,9 @@ def test_a_recipe_that_is_not_there(tmp_path):
         read_recipe(tmp_path / "binary.toml")
 
 
-@pytest.mark.parametrize("name", ["faust", "scape", "paper_faust", "paper_scape", "quick", "cuts", "holes", "views", "people"])
+@pytest.mark.parametrize(
+    "name", ["faust", "scape", "paper_faust", "paper_scape", "quick", "cuts", "holes", "views", "people"]
+)
 def test_shipped_recipes_can_be_read(name):
     recipe = read_recipe(name)
     assert shipped_recipes()[name].stem == name

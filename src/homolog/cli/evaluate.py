@@ -30,6 +30,7 @@ from homolog.evaluation import Evaluation, MatchPair, Modalities, Protocol
 from homolog.evaluation import evaluate as evaluate_folder
 from homolog.files import write_json
 from homolog.matching import Correspondence, Matcher, Prepared, Side
+from homolog.shapes import Up
 from homolog.training import AdaptationSettings, adapt_to_pair
 from homolog.versions import versions
 
@@ -48,6 +49,7 @@ def evaluate(
     partial: Annotated[
         bool, typer.Option("--partial", help="Each target is a part of a shape like its source, in the same units.")
     ] = False,
+    up: Annotated[Up, typer.Option(help="The axis that points up in the files.")] = "y",
     noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the noise, and of the pairs drawn.")] = 0,
     json: Annotated[Path | None, typer.Option(metavar="OUT", help="Also write everything as JSON.")] = None,
@@ -85,7 +87,7 @@ def evaluate(
         seed=seed,
     )
     matcher = build_matcher(weights, method, device, no_cache=no_cache)
-    folder = ShapeFolder.open(data)
+    folder = ShapeFolder.open(data, up=up)
     with progress_bar(quiet=quiet) as progress:
         evaluation = evaluate_folder(
             matcher, folder, protocol, match=_match_by(matcher, adapt, partial=partial), progress=progress

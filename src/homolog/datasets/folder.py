@@ -15,7 +15,7 @@ from jaxtyping import Int
 
 from homolog.errors import DataError, bad_choice, bad_value
 from homolog.files import expanded
-from homolog.shapes import Shape, read_shape
+from homolog.shapes import Shape, Up, read_shape, stand_upright
 
 Split = Literal["train", "test", "all"]
 Pair = tuple[str, str]
@@ -36,16 +36,19 @@ class ShapeFolder:
     Args:
         root: the folder.
         names: of all its shapes, in order.
+        up: which axis of the files points up.
     """
 
     root: Path
     names: tuple[str, ...]
+    up: Up = "y"
 
     @classmethod
-    def open(cls, root: str | Path) -> ShapeFolder:
-        """Look into a folder.
+    def open(cls, root: str | Path, *, up: Up = "y") -> ShapeFolder:
+        """Look into a folder whose shapes stand with this axis up.
 
         Raises:
+            ArgumentError: if ``up`` is not x, y or z.
             DataError: if it has no shapes or no ground truth.
         """
         root = expanded(root)
@@ -58,11 +61,13 @@ class ShapeFolder:
                 f"{root}: {len(missing)} of {len(names)} shapes have no ground truth; "
                 f"put the first one's at {root / 'corres' / missing[0]}.vts"
             )
-        return cls(root, names)
+        if up not in get_args(Up):
+            raise bad_choice("up", up, get_args(Up))
+        return cls(root, names, up)
 
     def shape(self, name: str) -> Shape:
-        """Read one shape."""
-        return read_shape(self.root / "off" / f"{name}.off")
+        """Read one shape, and stand it upright: +y up."""
+        return stand_upright(read_shape(self.root / "off" / f"{name}.off"), self.up)
 
     def common_points(self, name: str) -> Int[np.ndarray, " p"]:
         """0-based vertex index of each common point; -1 for those that the shape does not have.

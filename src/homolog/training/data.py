@@ -14,7 +14,7 @@ import numpy as np
 from homolog.datasets import Pair, ShapeFolder, mesh_files
 from homolog.errors import DataError
 from homolog.files import expanded
-from homolog.shapes import Shape, read_shape
+from homolog.shapes import Shape, Up, read_shape, stand_upright
 from homolog.training.recipe import DataSettings, Recipe
 
 # What tells the choices at random from one another that are made with the recipe's seed.
@@ -32,6 +32,7 @@ class TrainingSet:
         pairs: to train on; empty where any two of ``names`` make one.
         held_out: pairs to validate on.
         truth: the folder with its ground truth, where it has one.
+        up: which axis of the files points up.
     """
 
     root: Path
@@ -40,6 +41,7 @@ class TrainingSet:
     pairs: tuple[Pair, ...]
     held_out: tuple[Pair, ...]
     truth: ShapeFolder | None
+    up: Up
 
     @classmethod
     def open(cls, root: str | Path, recipe: Recipe) -> TrainingSet:
@@ -62,10 +64,10 @@ class TrainingSet:
         # Where nothing is held out, pairs that are trained on are validated, too.
         held_out = _some_pairs(sorted(chosen) or trained, watched or pairs, recipe)
         files = {**complete, **{name: files[name] for name in kept}}
-        return cls(root, files, trained, pairs, held_out, _ground_truth(root, recipe))
+        return cls(root, files, trained, pairs, held_out, _ground_truth(root, recipe), recipe.data.up)
 
     def shape(self, name: str) -> Shape:
-        """Read one mesh.
+        """Read one mesh, and stand it upright.
 
         Raises:
             DataError: if it has no faces.
@@ -73,7 +75,7 @@ class TrainingSet:
         shape = read_shape(self.files[name])
         if shape.faces is None:
             raise DataError(f"{self.files[name]} has no faces, but training is on meshes; leave it out")
-        return shape
+        return stand_upright(shape, self.up)
 
     @property
     def used(self) -> tuple[str, ...]:
@@ -167,5 +169,5 @@ def _pair(names: Sequence[str], number: int) -> Pair:
 def _ground_truth(root: Path, recipe: Recipe) -> ShapeFolder | None:
     if recipe.partial is None and recipe.validation.score_every:
         with suppress(DataError):  # training needs none, so that an incomplete one does not matter
-            return ShapeFolder.open(root)
+            return ShapeFolder.open(root, up=recipe.data.up)
     return None

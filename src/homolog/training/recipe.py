@@ -14,6 +14,7 @@ from homolog.errors import ArgumentError, bad_choice, bad_value
 from homolog.files import expanded
 from homolog.geometry import OperatorSettings
 from homolog.network import AugmentationSettings, NetworkSettings
+from homolog.shapes import Up
 from homolog.training.objective import LossSettings
 from homolog.training.tables import read_table
 
@@ -36,17 +37,20 @@ class DataSettings:
     Args:
         split: of a folder with ``off/``: ``"train"``, ``"test"`` or ``"all"``; other folders are used whole.
         leave_out: patterns such as ``"*_shape_1?"``; shapes with such names are neither trained nor validated on.
+        up: which axis of the files points up; shapes are turned so that +y does.
         memory_gb: how much memory the prepared shapes may take; those beyond are read again from the disk cache.
         workers: threads that read and sample shapes while the steps before theirs are computed.
     """
 
     split: Split = "train"
     leave_out: tuple[str, ...] = ()
+    up: Up = "y"
     memory_gb: float = 4.0
     workers: int = 1
 
     def __post_init__(self) -> None:
         _choose("split", self.split, Split)
+        _choose("up", self.up, Up)
         _require("memory_gb", self.memory_gb, _positive, "a positive number of gigabytes")
         _require("workers", self.workers, _positive, "at least 1")
 
