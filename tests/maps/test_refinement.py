@@ -12,10 +12,12 @@ from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import (
     functional_map_from_point_map,
     guided_zoom_out,
+    guided_zoom_out_to_part,
     normalised,
     point_map_from_functional_map,
 )
 from homolog.maps.refinement import _FIRST_GUIDANCE, _LAST_GUIDANCE
+from homolog.shapes import Shape
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:
@@ -65,6 +67,82 @@ def test_it_is_the_slow_reference_where_all_points_take_part(blob, make) -> None
     expected = slow_guided_zoom_out(y_to_x.numpy(), x_to_y.numpy(), tuple(phi), tuple(features), [10, 25, 40, 48])
     for one, other_one in zip(found, expected, strict=True):
         assert (one.numpy() == other_one).mean() > 0.97  # rounding moves near ties, and a round what follows it
+
+
+def slow_guided_zoom_out_to_part(
+    y_to_x: np.ndarray,
+    phi: tuple[np.ndarray, ...],
+    eigenvalues: tuple[np.ndarray, ...],
+    f: tuple[np.ndarray, ...],
+    sizes: list[int],
+) -> tuple[np.ndarray, np.ndarray]:
+    """All points in every round; the part's functions carried to the whole's, and distances point by point there."""
+    (phi_x, phi_y), (f_x, f_y) = phi, f
+    for number, size in enumerate(sizes):
+        weight = np.geomspace(_FIRST_GUIDANCE, _LAST_GUIDANCE, len(sizes))[number]
+        as_slow = sum(value <= eigenvalues[0][size - 1] for value in eigenvalues[1])
+        in_x = np.stack([phi_x[i, :size] for i in y_to_x])
+        carried = phi_y[:, :as_slow] @ np.linalg.lstsq(phi_y[:, :as_slow], in_x, rcond=None)[0]
+        y_to_x = slow_nearest(carried, phi_x[:, :size], f_y, f_x, weight)
+    return y_to_x, slow_nearest(phi_x[:, :size], carried, f_x, f_y, weight)
+
+
+@pytest.fixture(scope="module")
+def half(make, blob) -> tuple[Operators, Tensor]:
+    """The upper part of the blob at the blob's scale, and the blob's point for each of its own."""
+    whole = make.blob()
+    faces = whole.faces[(whole.points[whole.faces][:, :, 1] > -0.1).all(axis=1)]
+    kept, renumbered = np.unique(faces, return_inverse=True)
+    part = Shape(whole.points[kept], renumbered.reshape(-1, 3))
+    settings = OperatorSettings(n_eigenpairs=60)
+    return compute_operators(part, settings=settings, length=blob.length), torch.from_numpy(kept)
+
+
+def given_for_a_part(blob: Operators, part: Operators, f_x: Tensor, f_y: Tensor) -> tuple[Tensor, ...]:
+    return blob.eigenvectors, part.eigenvectors, blob.eigenvalues, part.eigenvalues, f_x, f_y
+
+
+def test_to_a_part_it_is_the_slow_reference(blob, half) -> None:
+    part, _ = half
+    f_x, f_y = normalised(random(len(blob.points), 6, seed=1)), normalised(random(len(part.points), 6, seed=2))
+    y_to_x = torch.randint(len(blob.points), (len(part.points),), generator=torch.Generator().manual_seed(3))
+    given = given_for_a_part(blob, part, f_x, f_y)
+    found = guided_zoom_out_to_part(y_to_x, *given, smallest=10, step=25)
+    phi_x, phi_y, values_x, values_y, *_ = (tensor.double().numpy() for tensor in given)
+    features = f_x.double().numpy(), f_y.double().numpy()
+    sizes = [10, 35, 60]
+    expected = slow_guided_zoom_out_to_part(y_to_x.numpy(), (phi_x, phi_y), (values_x, values_y), features, sizes)
+    for one, other in zip(found, expected, strict=True):
+        assert (one.numpy() == other).mean() > 0.97
+
+
+def test_a_part_is_found_from_a_map_of_which_a_third_is_wrong(blob, half) -> None:
+    part, truth = half
+    n_x, n_y = len(blob.points), len(part.points)
+    wrong = torch.rand(n_y, generator=torch.Generator().manual_seed(1)) < 0.33
+    start = torch.where(wrong, torch.randint(n_x, (n_y,), generator=torch.Generator().manual_seed(2)), truth)
+    flat = torch.zeros(n_x, 1), torch.zeros(n_y, 1)
+    found, back = guided_zoom_out_to_part(start, *given_for_a_part(blob, part, *flat))
+
+    def mean_error(point_map: Tensor) -> float:
+        return float((blob.points[point_map] - blob.points[truth]).norm(dim=1).mean())
+
+    edge = 0.04 * float((blob.points.amax(dim=0) - blob.points.amin(dim=0)).max())
+    assert mean_error(found) < edge < 3 * edge < mean_error(start)
+    there = float((blob.points[truth[back[truth]]] - blob.points[truth]).norm(dim=1).mean())
+    assert there < edge
+
+
+def test_what_cannot_be_is_named_for_a_part_too(blob, half) -> None:
+    part, truth = half
+    flat = torch.zeros(len(blob.points), 1), torch.zeros(len(part.points), 1)
+    given = given_for_a_part(blob, part, *flat)
+    with pytest.raises(ArgumentError, match="y_to_x"):
+        guided_zoom_out_to_part(truth - 1000, *given)
+    with pytest.raises(ArgumentError, match="step"):
+        guided_zoom_out_to_part(truth, *given, step=0)
+    with pytest.raises(ArgumentError, match="features_y"):
+        guided_zoom_out_to_part(truth, *given[:-1], flat[1] + float("nan"))
 
 
 def test_a_copy_is_found_from_maps_of_which_half_is_wrong(blob) -> None:

@@ -61,6 +61,14 @@ def test_without_an_angle_nothing_turns(turn: str, degrees: float) -> None:
         torch.testing.assert_close(turned, POINTS, atol=1e-6, rtol=0)
 
 
+def test_a_shift_moves_all_points_alike() -> None:
+    moved = [found - POINTS for found in many(500, turn="none", shift=0.3, **STILL)]
+    assert all((shift - shift[0]).abs().max() < 1e-6 for shift in moved)
+    shifts = torch.stack([shift[0] for shift in moved])
+    torch.testing.assert_close(shifts.std(dim=0), torch.full((3,), 0.3), atol=0.03, rtol=0)
+    torch.testing.assert_close(shifts.mean(dim=0), torch.zeros(3), atol=0.05, rtol=0)
+
+
 def test_each_axis_is_scaled_within_its_range() -> None:
     settings = {"turn": "none", "least_scale": 0.8, "most_scale": 1.5, "jitter": 0.0}
     factors = []

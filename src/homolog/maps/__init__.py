@@ -9,7 +9,7 @@ from homolog.maps.functional_map import (
     resolvent_mask,
 )
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
-from homolog.maps.refinement import guided_zoom_out
+from homolog.maps.refinement import guided_zoom_out, guided_zoom_out_to_part
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "functional_map",
     "functional_map_from_point_map",
     "guided_zoom_out",
+    "guided_zoom_out_to_part",
     "local_stretch",
     "most_similar",
     "nearest_neighbour",

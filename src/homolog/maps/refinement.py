@@ -69,17 +69,82 @@ def guided_zoom_out(
     check_finite("features_y", features_y)
     x, y = _Guided(eigenvectors_x, features_x), _Guided(eigenvectors_y, features_y)
     largest = min(eigenvectors_x.shape[1], eigenvectors_y.shape[1])
-    sizes = [*range(min(smallest, largest), largest, step), largest]
     rows_x, rows_y = x.samples, y.samples
     y_to_x, x_to_y = y_to_x[rows_y], x_to_y[rows_x]
-    for n_left, size in zip(reversed(range(len(sizes))), sizes, strict=True):
-        weight = _LAST_GUIDANCE * (_FIRST_GUIDANCE / _LAST_GUIDANCE) ** (n_left / max(len(sizes) - 1, 1))
+    for n_left, size, weight in _rounds(smallest, largest, step):
         pairs_x, pairs_y = torch.cat([y_to_x, rows_x]), torch.cat([rows_y, x_to_y])
         among_x, among_y = (x.reached, y.reached) if n_left < _ROUNDS_AMONG_ALL else (x.samples, y.samples)
         rows_x, rows_y = (x.all, y.all) if n_left == 0 else (x.samples, y.samples)
         y_to_x = _counterparts(y, x, (pairs_y, pairs_x), rows_y, among_x, size=size, weight=weight)
         x_to_y = _counterparts(x, y, (pairs_x, pairs_y), rows_x, among_y, size=size, weight=weight)
     return y_to_x, x_to_y
+
+
+@takes_arrays
+def guided_zoom_out_to_part(
+    y_to_x: Int[Tensor, " n_y"],
+    eigenvectors_x: Float[Tensor, "n_x m_x"],
+    eigenvectors_y: Float[Tensor, "n_y m_y"],
+    eigenvalues_x: Float[Tensor, " m_x"],
+    eigenvalues_y: Float[Tensor, " m_y"],
+    features_x: Float[Tensor, "n_x d"],
+    features_y: Float[Tensor, "n_y d"],
+    *,
+    smallest: int = 20,
+    step: int = 18,
+) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
+    """Refine the point map of a part y to its complete shape x; see ``guided_zoom_out``.
+
+    Only pairs of the part's points can be relied on, so that the map back is read from the same functional map. To so
+    many eigenfunctions of x belong those of y that vibrate as slowly (Rodola, Cosmo, Bronstein, Torsello and Cremers,
+    "Partial functional correspondence", Computer Graphics Forum 2017): the smaller the part, the fewer.
+
+    Args:
+        y_to_x: for each point of the part a point of the complete shape, as good as it is known.
+        eigenvectors_x: of the complete shape.
+        eigenvectors_y: of the part.
+        eigenvalues_x: of the complete shape, ascending, at the same scale as the part's.
+        eigenvalues_y: of the part.
+        features_x: of unit length per point.
+        features_y: likewise.
+        smallest: how many eigenvectors of x there are in the first round.
+        step: eigenvectors of x added per round.
+
+    Returns:
+        The map, and the map back, which gives every point of x some point of the part, also where it has none.
+
+    Raises:
+        ArgumentError: if an index is that of no point, a feature is not finite, or a size is no whole number of at
+            least 1.
+    """
+    check_count("smallest", smallest)
+    check_count("step", step)
+    check_indices("y_to_x", y_to_x, len(eigenvectors_x))
+    check_finite("features_x", features_x)
+    check_finite("features_y", features_y)
+    x, y = _Guided(eigenvectors_x, features_x), _Guided(eigenvectors_y, features_y)
+    rows = y.samples
+    y_to_x = y_to_x[rows]
+    for n_left, size, weight in _rounds(smallest, eigenvectors_x.shape[1], step):
+        as_slow = max(int((eigenvalues_y <= eigenvalues_x[size - 1]).sum()), 1)
+        phi_x, phi_y = x.eigenvectors[:, :size], y.eigenvectors[:, :as_slow]
+        c_xy = _fitted(phi_x[y_to_x], phi_y[rows])
+        among = x.reached if n_left < _ROUNDS_AMONG_ALL else x.samples
+        rows = y.all if n_left == 0 else y.samples
+        in_y, in_x = y.guided(rows, phi_y[rows] @ c_xy, weight), x.guided(among, phi_x[among], weight)
+        y_to_x = among[nearest_neighbour(in_y, in_x).index]
+    in_y, in_x = y.guided(y.reached, phi_y[y.reached] @ c_xy, weight), x.guided(x.all, phi_x, weight)
+    return y_to_x, y.reached[nearest_neighbour(in_x, in_y).index]
+
+
+def _rounds(smallest: int, largest: int, step: int) -> list[tuple[int, int, float]]:
+    """For each round how many follow, the size of the basis, and how much features weigh."""
+    sizes = [*range(min(smallest, largest), largest, step), largest]
+    weights = [
+        _LAST_GUIDANCE * (_FIRST_GUIDANCE / _LAST_GUIDANCE) ** (n_left / max(len(sizes) - 1, 1))
+        for n_left in range(len(sizes))
+    ]
+    return [(n_left, size, weights[n_left]) for n_left, size in zip(reversed(range(len(sizes))), sizes, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -98,6 +163,14 @@ class _Guided:
     def reached(self) -> Int[Tensor, " r"]:
         """Points that some eigenfunction reaches; of debris the embedding says nothing, so nothing is to go there."""
         return self.all[self.eigenvectors.any(dim=1)]
+
+    def guided(self, rows: Int[Tensor, " r"], embedding: Float[Tensor, "r k"], weight: float) -> Float[Tensor, "r e"]:
+        """An embedding of some points whose squared distances also count those of features, by this weight.
+
+        The weight is relative to the number of eigenfunctions: over unit area the mean square of each is one.
+        """
+        scale = (weight * embedding.shape[1]) ** 0.5
+        return torch.cat([embedding, scale * self.features[rows]], dim=1)
 
     @cached_property
     def samples(self) -> Int[Tensor, " s"]:
@@ -119,10 +192,8 @@ def _counterparts(
     """For some points of y the nearest ones among some of x, once the pairs of points of y and x are laid together."""
     phi_x, phi_y = x.eigenvectors[:, :size], y.eigenvectors[:, :size]
     c_xy = _fitted(phi_x[pairs[1]], phi_y[pairs[0]])
-    # Over a shape of unit area the mean square of an eigenfunction is one.
-    scale = (weight * size) ** 0.5
-    queries = torch.cat([phi_y[rows], scale * y.features[rows]], dim=1)
-    candidates = torch.cat([phi_x[among] @ c_xy.T, scale * x.features[among]], dim=1)
+    queries = y.guided(rows, phi_y[rows], weight)
+    candidates = x.guided(among, phi_x[among] @ c_xy.T, weight)
     return among[nearest_neighbour(queries, candidates).index]
 
 

@@ -22,6 +22,7 @@ from homolog.maps import (
     confidence,
     covered,
     guided_zoom_out,
+    guided_zoom_out_to_part,
     most_similar,
     nearest_neighbour,
     normalised,
@@ -356,7 +357,9 @@ class Matcher:
             maps = self._maps_by_features(source.features, target.features, partial=partial)
         else:
             maps = self._maps_by_functional_maps(source, target, partial=partial)
-        return maps if partial or not self.settings.refine else _refined(maps, source, target)
+        if not self.settings.refine:
+            return maps
+        return _refined_to_part(maps, source, target) if partial else _refined(maps, source, target)
 
     def _maps_by_functional_maps(self, source: Prepared, target: Prepared, *, partial: bool) -> PointMaps:
         c_st, c_ts = self.functional_maps(source, target, partial=partial)
@@ -447,6 +450,19 @@ def _refined(maps: PointMaps, source: Prepared, target: Prepared) -> PointMaps:
         normalised(target.features),
     )
     return PointMaps(source_to_target, target_to_source)
+
+
+def _refined_to_part(maps: PointMaps, complete: Prepared, part: Prepared) -> PointMaps:
+    part_to_complete, complete_to_part = guided_zoom_out_to_part(
+        maps.target_to_source,
+        complete.operators.eigenvectors,
+        part.operators.eigenvectors,
+        complete.operators.eigenvalues,
+        part.operators.eigenvalues,
+        normalised(complete.features),
+        normalised(part.features),
+    )
+    return PointMaps(complete_to_part, part_to_complete)
 
 
 def _why_undetermined(*both: Operators) -> str:

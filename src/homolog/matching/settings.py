@@ -43,7 +43,7 @@ class MatcherSettings:
         regularisation: weight of the resolvent mask.
         temperature: of the soft map between features.
         iterations: of Sinkhorn's algorithm.
-        refine: refine the point maps that the network gives, see ``guided_zoom_out``; never with a partial shape.
+        refine: refine the point maps that the network gives, see ``guided_zoom_out``.
         raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
             here to reproduce the published code.
         operators: what operators to compute; by default those that the weights were trained with.

@@ -23,6 +23,8 @@ class AugmentationSettings:
         degrees: largest angle of a turn about the vertical, to either side.
         least_scale: smallest factor per axis.
         most_scale: largest factor per axis.
+        shift: standard deviation of a shift along each axis, in units of sqrt(area); a part lies about its own middle,
+            not its whole's, so that positions mean little there.
         jitter: standard deviation of noise per coordinate, in units of sqrt(area).
         largest_jitter: where that noise is clipped.
     """
@@ -31,13 +33,14 @@ class AugmentationSettings:
     degrees: float = 90.0
     least_scale: float = 0.9
     most_scale: float = 1.1
+    shift: float = 0.0
     jitter: float = 0.01
     largest_jitter: float = 0.05
 
     def __post_init__(self) -> None:
         if self.turn not in get_args(Turn):
             raise bad_choice("turn", self.turn, get_args(Turn))
-        for name in ("degrees", "most_scale", "jitter", "largest_jitter"):
+        for name in ("degrees", "most_scale", "shift", "jitter", "largest_jitter"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise bad_value(name, getattr(self, name), "a finite number of at least 0")
         if not 0 < self.least_scale <= self.most_scale:
@@ -47,10 +50,12 @@ class AugmentationSettings:
 def augmented(
     points: Float[Tensor, "n 3"], settings: AugmentationSettings, generator: torch.Generator | None = None
 ) -> Float[Tensor, "n 3"]:
-    """Positions turned, stretched and jittered at random, by torch's own generator if none is given."""
+    """Positions turned, stretched, shifted and jittered at random, by torch's own generator if none is given."""
     moved = points @ _turn(settings, generator).T.to(points)
     low, high = settings.least_scale, settings.most_scale
     moved = moved * (low + (high - low) * _uniform(3, generator)).to(points)
+    if settings.shift:
+        moved = moved + settings.shift * torch.randn(3, generator=generator, device=_device(generator)).to(points)
     if not settings.jitter:
         return moved
     noise = torch.randn(points.shape, generator=generator, device=_device(generator)).to(points)
