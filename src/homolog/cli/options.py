@@ -42,6 +42,8 @@ Adapt = Annotated[
         min=0,
     ),
 ]
+Processes = Annotated[int, typer.Option(help="Processes that share the work.", min=1, show_default="one per core")]
+ONE_PER_CORE = os.cpu_count() or 1
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print each step, its time and memory.")]
 NoCache = Annotated[bool, typer.Option("--no-cache", help="Neither read nor write cached operators.")]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from homolog.cli.options import Quiet, Verbose, set_verbosity
+from homolog.cli.options import ONE_PER_CORE, Processes, Quiet, Verbose, set_verbosity
 from homolog.cli.progress import progress_bar
 from homolog.synthesis import MeshSettings, PeopleSettings, synthesize_people
 
@@ -26,9 +25,7 @@ def people(
             help="How much longer than wide triangles are, in a direction of each body's own.", min=1.0, max=5.0
         ),
     ] = 1.0,
-    processes: Annotated[
-        int, typer.Option(help="Processes that share the work.", min=1, show_default="one per core")
-    ] = os.cpu_count() or 1,
+    processes: Processes = ONE_PER_CORE,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from homolog.cli.options import Quiet
+from homolog.cli.options import ONE_PER_CORE, Processes, Quiet
 from homolog.cli.progress import progress_bar
 from homolog.synthesis import ViewSettings, write_view_set
 
@@ -33,9 +32,7 @@ def views(
     ] = (-15.0, 45.0),
     pixels: Annotated[tuple[int, int], typer.Option(help="Width and height of the clouds' images.")] = (240, 180),
     noise: Annotated[float, typer.Option(help="Noise of clouds' depths, in units of sqrt(area).", min=0.0)] = 0.0,
-    processes: Annotated[
-        int, typer.Option(help="Processes that share the work.", min=1, show_default="one per core")
-    ] = os.cpu_count() or 1,
+    processes: Processes = ONE_PER_CORE,
     quiet: Quiet = False,
 ) -> None:
     """Make a set of views of complete meshes, each as a mesh and as a depth camera's cloud, paired with other bodies.

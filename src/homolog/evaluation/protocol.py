@@ -17,14 +17,13 @@ from homolog.datasets import Pair, ShapeFolder, Split, drawn_pairs
 from homolog.errors import ArgumentError, DataError, bad_choice, bad_value
 from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
 from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
-from homolog.matching import Correspondence, Matcher, Prepared
+from homolog.matching import Correspondence, Matcher, Prepared, Side
 from homolog.shapes import Shape, add_noise, repair
 from homolog.steps import Progress, unheard
 
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
-Role = Literal["source", "target"]
 
-_ROLES: tuple[Role, Role] = ("source", "target")
+_ROLES: tuple[Side, Side] = ("source", "target")
 # Name, role if that matters, whether it is a cloud, and whose scale it takes if not its own.
 _Variant = tuple[str, str, bool, str]
 
@@ -63,7 +62,7 @@ class Protocol:
         if self.noise and self.modality == "mesh":
             raise ArgumentError("noise is for clouds, but modality is 'mesh'; use 'cloud', or leave noise at 0")
 
-    def is_cloud(self, role: Role) -> bool:
+    def is_cloud(self, role: Side) -> bool:
         """Whether the shapes in this role lose their faces."""
         source, _, target = self.modality.partition("-to-")
         return (source if role == "source" else target or source) == "cloud"
@@ -225,17 +224,17 @@ class _Run:
                 "every .vts file of a set must have the same number of lines"
             )
 
-    def _variant(self, pair: Pair, role: Role) -> _Variant:
+    def _variant(self, pair: Pair, role: Side) -> _Variant:
         """What tells preparations apart: noise makes source and target of one name two clouds, scale a part several."""
         cloud, partner = self.protocol.is_cloud(role), self._scaled_by(pair, role)
         name = _in_role(pair, role)
         return name, role if cloud and self.protocol.noise else "", cloud, "" if partner == name else partner
 
-    def _scaled_by(self, pair: Pair, role: Role) -> str:
+    def _scaled_by(self, pair: Pair, role: Side) -> str:
         """Whose scale a shape takes: its own, but a part its complete partner's."""
         return pair[0] if self.protocol.partial else _in_role(pair, role)
 
-    def _prepare(self, pair: Pair, role: Role) -> Prepared:
+    def _prepare(self, pair: Pair, role: Side) -> Prepared:
         name, scaled_by, cloud = _in_role(pair, role), self._scaled_by(pair, role), self.protocol.is_cloud(role)
         self._tick(name)
         shape = self.shapes[name]
@@ -279,7 +278,7 @@ class _Run:
         self.done += 1
 
 
-def _in_role(pair: Pair, role: Role) -> str:
+def _in_role(pair: Pair, role: Side) -> str:
     return pair[_ROLES.index(role)]
 
 

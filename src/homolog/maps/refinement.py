@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -61,8 +62,6 @@ def guided_zoom_out(
         ArgumentError: if an index is that of no point, a feature is not finite, or a size is no whole number of at
             least 1.
     """
-    check_count("smallest", smallest)
-    check_count("step", step)
     check_indices("y_to_x", y_to_x, len(eigenvectors_x))
     check_indices("x_to_y", x_to_y, len(eigenvectors_y))
     check_finite("features_x", features_x)
@@ -73,7 +72,7 @@ def guided_zoom_out(
     y_to_x, x_to_y = y_to_x[rows_y], x_to_y[rows_x]
     for n_left, size, weight in _rounds(smallest, largest, step):
         pairs_x, pairs_y = torch.cat([y_to_x, rows_x]), torch.cat([rows_y, x_to_y])
-        among_x, among_y = (x.reached, y.reached) if n_left < _ROUNDS_AMONG_ALL else (x.samples, y.samples)
+        among_x, among_y = x.candidates(n_left), y.candidates(n_left)
         rows_x, rows_y = (x.all, y.all) if n_left == 0 else (x.samples, y.samples)
         y_to_x = _counterparts(y, x, (pairs_y, pairs_x), rows_y, among_x, size=size, weight=weight)
         x_to_y = _counterparts(x, y, (pairs_x, pairs_y), rows_x, among_y, size=size, weight=weight)
@@ -117,8 +116,6 @@ def guided_zoom_out_to_part(
         ArgumentError: if an index is that of no point, a feature is not finite, or a size is no whole number of at
             least 1.
     """
-    check_count("smallest", smallest)
-    check_count("step", step)
     check_indices("y_to_x", y_to_x, len(eigenvectors_x))
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
@@ -129,7 +126,7 @@ def guided_zoom_out_to_part(
         as_slow = max(int((eigenvalues_y <= eigenvalues_x[size - 1]).sum()), 1)
         phi_x, phi_y = x.eigenvectors[:, :size], y.eigenvectors[:, :as_slow]
         c_xy = _fitted(phi_x[y_to_x], phi_y[rows])
-        among = x.reached if n_left < _ROUNDS_AMONG_ALL else x.samples
+        among = x.candidates(n_left)
         rows = y.all if n_left == 0 else y.samples
         in_y, in_x = y.guided(rows, phi_y[rows] @ c_xy, weight), x.guided(among, phi_x[among], weight)
         y_to_x = among[nearest_neighbour(in_y, in_x).index]
@@ -137,14 +134,13 @@ def guided_zoom_out_to_part(
     return y_to_x, y.reached[nearest_neighbour(in_x, in_y).index]
 
 
-def _rounds(smallest: int, largest: int, step: int) -> list[tuple[int, int, float]]:
+def _rounds(smallest: int, largest: int, step: int) -> Iterator[tuple[int, int, float]]:
     """For each round how many follow, the size of the basis, and how much features weigh."""
+    check_count("smallest", smallest)
+    check_count("step", step)
     sizes = [*range(min(smallest, largest), largest, step), largest]
-    weights = [
-        _LAST_GUIDANCE * (_FIRST_GUIDANCE / _LAST_GUIDANCE) ** (n_left / max(len(sizes) - 1, 1))
-        for n_left in range(len(sizes))
-    ]
-    return [(n_left, size, weights[n_left]) for n_left, size in zip(reversed(range(len(sizes))), sizes, strict=True)]
+    for n_left, size in zip(reversed(range(len(sizes))), sizes, strict=True):
+        yield n_left, size, _LAST_GUIDANCE * (_FIRST_GUIDANCE / _LAST_GUIDANCE) ** (n_left / max(len(sizes) - 1, 1))
 
 
 @dataclass(frozen=True)
@@ -163,6 +159,10 @@ class _Guided:
     def reached(self) -> Int[Tensor, " r"]:
         """Points that some eigenfunction reaches; of debris the embedding says nothing, so nothing is to go there."""
         return self.all[self.eigenvectors.any(dim=1)]
+
+    def candidates(self, n_left: int) -> Int[Tensor, " c"]:
+        """The points among which counterparts are looked for, where so many rounds follow."""
+        return self.reached if n_left < _ROUNDS_AMONG_ALL else self.samples
 
     def guided(self, rows: Int[Tensor, " r"], embedding: Float[Tensor, "r k"], weight: float) -> Float[Tensor, "r e"]:
         """An embedding of some points whose squared distances also count those of features, by this weight.
@@ -197,7 +197,7 @@ def _counterparts(
     return among[nearest_neighbour(queries, candidates).index]
 
 
-def _fitted(pulled_back: Float[Tensor, "n k"], eigenvectors_y: Float[Tensor, "n k"]) -> Float[Tensor, "k k"]:
+def _fitted(pulled_back: Float[Tensor, "n k_x"], eigenvectors_y: Float[Tensor, "n k_y"]) -> Float[Tensor, "k_y k_x"]:
     """The least-squares C with Phi_y C = Pi Phi_x on the samples; sampled eigenvectors stay nearly orthogonal."""
     gram, right = (eigenvectors_y.T @ eigenvectors_y).double(), (eigenvectors_y.T @ pulled_back).double()
     # An eigenvector that is zero on all samples must not make the system singular.

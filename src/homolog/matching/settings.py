@@ -18,10 +18,13 @@ AsCloud = Literal["source", "target", "both"]
 Device = Literal["auto", "cpu", "cuda"]
 
 
+_Rule = tuple[Callable[[Any], bool], str]
+_COUNT_OR_NONE: _Rule = (lambda value: value is None or is_count(value), "a whole number of at least 1, or None")
+
 # For each setting but the method what it may be, as a test and in words.
-_ALLOWED: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "map_eigenpairs": (lambda value: value is None or is_count(value), "a whole number of at least 1, or None"),
-    "partial_eigenpairs": (lambda value: value is None or is_count(value), "a whole number of at least 1, or None"),
+_ALLOWED: dict[str, _Rule] = {
+    "map_eigenpairs": _COUNT_OR_NONE,
+    "partial_eigenpairs": _COUNT_OR_NONE,
     "regularisation": (lambda value: is_real(value) and value >= 0, "a finite number of at least 0"),
     "temperature": (lambda value: is_real(value) and value > 0, "a finite number above 0"),
     "iterations": (is_count, "a whole number of at least 1"),

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from homolog.shapes import face_areas
 from homolog.synthesis.mesh_editing import Draft, collapse_short, edges_of, flip_to_delaunay, split_long
 from homolog.synthesis.surface import Ground, Surface, unit
 
@@ -63,7 +64,7 @@ def remesh(
 
 def _first_length(surface: Surface, detail: Float[np.ndarray, " n"], count: int) -> float:
     """The edge length that equilateral triangles around so many vertices would have, where detail is 1."""
-    areas = np.linalg.norm(surface.face_vectors, axis=1) / 2.0
+    areas = face_areas(surface.vertices, surface.faces)
     return math.sqrt(float((areas / detail[surface.faces].mean(axis=1) ** 2).sum()) * 2.0 / math.sqrt(3.0) / count)
 
 

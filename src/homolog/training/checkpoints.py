@@ -18,7 +18,6 @@ from homolog.training.recipe import Recipe
 from homolog.training.state import TrainingState
 
 _FORMAT = "homolog-checkpoint-1"
-# What Adam remembers of each weight, beside the number of steps.
 # Settings that change no weight; a training may go on with others.
 _WITHOUT_EFFECT = frozenset(
     {
@@ -31,6 +30,7 @@ _WITHOUT_EFFECT = frozenset(
         "validation.score_pairs",
     }
 )
+# What Adam remembers of each weight, beside the number of steps.
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
@@ -110,9 +110,8 @@ def _fill(place: Tensor, values: Tensor) -> Tensor:
 
 
 def _check_recipe(path: Path, found: dict[str, Any], recipe: Recipe) -> None:
-    before, now = _flat(found), _flat(json.loads(json.dumps(asdict(recipe))))
-    # What an older checkpoint does not name was as it is by default.
-    before = {**_flat(asdict(Recipe())), **before}
+    now, by_default = (_flat(json.loads(json.dumps(asdict(settings)))) for settings in (recipe, Recipe()))
+    before = {**by_default, **_flat(found)}  # what an older checkpoint does not name was as it is by default
     for key in sorted((before.keys() | now.keys()) - _WITHOUT_EFFECT):
         if before.get(key) != now.get(key):
             raise TrainingError(
