@@ -75,6 +75,7 @@ def main() -> None:
     parser.add_argument("--kind", default="cuts", choices=("cuts", "holes"))
     parser.add_argument("--names", default="*", help="pattern of the parts' names")
     parser.add_argument("--up", default="z", choices=get_args(Up), help="which axis of the files points up")
+    parser.add_argument("--in-place", action="store_true", help="take parts to lie where they belong, as the files do")
     parser.add_argument("--every", type=int, default=1, help="take every so many-th of them")
     arguments = parser.parse_args()
     operators = OperatorCache.default().operators
@@ -92,7 +93,13 @@ def main() -> None:
         scores["true map"].add(true_counterparts.numpy(), truth)
         for modality, as_cloud in MODALITIES.items():
             found = matcher.match(
-                complete, part, partial="target", as_cloud=as_cloud, source_up=arguments.up, target_up=arguments.up
+                complete,
+                part,
+                partial="target",
+                in_place=arguments.in_place,
+                as_cloud=as_cloud,
+                source_up=arguments.up,
+                target_up=arguments.up,
             )
             score = scores[f"own map, {modality}"]
             score.add(found.source_to_target >= 0, truth)

@@ -102,6 +102,7 @@ def test_report(homolog, files, tmp_path):
         "as_cloud": "target",
         "partial": "target",
         "part_scale": 1.0,
+        "in_place": False,
         "up": {"source": "z", "target": "y"},
         "strict": False,
     }

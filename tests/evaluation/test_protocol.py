@@ -86,10 +86,11 @@ class Stub:
 
     def __init__(self, answer, confidence=None):
         self.answer, self.confidence = answer, confidence
-        self.prepared, self.matched, self.partial = [], [], []
+        self.prepared, self.centres, self.matched, self.partial = [], [], [], []
 
-    def prepare(self, shape, *, as_cloud=False, length=None):
+    def prepare(self, shape, *, as_cloud=False, length=None, centre=None):
         self.prepared.append((shape, as_cloud, length))
+        self.centres.append(centre)
         return Ready(shape.name.removesuffix(".off"), "cloud" if as_cloud else "mesh")
 
     def route(self, source, target):
@@ -492,6 +493,21 @@ def test_a_part_takes_the_scale_of_each_of_its_complete_shapes(family, tmp_path,
     for (name, length), (_, scaled_by) in zip(prepared, expected, strict=True):
         own = name == scaled_by and not protocol.noise
         assert length is None if own else length == pytest.approx(unit[scaled_by], rel=1e-9)
+
+
+def test_parts_in_place_take_the_middle_of_their_complete_shapes_too(family, tmp_path):
+    root = copied(family, tmp_path)
+    (root / "pairs.txt").write_text("a,b\nc,b\n")
+    stub = Stub(family.truth)
+    evaluate(stub, ShapeFolder.open(root), Protocol(split="all", partial=True, in_place=True))
+    middle = {name: shape.points.mean(axis=0) for name, shape in family.shapes.items()}
+    names = [shape.name.removesuffix(".off") for shape, _, _ in stub.prepared]
+    assert names == ["a", "b", "c", "b"]
+    assert stub.centres[0] is None and stub.centres[2] is None
+    np.testing.assert_allclose(stub.centres[1], middle["a"], atol=1e-9)
+    np.testing.assert_allclose(stub.centres[3], middle["c"], atol=1e-9)
+    with pytest.raises(ArgumentError, match="in_place is for parts, but partial is False"):
+        Protocol(in_place=True)
 
 
 def test_common_points_that_a_part_lacks_are_not_scored(family, tmp_path):

@@ -193,6 +193,37 @@ def test_part_scales_that_are_none(build, cut, part_scale):
         build("features").match(cut.whole, cut.part, partial="target", part_scale=part_scale)
 
 
+def positions(build, whole, part, **options):
+    source, target = build("features").prepare_pair(whole, part, partial="target", **options)
+    return source.operators, target.operators
+
+
+@pytest.mark.parametrize(("kind", "as_cloud"), KINDS)
+def test_a_part_in_place_lies_on_its_whole(build, cut, kind, as_cloud):
+    """Also in units of its own, and turned upright; its features are those of the positions there."""
+    points = cut.part.points[:, [0, 2, 1]] * [1, -1, 1]  # +z is up
+    part = Shape(100 * points, cut.part.faces)
+    options = {"as_cloud": as_cloud, "part_scale": 0.01, "target_up": "z"}
+    whole, placed = positions(build, cut.whole, part, in_place=True, **options)
+    torch.testing.assert_close(placed.points, whole.points[cut.part_to_whole], atol=1e-5, rtol=0)
+    torch.testing.assert_close(placed.centre, 100 * whole.centre)
+    whole, apart = positions(build, cut.whole, part, **options)
+    assert apart.points.mean(dim=0).norm() < 1e-5
+    matcher = build("features")
+    prepared = [
+        matcher.prepare_pair(cut.whole, part, partial="target", in_place=way, **options)[1] for way in (True, False)
+    ]
+    torch.testing.assert_close(prepared[0].features, matcher.features(placed))
+    assert (prepared[0].features - prepared[1].features).abs().max() > 1e-3
+
+
+def test_in_place_is_for_parts(build, cut):
+    with pytest.raises(ArgumentError, match=r"in_place is True, but neither shape is partial"):
+        build("features").match(cut.whole, cut.part, in_place=True)
+    with pytest.raises(ArgumentError, match=r"in_place"):
+        build("features").match(cut.whole, cut.part, partial="target", in_place="yes")
+
+
 def test_a_part_scale_needs_a_part(build, cut):
     with pytest.raises(ArgumentError, match=r"part_scale is 10, but neither shape is partial"):
         build("features").match(cut.whole, cut.part, part_scale=10)

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 import torch
+from scipy.spatial import KDTree
 
 from homolog.geometry import compute_operators, unit_frame
 from homolog.shapes import Shape, read_shape, write_shape
@@ -134,6 +135,32 @@ def test_the_larger_shape_is_the_complete_one_and_gives_the_scale(whole_and_part
         projected, wanted = (synthesis(b)[:, row] @ (b.analysis @ functions) for b in (found, expected))
         torch.testing.assert_close(projected, wanted, atol=2e-2, rtol=2e-2)
     assert same(pair.x.mesh, bank.shape(whole).mesh)
+
+
+def test_parts_in_place_lie_on_their_wholes(whole_and_part, small):
+    """Points of the part, mesh and cloud, are points of the whole: they lie at one place each."""
+    recipe = small(partial={"in_place": True}, samples={"points": 0}, clouds={"cut": [0.5]})
+    bank = bank_of(whole_and_part, recipe)
+    pair = bank.pairs([Draw(Member("whole", 0, 0), Member("a_part", 1, 0), 5)])[0]
+    for basis in (pair.y.mesh, pair.y.cloud):
+        assert KDTree(pair.x.mesh.points.numpy()).query(basis.points.numpy())[0].max() < 1e-5
+    assert pair.y.cloud.n_points < pair.y.mesh.n_points < pair.x.mesh.n_points
+    apart = bank_of(whole_and_part, small(partial={}, samples={"points": 0}, clouds={"cut": [0.5]})).pairs([pair.draw])
+    for basis in (apart[0].y.mesh, apart[0].y.cloud):
+        assert basis.points.mean(dim=0).norm() < 1e-4
+
+
+@pytest.mark.parametrize("clouds", [{"cut": [0.4]}, {"pierced": [6]}])
+@pytest.mark.parametrize("points", [0, 150])
+def test_parts_of_a_mesh_are_paired_with_their_own_points(meshes, small, clouds, points):
+    """All samples of the mesh stay, as its coefficients need them; the part has those of them that lie on it."""
+    shape = bank_of(meshes, small(clouds=clouds, samples={"points": points})).shape(Member("ape", 1, 0))
+    assert shape.cloud_is_part
+    assert shape.mesh.n_points == (points or 642)
+    assert 0.2 < shape.cloud.n_points / shape.mesh.n_points < 0.95
+    apart = shape.at_cloud(shape.mesh.points) - shape.cloud.points
+    assert (apart - apart.mean(dim=0)).norm(dim=1).max() < 1e-5
+    assert not bank_of(meshes, small(clouds=clouds)).shape(Member("ape", 0, 0)).cloud_is_part
 
 
 def test_prefetched_is_in_order_and_ahead():

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 import trimesh
 
+from homolog.shapes import face_areas
 from homolog.training.clouds import CloudVariant, cloud_variants, make_cloud
 from homolog.training.recipe import CloudSettings
 
 
 def test_the_clean_cloud_comes_first():
-    found = cloud_variants(CloudSettings(noise=(0.1, 0.2), thinned=(0.5,), resampled=(300,)))
-    assert [variant.kind for variant in found] == ["clean", "noisy", "noisy", "thinned", "resampled"]
-    assert [variant.amount for variant in found[1:]] == [0.1, 0.2, 0.5, 300]
+    found = cloud_variants(CloudSettings(noise=(0.1, 0.2), thinned=(0.5,), resampled=(300,), cut=(0.4,), pierced=(9,)))
+    kinds = ["clean", "noisy", "noisy", "thinned", "resampled", "cut", "pierced"]
+    assert [variant.kind for variant in found] == kinds
+    assert [variant.amount for variant in found[1:]] == [0.1, 0.2, 0.5, 300, 0.4, 9]
+    assert [variant.is_part for variant in found] == [False] * 5 + [True] * 2
 
 
 def test_clean_and_noisy_clouds_keep_the_points(make):
@@ -32,6 +35,22 @@ def test_thinned_clouds_are_some_of_the_points(make):
     origin = cloud.weights.argmax(axis=1)
     assert np.all(np.diff(origin) > 0)
     assert np.array_equal(cloud.shape.points, blob.points[origin])
+
+
+@pytest.mark.parametrize("variant", [CloudVariant("cut", 0.4), CloudVariant("pierced", 5)])
+def test_parts_are_some_of_the_points_of_one_piece(make, variant):
+    blob = make.blob(3)
+    cloud = make_cloud(blob, variant, seed=1)
+    assert cloud.shape.faces is None
+    origin = cloud.weights.argmax(axis=1)
+    assert len(set(origin)) == len(origin) < blob.n_points
+    assert np.array_equal(cloud.shape.points, blob.points[origin])
+    inside = blob.faces[np.isin(blob.faces, origin).all(axis=1)]
+    area = face_areas(blob.points, inside).sum() / face_areas(blob.points, blob.faces).sum()
+    if variant.kind == "cut":
+        assert 0.35 < area < 0.45
+    else:
+        assert 0.5 < area < 0.98
 
 
 def test_resampled_clouds_lie_on_the_surface(make):

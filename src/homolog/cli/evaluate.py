@@ -14,6 +14,7 @@ from rich.table import Table
 from homolog.cli.options import (
     Adapt,
     DeviceOption,
+    InPlace,
     MethodOption,
     NoCache,
     Quiet,
@@ -49,6 +50,7 @@ def evaluate(
     partial: Annotated[
         bool, typer.Option("--partial", help="Each target is a part of a shape like its source, in the same units.")
     ] = False,
+    in_place: InPlace = False,
     up: Annotated[Up, typer.Option(help="The axis that points up in the files.")] = "y",
     noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the noise, and of the pairs drawn.")] = 0,
@@ -83,6 +85,7 @@ def evaluate(
         pairs_file=None if pairs is None else str(pairs),
         n_pairs=n_pairs,
         partial=partial,
+        in_place=in_place,
         noise=noise,
         seed=seed,
     )

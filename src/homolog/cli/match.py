@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from homolog.cli.options import (
     Adapt,
     DeviceOption,
+    InPlace,
     MethodOption,
     NoCache,
     Quiet,
@@ -57,6 +58,7 @@ def match(
             help="What the partial shape's lengths are multiplied by to be in the complete one's units.",
         ),
     ] = 1.0,
+    in_place: InPlace = False,
     up: Annotated[Up, typer.Option(help="The axis that points up in both files.")] = "y",
     source_up: Annotated[Up | None, typer.Option(help="The axis that points up in the source, if it differs.")] = None,
     target_up: Annotated[Up | None, typer.Option(help="The axis that points up in the target, if it differs.")] = None,
@@ -89,13 +91,16 @@ def match(
         steps = Steps(listener=counted(progress, _STEPS + adapt + (adapt > 0), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         job = Job({"source": source, "target": target}, ups, matcher, adapt)
-        outcome = job.run(steps, as_cloud=as_cloud, partial=partial, part_scale=part_scale, strict=strict)
+        outcome = job.run(
+            steps, as_cloud=as_cloud, partial=partial, part_scale=part_scale, in_place=in_place, strict=strict
+        )
         options = {
             "method": method,
             "adapt": adapt,
             "as_cloud": as_cloud,
             "partial": partial,
             "part_scale": part_scale,
+            "in_place": in_place,
             "up": ups,
             "strict": strict,
         }
@@ -151,6 +156,7 @@ class Job:
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
         part_scale: float = 1.0,
+        in_place: bool = False,
         strict: bool = False,
     ) -> Outcome:
         """Read and match; in strict mode anything repaired or warned of is an error."""
@@ -166,6 +172,7 @@ class Job:
             as_cloud=as_cloud,
             partial=partial,
             part_scale=part_scale,
+            in_place=in_place,
             source_up=self.ups["source"],
             target_up=self.ups["target"],
             strict=strict,

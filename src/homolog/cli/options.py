@@ -42,6 +42,14 @@ Adapt = Annotated[
         min=0,
     ),
 ]
+InPlace = Annotated[
+    bool,
+    typer.Option(
+        "--in-place",
+        help="The partial shape lies in the complete one's coordinates, about where it belongs, as a scan that was "
+        "registered does. Without it only its form counts.",
+    ),
+]
 Processes = Annotated[int, typer.Option(help="Processes that share the work.", min=1, show_default="one per core")]
 ONE_PER_CORE = os.cpu_count() or 1
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]

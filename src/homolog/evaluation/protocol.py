@@ -41,6 +41,7 @@ class Protocol:
         pairs_file: a list of pairs to use instead of the split's.
         n_pairs: how many of the pairs to draw at random, none of a shape with itself; by default all are used.
         partial: whether each target is a part of a shape like its source, in the same units; it takes its scale then.
+        in_place: whether such parts lie in the coordinates of their sources, about where they belong.
         noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
             on source and target.
         seed: of the noise, and of the pairs drawn.
@@ -51,6 +52,7 @@ class Protocol:
     pairs_file: str | None = None
     n_pairs: int | None = None
     partial: bool = False
+    in_place: bool = False
     noise: float = 0.0
     seed: int = 0
 
@@ -59,6 +61,8 @@ class Protocol:
             raise bad_choice("modality", self.modality, get_args(Modalities))
         if not (np.isfinite(self.noise) and self.noise >= 0):
             raise bad_value("noise", self.noise, "a number of at least 0, in units of sqrt(area)")
+        if self.in_place and not self.partial:
+            raise ArgumentError("in_place is for parts, but partial is False; set it, or leave in_place out")
         if self.noise and self.modality == "mesh":
             raise ArgumentError("noise is for clouds, but modality is 'mesh'; use 'cloud', or leave noise at 0")
 
@@ -238,16 +242,14 @@ class _Run:
         name, scaled_by, cloud = _in_role(pair, role), self._scaled_by(pair, role), self.protocol.is_cloud(role)
         self._tick(name)
         shape = self.shapes[name]
-        if not (cloud and self.protocol.noise):
-            length = None if scaled_by == name else self._length(scaled_by)
-            return self.matcher.prepare(shape, as_cloud=cloud, length=length)
-        length = self._length(scaled_by)
-        seed = zlib.crc32(f"{self.protocol.seed} {name} {role}".encode())
-        noisy = add_noise(shape, self.protocol.noise * length, seed=seed)
-        return self.matcher.prepare(noisy, as_cloud=True, length=length)
-
-    def _length(self, name: str) -> float:
-        return unit_frame(repair(self.shapes[name]).shape).length
+        if scaled_by == name and not (cloud and self.protocol.noise):
+            return self.matcher.prepare(shape, as_cloud=cloud)
+        frame = unit_frame(repair(self.shapes[scaled_by]).shape)
+        centre = frame.centre if self.protocol.in_place else None
+        if cloud and self.protocol.noise:
+            seed = zlib.crc32(f"{self.protocol.seed} {name} {role}".encode())
+            shape = add_noise(shape, self.protocol.noise * frame.length, seed=seed)
+        return self.matcher.prepare(shape, as_cloud=cloud, length=frame.length, centre=centre)
 
     def _match(self, pair: Pair, prepared: dict[_Variant, Prepared]) -> _Queries:
         source, target = pair

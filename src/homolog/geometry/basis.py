@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -66,6 +66,10 @@ class Basis:
             self.gradients / factor**2,
             self.analysis * factor,
         )
+
+    def moved(self, away: Float[Tensor, " 3"]) -> Basis:
+        """The basis of the same shape elsewhere."""
+        return replace(self, points=self.points + away)
 
     def in_precision(self, dtype: torch.dtype) -> Basis:
         """The same basis with functions in another precision; eigenvalues, points and mass stay."""

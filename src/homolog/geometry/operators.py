@@ -115,6 +115,11 @@ class Operators:
             eigenvectors=self.eigenvectors[:, :n_eigenpairs].contiguous(),
         )
 
+    def around(self, centre: Float[Tensor, " 3"]) -> Operators:
+        """The same operators with positions around another point of the file, such as the middle of a part's whole."""
+        away = (self.centre - centre.to(self.centre)) / self.length
+        return replace(self, points=self.points + away.to(self.points), centre=centre.to(self.centre))
+
     @property
     def n_pieces(self) -> int:
         """How many eigenvalues are zero: one for each piece, as far as there are eigenpairs."""

@@ -23,12 +23,16 @@ def check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
         raise bad_choice(name, str(found), allowed)
 
 
-def check_part_scale(part_scale: float, partial: Side | None) -> None:
-    """Refuse a factor between units that is no positive number, or has no part to apply to."""
+def check_part(partial: Side | None, *, part_scale: float, in_place: bool) -> None:
+    """Refuse what says how a part lies if there is none, or is no such thing."""
     if not (is_real(part_scale) and part_scale > 0):
         raise bad_value("part_scale", part_scale, "a positive finite number")
     if part_scale != 1 and partial is None:
         raise ArgumentError(f"part_scale is {part_scale!r}, but neither shape is partial; say which one is, by partial")
+    if not isinstance(in_place, bool):
+        raise bad_value("in_place", in_place, "True or False")
+    if in_place and partial is None:
+        raise ArgumentError("in_place is True, but neither shape is partial; say which one is, by partial")
 
 
 def units_that_differ(source: Prepared, target: Prepared, partial: Side | None) -> list[str]:

@@ -8,10 +8,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import NoneType
-from typing import get_args
+from typing import Any, get_args
 
 import torch
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from torch import Tensor
 
@@ -32,7 +33,7 @@ from homolog.maps import (
 from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem
 from homolog.matching.checks import (
     blaming,
-    check_part_scale,
+    check_part,
     check_word,
     doubts,
     refuse_repairs,
@@ -158,6 +159,7 @@ class Matcher:
         as_cloud: bool = False,
         up: Up = "y",
         length: float | None = None,
+        centre: ArrayLike | None = None,
         strict: bool = False,
         steps: Steps | None = None,
         label: str = "shape",
@@ -169,6 +171,8 @@ class Matcher:
             as_cloud: leave the faces out, but keep the scale that they give.
             up: which of its axes points up.
             length: the file length of one inner unit; by default sqrt(surface area).
+            centre: what lies at the middle of the network's coordinates, in those of the upright shape (3,); by default
+                the mean of its points.
             strict: refuse a shape that needs repair.
             steps: collects time and memory of the steps.
             label: what the steps call the shape.
@@ -185,6 +189,7 @@ class Matcher:
                 refuse_repairs(repaired)
         with steps.step(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, length=length)
+            operators = operators if centre is None else operators.around(torch.as_tensor(centre))
         with steps.step(f"features of {label}"):
             features = self.features(operators)
         if as_cloud:
@@ -217,6 +222,7 @@ class Matcher:
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
         part_scale: float = 1.0,
+        in_place: bool = False,
         source_up: Up = "y",
         target_up: Up = "y",
         strict: bool = False,
@@ -232,6 +238,8 @@ class Matcher:
                 no counterpart then get -1.
             part_scale: by how much the partial shape's lengths are multiplied to be in the complete one's units: 0.001
                 for a part in millimetres of a whole in metres.
+            in_place: the partial shape lies in the complete one's coordinates, about where it belongs, as a scan that
+                was registered does; otherwise only its form counts, and not where it lies.
             source_up: which axis of the source points up.
             target_up: which axis of the target.
             strict: stop at anything to repair or to warn of.
@@ -248,6 +256,7 @@ class Matcher:
             as_cloud=as_cloud,
             partial=partial,
             part_scale=part_scale,
+            in_place=in_place,
             source_up=source_up,
             target_up=target_up,
             strict=strict,
@@ -263,6 +272,7 @@ class Matcher:
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
         part_scale: float = 1.0,
+        in_place: bool = False,
         source_up: Up = "y",
         target_up: Up = "y",
         strict: bool = False,
@@ -271,7 +281,7 @@ class Matcher:
         """Prepare two shapes for each other: a partial one takes its partner's scale; see ``match``."""
         check_word("as_cloud", as_cloud, get_args(AsCloud))
         check_word("partial", partial, get_args(Side))
-        check_part_scale(part_scale, partial)
+        check_part(partial, part_scale=part_scale, in_place=in_place)
         shapes: dict[Side, Shape] = {"source": source, "target": target}
         ups: dict[Side, Up] = {"source": source_up, "target": target_up}
         for side in shapes:
@@ -280,13 +290,14 @@ class Matcher:
                 raise bad_choice(f"{side}_up", str(ups[side]), get_args(Up))
         order: tuple[Side, Side] = ("target", "source") if partial == "source" else ("source", "target")
         prepared: dict[Side, Prepared] = {}
-        length: float | None = None
+        frame: dict[str, Any] = {}
         for side in order:
             flat = as_cloud in (side, "both")
             prepared[side] = self.prepare(
-                shapes[side], as_cloud=flat, up=ups[side], length=length, strict=strict, steps=steps, label=side
+                shapes[side], as_cloud=flat, up=ups[side], strict=strict, steps=steps, label=side, **frame
             )
-            length = prepared[side].operators.length / part_scale if partial else None
+            if partial:
+                frame = _frame_of_part(prepared[side].operators, part_scale, in_place=in_place)
         return prepared["source"], prepared["target"]
 
     def match_checked(
@@ -413,6 +424,12 @@ class Matcher:
             target, source, temperature=self.settings.temperature, iterations=self.settings.iterations
         )
         return PointMaps(source_to_target=soft.x_to_y, target_to_source=soft.y_to_x)
+
+
+def _frame_of_part(whole: Operators, part_scale: float, *, in_place: bool) -> dict[str, Any]:
+    """What a part takes from its complete partner, in its own units."""
+    length = whole.length / part_scale
+    return {"length": length, "centre": whole.centre / part_scale} if in_place else {"length": length}
 
 
 def _check_prepared(source: Prepared, target: Prepared) -> None:

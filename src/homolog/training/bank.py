@@ -7,17 +7,17 @@ import zlib
 from collections import OrderedDict, deque
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sparse
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.geometry import Basis, Operators, unit_frame
+from homolog.geometry import Basis, Frame, Operators, unit_frame
 from homolog.matching import OperatorSource
 from homolog.shapes import Shape, repair
 from homolog.steps import Progress
@@ -53,12 +53,14 @@ class _Samples:
         bases: there.
         meshes: the bases of the mesh that belong to them, where they are not those of the mesh's own subsets.
         pairings: the interpolation from those to the cloud's points.
+        centre: of the points that the bases are centred at, in the mesh's inner coordinates (3,).
     """
 
     kept: tuple[Int[np.ndarray, " s"], ...]
     bases: tuple[Basis, ...]
     meshes: tuple[Basis, ...] = ()
     pairings: tuple[Tensor, ...] = ()
+    centre: Float[Tensor, " 3"] = field(default_factory=lambda: torch.zeros(3))
 
     @property
     def n_bytes(self) -> int:
@@ -84,7 +86,7 @@ class ShapeBank:
         self.variants = cloud_variants(recipe.clouds)
         self._operators = operators
         self._mesh = lru_cache(maxsize=2 * recipe.data.workers)(self._read_mesh)
-        self._lengths: dict[str, float] = {}
+        self._frames: dict[str, Frame] = {}
         self._kept: OrderedDict[tuple[str, int], _Samples] = OrderedDict()
         self._bytes = 0
         self._lock = threading.Lock()
@@ -109,19 +111,29 @@ class ShapeBank:
     def shape(self, member: Member) -> TrainingShape:
         """One shape with one of its clouds, at one of its subsets of points."""
         clouds = self._samples(member.name, member.variant)
-        cloud = clouds.bases[member.subset]
-        if clouds.meshes:
-            return TrainingShape(member.name, clouds.meshes[member.subset], cloud, clouds.pairings[member.subset])
-        return TrainingShape(member.name, self._samples(member.name, _MESH).bases[member.subset], cloud, None)
+        cloud, is_part = clouds.bases[member.subset], self.variants[member.variant].is_part
+        if self._in_place:
+            cloud = cloud.moved(clouds.centre)
+        meshes = clouds.meshes or self._samples(member.name, _MESH).bases
+        pairing = clouds.pairings[member.subset] if clouds.pairings else None
+        return TrainingShape(member.name, meshes[member.subset], cloud, pairing, is_part)
 
     def _pair(self, draw: Draw) -> TrainingPair:
         x, y = self.shape(draw.x), self.shape(draw.y)
         if self.recipe.partial is None:
             return TrainingPair(draw, x, y)
-        ratio = self._lengths[draw.y.name] / self._lengths[draw.x.name]
-        if ratio > 1:
-            return TrainingPair(replace(draw, x=draw.y, y=draw.x), y, _rescaled(x, 1 / ratio))
-        return TrainingPair(draw, x, _rescaled(y, ratio))
+        if self._frames[draw.y.name].length > self._frames[draw.x.name].length:
+            draw, x, y = replace(draw, x=draw.y, y=draw.x), y, x
+        whole, part = self._frames[draw.x.name], self._frames[draw.y.name]
+        y = _changed(y, lambda basis: basis.scaled(part.length / whole.length))
+        if self._in_place:
+            away = torch.from_numpy(whole.inside(part.centre)).float().to(self.device)
+            y = _changed(y, lambda basis: basis.moved(away))
+        return TrainingPair(draw, x, y)
+
+    @property
+    def _in_place(self) -> bool:
+        return self.recipe.partial is not None and self.recipe.partial.in_place
 
     def _prepare(self, name: str) -> str:
         for variant in (_MESH, *range(len(self.variants))):
@@ -155,9 +167,12 @@ class ShapeBank:
 
     def _sample(self, name: str, variant: int) -> _Samples:
         source = self._source(name, variant)
-        basis = self._operators_of(source.shape).basis
+        operators = self._operators_of(source.shape)
+        basis = operators.basis
         if source.weights is not None:
-            return self._sample_apart(name, basis, source.weights)
+            is_part = self.variants[variant].is_part
+            samples = self._sample_part if is_part else self._sample_apart
+            return replace(samples(name, basis, source.weights), centre=operators.centre.float().to(self.device))
         kept = subsets(basis, self.recipe.samples) if variant == _MESH else self._samples(name, _MESH).kept
         return _Samples(kept, tuple(self._at(basis, subset) for subset in kept))
 
@@ -174,6 +189,21 @@ class ShapeBank:
             tuple(pairing.to(self.device) for pairing in pairings),
         )
 
+    def _sample_part(self, name: str, cloud: Basis, weights: sparse.csr_array) -> _Samples:
+        """Those points of a mesh's subsets that a part of it has, beside all of them: coefficients on the mesh need
+        samples everywhere.
+        """
+        mesh = self._samples(name, _MESH)
+        places = weights.argmax(axis=1)  # a part's points are points of its mesh
+        held = [np.isin(places, subset) for subset in mesh.kept]
+        pairings = [_pairing(weights[rows][:, subset]) for rows, subset in zip(held, mesh.kept, strict=True)]
+        kept = tuple(np.nonzero(rows)[0] for rows in held)
+        return _Samples(
+            kept,
+            tuple(self._at(cloud, subset) for subset in kept),
+            pairings=tuple(pairing.to(self.device) for pairing in pairings),
+        )
+
     def _source(self, name: str, variant: int) -> Cloud:
         mesh = self._mesh(name)
         if variant == _MESH:
@@ -185,7 +215,7 @@ class ShapeBank:
         """A clean mesh of unit area: what its clouds are made with is in these units."""
         shape = self.shapes.shape(name)
         frame = unit_frame(shape)
-        self._lengths[name] = frame.length
+        self._frames[name] = frame
         return repair(Shape(frame.inside(shape.points), shape.faces, name=shape.name)).shape
 
     def _operators_of(self, shape: Shape) -> Operators:
@@ -210,8 +240,8 @@ def _pairing(weights: sparse.csr_array) -> Tensor:
     return torch.sparse_coo_tensor(places, values, weights.shape, check_invariants=False)
 
 
-def _rescaled(shape: TrainingShape, factor: float) -> TrainingShape:
-    return replace(shape, mesh=shape.mesh.scaled(factor), cloud=shape.cloud.scaled(factor))
+def _changed(shape: TrainingShape, change: Callable[[Basis], Basis]) -> TrainingShape:
+    return replace(shape, mesh=change(shape.mesh), cloud=change(shape.cloud))
 
 
 def _bytes(basis: Basis) -> int:

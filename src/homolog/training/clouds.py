@@ -10,6 +10,7 @@ import scipy.sparse as sparse
 from jaxtyping import Float
 
 from homolog.shapes import Shape, add_noise, face_areas
+from homolog.synthesis import Part, cut, pierce
 from homolog.training.recipe import CloudSettings
 
 
@@ -18,12 +19,18 @@ class CloudVariant:
     """One way to make a cloud of a mesh.
 
     Args:
-        kind: ``"clean"`` for the mesh's own points, ``"noisy"``, ``"thinned"`` or ``"resampled"``.
-        amount: of noise, the share that is kept, or the number of points.
+        kind: ``"clean"`` for the mesh's own points, ``"noisy"``, ``"thinned"``, ``"resampled"``, ``"cut"`` or
+            ``"pierced"``.
+        amount: of noise, the share that is kept, or the number of points or holes.
     """
 
-    kind: Literal["clean", "noisy", "thinned", "resampled"] = "clean"
+    kind: Literal["clean", "noisy", "thinned", "resampled", "cut", "pierced"] = "clean"
     amount: float = 0.0
+
+    @property
+    def is_part(self) -> bool:
+        """Whether it lacks a piece of the surface."""
+        return self.kind in ("cut", "pierced")
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +54,8 @@ def cloud_variants(settings: CloudSettings) -> tuple[CloudVariant, ...]:
         *(CloudVariant("noisy", sigma) for sigma in settings.noise),
         *(CloudVariant("thinned", share) for share in settings.thinned),
         *(CloudVariant("resampled", number) for number in settings.resampled),
+        *(CloudVariant("cut", share) for share in settings.cut),
+        *(CloudVariant("pierced", number) for number in settings.pierced),
     )
 
 
@@ -59,11 +68,19 @@ def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
         return _weighted(mesh, _thinned(mesh.n_points, variant.amount, random))
     if variant.kind == "resampled":
         return _weighted(mesh, _resampled(mesh, round(variant.amount), random))
+    if variant.kind == "cut":
+        return _part(mesh, cut(mesh, removed=1 - variant.amount, seed=seed))
+    if variant.kind == "pierced":
+        return _part(mesh, pierce(mesh, holes=round(variant.amount), seed=seed))
     return Cloud(mesh.as_cloud(), None)
 
 
 def _weighted(mesh: Shape, weights: sparse.csr_array) -> Cloud:
     return Cloud(Shape(weights @ mesh.points, name=mesh.name), weights)
+
+
+def _part(mesh: Shape, part: Part) -> Cloud:
+    return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[part.complete_index])
 
 
 def _thinned(n_points: int, share: float, random: np.random.Generator) -> sparse.csr_array:

@@ -82,12 +82,14 @@ class TrainingShape:
         cloud: of a cloud of the same surface.
         pairing: takes functions at the mesh's points to the cloud's, sparse (n_cloud, n_mesh); None where both have the
             same points in the same order.
+        cloud_is_part: the cloud lacks a piece of the mesh's surface.
     """
 
     name: str
     mesh: Basis
     cloud: Basis
     pairing: Tensor | None = None
+    cloud_is_part: bool = False
 
     def at_cloud(self, functions: Float[Tensor, "n_mesh c"]) -> Float[Tensor, "n_cloud c"]:
         """Functions on the mesh at the cloud's points."""
@@ -223,12 +225,14 @@ def _alignment(
     *,
     partial: bool,
 ) -> Float[Tensor, ""]:
+    if x.shape.cloud_is_part:
+        return torch.zeros_like(c_xy.sum())  # what it lacks cannot be carried over from it
     if not settings.raw_products:
         cloud_x, cloud_y = normalised(cloud_x), normalised(cloud_y)
     shapes = c_xy, x.eigenvectors, y.eigenvectors, cloud_x, cloud_y
     # The paper sums over the points of full meshes: with fewer samples each stands for more of them.
     share = _USUAL_POINTS / len(cloud_y)
-    if partial:
+    if partial or y.shape.cloud_is_part:
         return share * partial_alignment_loss(*shapes, temperature=settings.soft_temperature)
     temperature, iterations = settings.soft_temperature, settings.soft_iterations
     return share * alignment_loss(*shapes, temperature=temperature, iterations=iterations)

@@ -87,11 +87,16 @@ class CloudSettings:
         noise: standard deviations of Gaussian noise on the mesh's points, in units of sqrt(area).
         thinned: shares of the mesh's points that are kept, chosen at random.
         resampled: numbers of points drawn evenly from the surface.
+        cut: shares of the surface that are left where a plane cuts the rest away. A part looks like its whole where
+            both are, which needs no correspondence to be known: that teaches what parts are parts of.
+        pierced: numbers of holes eaten into the surface, likewise.
     """
 
     noise: tuple[float, ...] = ()
     thinned: tuple[float, ...] = ()
     resampled: tuple[int, ...] = ()
+    cut: tuple[float, ...] = ()
+    pierced: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for value in self.noise:
@@ -100,6 +105,10 @@ class CloudSettings:
             _require("thinned", value, lambda share: 0 < share < 1, "a list of shares between 0 and 1")
         for value in self.resampled:
             _require("resampled", value, lambda number: number >= 100, "a list of numbers of points, at least 100 each")
+        for value in self.cut:
+            _require("cut", value, lambda share: 0.1 <= share < 1, "a list of shares from 0.1 to below 1")
+        for value in self.pierced:
+            _require("pierced", value, _positive, "a list of numbers of holes, at least 1 each")
 
 
 @dataclass(frozen=True)
@@ -200,10 +209,13 @@ class PartialSettings:
     Args:
         complete: the folder of the complete shapes.
         parts: the folder of the partial ones.
+        in_place: parts lie in the coordinates of their complete shapes, about where they belong. Otherwise only their
+            form counts, and the positions of each are around its own middle.
     """
 
     complete: str = "null"
     parts: str = "cuts"
+    in_place: bool = False
 
 
 @dataclass(frozen=True)
