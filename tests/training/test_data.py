@@ -33,6 +33,14 @@ def test_a_folder_with_ground_truth(meshes, small):
     assert TrainingSet.open(meshes, small()).truth is None
 
 
+def test_scores_without_ground_truth_are_none_and_the_log_says_why(meshes, tmp_path, small, caplog):
+    shutil.copytree(meshes / "off", tmp_path / "off")
+    (tmp_path / "corres").mkdir()
+    assert TrainingSet.open(tmp_path, small(validation={"score_every": 5})).truth is None
+    assert "no scores, though [validation] score_every is 5" in caplog.text
+    assert "ape" in caplog.text or "corres" in caplog.text
+
+
 def test_held_out_shapes_are_not_trained_on(meshes, small):
     found = TrainingSet.open(meshes, small(validation={"shapes": 2, "pairs": 9}))
     held_out = set(itertools.chain.from_iterable(found.held_out))

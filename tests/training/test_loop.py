@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,11 +13,12 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from homolog import evaluation
 from homolog.errors import ArgumentError, TrainingError
 from homolog.geometry import OperatorCache
 from homolog.network import load_weights
 from homolog.shapes import write_shape
-from homolog.training import loop
+from homolog.training import loop, validation
 from homolog.training.data import TrainingSet
 from homolog.training.objective import Losses, pair_losses
 from homolog.training.plan import Plan
@@ -26,7 +28,7 @@ WRITTEN = {"last.safetensors", "best.safetensors", "weights.safetensors", "repor
 
 
 def written(run):
-    return {path.name for path in run.iterdir() if not path.name.startswith("events.out")}
+    return {path.name for path in run.iterdir() if not path.name.startswith("events.out")} - {".lock"}
 
 
 def tensors_of(run, name="last"):
@@ -111,6 +113,47 @@ def test_a_finished_run_stays_as_it_is(trained, meshes):
     state = loop.train(recipe, meshes, run, device="cpu", resume=True)
     assert state.step == 6
     assert {path: path.read_bytes() for path in run.iterdir()} == before
+
+
+@pytest.mark.parametrize("resume", [False, True])
+def test_one_training_at_a_time_in_a_folder(meshes, small, tmp_path, resume):
+    """The second leaves everything alone, and may come once the first has ended."""
+    met = []
+
+    def come_between(*told):
+        if not met:
+            met.append({path.name for path in (tmp_path / "run").iterdir()})
+            with pytest.raises(ArgumentError, match=r"another training is at work in .*run; wait for it") as caught:
+                loop.train(small(), meshes, tmp_path / "run", device="cpu", resume=True)
+            assert "\n" not in str(caught.value)
+            met.append({path.name for path in (tmp_path / "run").iterdir()})
+
+    state = loop.train(small(), meshes, tmp_path / "run", device="cpu", resume=resume, progress=come_between)
+    assert state.step == 6
+    assert met[0] == met[1]
+    assert loop.train(small(), meshes, tmp_path / "run", device="cpu", resume=True).step == 6
+
+
+def test_half_precision_on_a_cpu_is_warned_of(meshes, small, tmp_path, caplog):
+    loop.train(small(training={"precision": "bf16", "steps": 1}), meshes, tmp_path / "run", device="cpu")
+    assert "precision is 'bf16', which is for GPUs" in caplog.text
+
+
+@pytest.mark.parametrize("in_place", [False, True])
+def test_parts_are_scored_as_parts(meshes, small, tmp_path, monkeypatch, in_place):
+    shutil.copytree(meshes, tmp_path / "set")
+    (tmp_path / "set" / "pairs.txt").write_text("ape,bee\ncat,dog\n")
+    seen = []
+
+    def evaluate(matcher, folder, protocol):
+        seen.append(protocol)
+        return evaluation.evaluate(matcher, folder, protocol)
+
+    monkeypatch.setattr(validation, "evaluate", evaluate)
+    recipe = small(partial={"in_place": in_place}, validation={"score_every": 6, "score_pairs": 1})
+    state = loop.train(recipe, tmp_path / "set", tmp_path / "run", device="cpu")
+    assert [(protocol.partial, protocol.in_place) for protocol in seen] == [(True, in_place)] * 2
+    assert 0 < state.records[-1]["geodesic error/mesh"] < 150
 
 
 def test_nothing_is_overwritten(meshes, small, tmp_path):

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from functools import cache
 from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+# Between lines where there is no terminal to show a bar.
+_SECONDS_PER_LINE = 30.0
 
 
 class Report(Protocol):
@@ -31,10 +36,41 @@ def say(line: str) -> None:
     console.print(line, markup=False, soft_wrap=not console.is_terminal)
 
 
+class Lines:
+    """Progress as lines for a log, at most one in half a minute.
+
+    Args:
+        clock: gives the time in seconds.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._total, self._first = 0, 0
+        self._begun = self._said = clock()
+
+    def __call__(self, done: int, total: int, what: str) -> None:
+        """Say how far it is, if the last time is long ago."""
+        now = self._clock()
+        if total != self._total:  # another part of the work, of another speed
+            self._total, self._first, self._begun = total, done, now
+        if now - self._said >= _SECONDS_PER_LINE:
+            self._said = now
+            say(f"{what}: {done} of {total}{self._left(done, now)}")
+
+    def _left(self, done: int, now: float) -> str:
+        if done <= self._first:
+            return ""
+        seconds = (now - self._begun) / (done - self._first) * (self._total - done)
+        return f", about {timedelta(seconds=round(seconds))} left"
+
+
 @contextmanager
 def progress_bar(*, quiet: bool) -> Iterator[Report]:
-    """A bar with the time left, on stderr; silent if ``quiet`` or if stderr is no terminal."""
+    """A bar with the time left, on stderr; now and then a line where that is no terminal; silent if ``quiet``."""
     console = stderr_console()
+    if not quiet and not console.is_terminal:
+        yield Lines()
+        return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -42,8 +78,7 @@ def progress_bar(*, quiet: bool) -> Iterator[Report]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    disabled = quiet or not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=disabled) as progress:
+    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
         task = progress.add_task("starting", total=None)
 
         def report(done: int, total: int, what: str) -> None:

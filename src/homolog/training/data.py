@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import logging
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -16,6 +16,8 @@ from homolog.errors import DataError
 from homolog.files import expanded
 from homolog.shapes import Shape, Up, read_shape, stand_upright
 from homolog.training.recipe import DataSettings, Recipe
+
+_log = logging.getLogger(__name__)
 
 # What tells the choices at random from one another that are made with the recipe's seed.
 _HELD_OUT, _VALIDATION = 0, 1
@@ -167,7 +169,10 @@ def _pair(names: Sequence[str], number: int) -> Pair:
 
 
 def _ground_truth(root: Path, recipe: Recipe) -> ShapeFolder | None:
-    if recipe.partial is None and recipe.validation.score_every:
-        with suppress(DataError):  # training needs none, so that an incomplete one does not matter
-            return ShapeFolder.open(root, up=recipe.data.up)
-    return None
+    if not recipe.validation.score_every:
+        return None
+    try:
+        return ShapeFolder.open(root, up=recipe.data.up)
+    except DataError as error:  # training needs none, so that an incomplete one does not matter
+        _log.warning("no scores, though [validation] score_every is %d: %s", recipe.validation.score_every, error)
+        return None

@@ -77,7 +77,7 @@ def train(
         The state after the last step.
 
     Raises:
-        ArgumentError: if ``run`` holds files and ``resume`` is not given.
+        ArgumentError: if ``run`` holds files and ``resume`` is not given, or another training is at work in it.
         DataError: if ``data`` has too few shapes.
         ShapeError: if a shape cannot be used.
         TrainingError: if a loss is not finite, or the checkpoint does not fit the recipe or the data.
@@ -86,20 +86,27 @@ def train(
     shapes = TrainingSet.open(data, recipe)
     folder = RunFolder(expanded(run), recipe, shapes)
     fabric = _fabric(recipe, device, processes, machines)
-    if is_first_process():
-        folder.make(resume=resume)
-    fabric.launch()
-    report = progress if progress is not None and fabric.is_global_zero else unheard
-    source = operators or OperatorCache.default().operators
-    bank = ShapeBank(shapes, recipe, source, fabric.device)
+    with contextlib.ExitStack() as until_the_end:
+        if is_first_process():
+            folder.make(resume=resume)
+            until_the_end.enter_context(folder.held())
+        fabric.launch()
+        report = progress if progress is not None and fabric.is_global_zero else unheard
+        return _trained(fabric, folder, operators or OperatorCache.default().operators, report)
+
+
+def _trained(fabric: Fabric, folder: RunFolder, operators: OperatorSource, progress: Progress) -> TrainingState:
+    """The training itself, by one of the processes that were started."""
+    shapes, recipe = folder.shapes, folder.recipe
+    bank = ShapeBank(shapes, recipe, operators, fabric.device)
     with failing_together():
-        bank.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
+        bank.prepare(shapes.used[fabric.global_rank :: fabric.world_size], progress)
     with failing_together():
         state = folder.load(fabric.device)
     if state.step < recipe.training.steps:
         keep_freed_memory()
         with deferred_interrupts() as interrupts:
-            _Training(fabric, folder, bank, source, state, report).run(interrupts)
+            _Training(fabric, folder, bank, operators, state, progress).run(interrupts)
     return state
 
 
@@ -114,6 +121,7 @@ def is_first_process() -> bool:
 def _fabric_package() -> type[Fabric]:
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
     try:
+        import filelock  # noqa: F401
         import tensorboard  # noqa: F401
         from lightning_fabric import Fabric
     except ImportError as error:
@@ -127,6 +135,8 @@ def _fabric(recipe: Recipe, device: Device, processes: int, machines: int) -> Fa
         raise ArgumentError(
             f"processes is {processes}, but CUDA devices are {torch.cuda.device_count()}; use as many, or --device cpu"
         )
+    if kind == "cpu" and recipe.training.precision == "bf16":
+        _log.warning("[training] precision is 'bf16', which is for GPUs: here it is coarser and saves no time.")
     return _fabric_package()(
         accelerator=kind,
         devices=processes,
@@ -316,7 +326,8 @@ class _Training:
             operators=self.operators,
         )
         pairs = self.folder.shapes.held_out[: self.recipe.validation.score_pairs]
-        return scores(matcher, truth, pairs, self.folder.path / "scored-pairs.txt")
+        listed = self.folder.path / "scored-pairs.txt"
+        return scores(matcher, truth, pairs, listed, partial=self.recipe.partial)
 
 
 def _flat_gradient(network: DiffusionNet) -> Float[Tensor, " w"]:

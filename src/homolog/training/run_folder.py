@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +25,7 @@ from homolog.versions import versions
 
 # The weights to use: those with the lowest validation loss, or the latest where nothing is validated.
 WEIGHTS = "weights.safetensors"
+_LOCK = ".lock"
 
 
 @dataclass(frozen=True)
@@ -56,8 +59,29 @@ class RunFolder:
         made_folder(self.path)
         if not os.access(self.path, os.W_OK):
             raise ArgumentError(f"{self.path} is read-only; give another --out")
-        if not resume and any(self.path.iterdir()):
+        if not resume and any(entry.name != _LOCK for entry in self.path.iterdir()):
             raise ArgumentError(f"{self.path} holds files already; give another --out, or --resume to go on with it")
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep other trainings out of the folder for as long as this lasts.
+
+        Raises:
+            ArgumentError: if one is at work in it.
+        """
+        from filelock import FileLock, Timeout
+
+        lock = FileLock(self.path / _LOCK, blocking=False)
+        try:
+            lock.acquire()
+        except Timeout:
+            raise ArgumentError(
+                f"another training is at work in {self.path}; wait for it, or give another --out"
+            ) from None
+        try:
+            yield
+        finally:
+            lock.release()
 
     def load(self, device: torch.device | str) -> TrainingState:
         """The state of the latest checkpoint, or a new one where there is none."""

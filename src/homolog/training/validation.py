@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -17,7 +18,7 @@ from homolog.matching import Matcher
 from homolog.network import DiffusionNet
 from homolog.training.bank import TrainingPair
 from homolog.training.objective import pair_losses
-from homolog.training.recipe import Recipe
+from homolog.training.recipe import PartialSettings, Recipe
 
 _log = logging.getLogger(__name__)
 
@@ -35,7 +36,14 @@ def validation_losses(network: DiffusionNet, pairs: Sequence[TrainingPair], reci
     return dict(sums)
 
 
-def scores(matcher: Matcher, folder: ShapeFolder, pairs: Sequence[Pair], listed: Path) -> dict[str, float]:
+def scores(
+    matcher: Matcher,
+    folder: ShapeFolder,
+    pairs: Sequence[Pair],
+    listed: Path,
+    *,
+    partial: PartialSettings | None = None,
+) -> dict[str, float]:
     """Mean geodesic errors x100 of a few pairs at full resolution, as meshes and as clouds.
 
     Args:
@@ -43,11 +51,14 @@ def scores(matcher: Matcher, folder: ShapeFolder, pairs: Sequence[Pair], listed:
         folder: with ground truth; where that is not as it should be there are no scores, and the log says why.
         pairs: to match.
         listed: where to write down which they are.
+        partial: of the recipe; the second shape of each pair is a part then.
     """
     with atomic_path(listed) as temporary:
         temporary.write_text("".join(f"{source},{target}\n" for source, target in pairs), encoding="utf-8")
+    in_place = partial is not None and partial.in_place
+    protocol = Protocol(pairs_file=str(listed), partial=partial is not None, in_place=in_place)
     try:
-        found = {way: evaluate(matcher, folder, Protocol(modality=way, pairs_file=str(listed))) for way in _SCORED}
+        found = {way: evaluate(matcher, folder, replace(protocol, modality=way)) for way in _SCORED}
     except DataError as error:
         _log.warning("no scores: %s", error)
         return {}
