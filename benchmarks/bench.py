@@ -6,8 +6,10 @@ Run from the root of the checkout::
     python benchmarks/bench.py --only cloud_map --points 5000
 
 A yardstick is one 4096 x 4096 x 4096 float32 matrix product on the same machine. Each figure is measured in a process
-of its own, in turn with the yardstick, so that other work on the machine weighs on both; medians are reported. Prints a
-table, and puts its figures in the place of earlier ones of the same name and size in ``benchmarks/latest.json``.
+of its own, in turn with the yardstick, so that other work on the machine weighs on both; medians are reported. For the
+network ``of_peak`` is the share of the yardstick's speed that its products reach, with all else that it does in their
+time. Prints a table, and puts its figures in the place of earlier ones of the same name and size in
+``benchmarks/latest.json``.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ import torch
 import trimesh
 from rich.console import Console
 from rich.table import Table
+from torch.utils.flop_counter import FlopCounterMode
 
 from homolog.files import atomic_path
 from homolog.geometry import compute_operators, unit_frame
@@ -60,15 +63,22 @@ STEPS = (
     "match_cold",
     "match_warm",
     "train_step",
+    "network_forward",
+    "network_backward",
 )
 # Sinkhorn between clouds of this size is measured once, for its memory.
 LARGE_CLOUD = 50_000
 # A step of training on so many samples of each shape is what the recipes take.
 SAMPLES = 1_200
 # Steps that are not measured at every size, and sizes that are measured for one step only.
-LARGEST = {"cloud_map": LARGE_CLOUD, "train_step": 20_000}
-EXTRA = (("cloud_map", LARGE_CLOUD), ("train_step", SAMPLES))
+LARGEST = {"cloud_map": LARGE_CLOUD, "train_step": 20_000, "network_forward": 5_000, "network_backward": 5_000}
+EXTRA = (
+    ("cloud_map", LARGE_CLOUD),
+    *((name, SAMPLES) for name in ("train_step", "network_forward", "network_backward")),
+)
 _EIGENPAIRS = 80
+# Side of the square matrices whose product is the yardstick.
+YARD = 4096
 
 
 def body(name: str, n_points: int) -> Shape:
@@ -89,7 +99,7 @@ def body(name: str, n_points: int) -> Shape:
 
 def yardstick() -> float:
     """Seconds of one 4096 x 4096 x 4096 float32 matrix product."""
-    a, b = torch.ones(4096, 4096), torch.ones(4096, 4096)
+    a, b = torch.ones(YARD, YARD), torch.ones(YARD, YARD)
     began = time.perf_counter()
     a @ b
     return time.perf_counter() - began
@@ -151,6 +161,24 @@ def train_step(n_points: int) -> Callable[[], object]:
     return run
 
 
+def network_pass(name: str, n_points: int) -> Callable[[], object]:
+    """What a step of training asks of the network: the features of two meshes and their clouds, or the way back."""
+    keep_freed_memory()
+    shapes = [training_shape(body(which, max(n_points, 5_000)), n_points) for which in ("amber", "boris")]
+    bases = [basis for shape in shapes for basis in (shape.mesh, shape.cloud)]
+    network, generator = untrained_network().train(), torch.Generator().manual_seed(0)
+
+    @torch.inference_mode(False)
+    def forward() -> list[torch.Tensor]:
+        return network.several([basis.points for basis in bases], bases, generator=generator)
+
+    if name == "network_forward":
+        return forward
+    features = forward()
+    gradients = [torch.ones_like(each) for each in features]
+    return lambda: torch.autograd.backward(features, gradients, retain_graph=True)
+
+
 def training_shape(shape: Shape, n_samples: int) -> TrainingShape:
     """A mesh and its own points as a cloud, at so many samples of them."""
     length = unit_frame(shape).length
@@ -177,6 +205,8 @@ def step(name: str, n_points: int) -> Callable[[], object]:
         return lambda: sinkhorn_matches(y, x, temperature=0.1)
     if name == "train_step":
         return train_step(n_points)
+    if name.startswith("network"):
+        return network_pass(name, n_points)
     pair = Pair(n_points)
     x, y = (normalised(f) for f in pair.features)
     return {
@@ -192,16 +222,22 @@ def measure(name: str, n_points: int) -> dict[str, object]:
     repeats = 1 if n_points == LARGE_CLOUD else 3 if n_points > 6_000 else 7
     run, peak = step(name, n_points), 0.0
     seconds, yards = list[float](), list[float]()
-    with torch.inference_mode():
+    counter = FlopCounterMode(display=False)
+    with torch.inference_mode(not name.startswith("network")):
         if repeats > 1:
-            run()
+            with counter:
+                run()
         for _ in range(repeats):
             began = time.perf_counter()
             run()
             seconds.append(time.perf_counter() - began)
             peak = peak if yards else peak_mb(resource.RUSAGE_SELF)  # before the yardstick's own matrices
             yards.append(yardstick())
-    return row(name, n_points, statistics.median(seconds), statistics.median(yards), peak)
+    second, yard = statistics.median(seconds), statistics.median(yards)
+    found = row(name, n_points, second, yard, peak)
+    if name.startswith("network"):
+        found["of_peak"] = round(counter.get_total_flops() / (2 * YARD**3) * yard / second, 2)
+    return found
 
 
 def measure_match(name: str, n_points: int) -> dict[str, object]:
@@ -280,10 +316,11 @@ def main() -> None:
         print(rows[-1], file=sys.stderr)
     keep(rows, LATEST)
     table = Table(title="homolog, in yardsticks")
-    for column in ("name", "points", "seconds", "yardsticks", "peak_mb"):
+    columns = ("name", "points", "seconds", "yardsticks", "peak_mb", "of_peak")
+    for column in columns:
         table.add_column(column, justify="left" if column == "name" else "right")
     for found in rows:
-        table.add_row(*(str(value) for value in found.values()))
+        table.add_row(*(str(found.get(column, "")) for column in columns))
     Console().print(table)
 
 
