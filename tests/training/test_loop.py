@@ -14,7 +14,7 @@ import torch
 from safetensors.torch import load_file
 
 from homolog import evaluation
-from homolog.errors import ArgumentError, TrainingError
+from homolog.errors import ArgumentError, TrainingError, WeightsError
 from homolog.geometry import OperatorCache
 from homolog.network import load_weights
 from homolog.shapes import write_shape
@@ -154,6 +154,34 @@ def test_parts_are_scored_as_parts(meshes, small, tmp_path, monkeypatch, in_plac
     state = loop.train(recipe, tmp_path / "set", tmp_path / "run", device="cpu")
     assert [(protocol.partial, protocol.in_place) for protocol in seen] == [(True, in_place)] * 2
     assert 0 < state.records[-1]["geodesic error/mesh"] < 150
+
+
+def test_training_can_begin_with_weights(trained, meshes, small, tmp_path):
+    """Where it begins is where the other training ended, however it is interrupted; then it moves on."""
+    recipe, run, _, _ = trained
+    begun, _ = load_weights(run / "weights.safetensors")
+    fresh = loop.train(recipe, meshes, tmp_path / "fresh", device="cpu")
+    untrained = small(training={"steps": 1}, optimiser={"learning_rate": 1e-12}, network={"dropout": 0.2})
+    state = loop.train(untrained, meshes, tmp_path / "one", device="cpu", weights=run / "weights.safetensors")
+    for name, weight in state.network.named_parameters():
+        torch.testing.assert_close(weight, dict(begun.named_parameters())[name], atol=1e-9, rtol=0)
+    for name in ("a", "b"):
+        state = loop.train(recipe, meshes, tmp_path / name, device="cpu", weights=run / "weights.safetensors")
+    assert alike(tmp_path / "a", tmp_path / "b") and not alike(tmp_path / "a", tmp_path / "fresh")
+    assert fresh.step == state.step == 6
+    again = loop.train(recipe, meshes, tmp_path / "a", device="cpu", resume=True, weights=run / "weights.safetensors")
+    assert again.step == 6 and alike(tmp_path / "a", tmp_path / "b")
+
+
+def test_weights_of_another_network_or_none_at_all(trained, meshes, small, tmp_path, caplog):
+    weights = trained[1] / "weights.safetensors"
+    with pytest.raises(WeightsError, match=r"weights\.safetensors has width 16, but the recipe's \[network\] says 8"):
+        loop.train(small(network={"width": 8}), meshes, tmp_path / "a", device="cpu", weights=weights)
+    with pytest.raises(WeightsError, match="nothing"):
+        loop.train(small(), meshes, tmp_path / "b", device="cpu", weights=tmp_path / "nothing.safetensors")
+    others = small(operators={"n_neighbours": 20}, training={"steps": 1})
+    loop.train(others, meshes, tmp_path / "c", device="cpu", weights=weights)
+    assert "trained with n_neighbours 14, and the recipe's [operators] say 20" in caplog.text
 
 
 def test_nothing_is_overwritten(meshes, small, tmp_path):

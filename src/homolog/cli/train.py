@@ -23,6 +23,13 @@ def train(
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from RUN's last checkpoint, or begin where there is none.")
     ] = False,
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Begin with these weights instead of random ones: fewer shapes and steps will do.",
+        ),
+    ] = None,
     device: DeviceOption = "auto",
     processes: Annotated[int, typer.Option(help="Processes on each machine; with GPUs, one for each.", min=1)] = 1,
     machines: Annotated[int, typer.Option(help="Machines, on each of which this same command runs.", min=1)] = 1,
@@ -39,6 +46,8 @@ def train(
 
       homolog train my_recipe.toml --data scans --out run --resume
 
+      homolog train quick --data scans --out run --weights trained_on_others.safetensors
+
       tensorboard --logdir run
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -51,6 +60,7 @@ def train(
                 data,
                 out,
                 resume=resume,
+                weights=weights,
                 device=device,
                 processes=processes,
                 machines=machines,

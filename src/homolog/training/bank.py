@@ -84,7 +84,7 @@ class ShapeBank:
     ) -> None:
         self.shapes, self.recipe, self.device = shapes, recipe, device
         self.variants = cloud_variants(recipe.clouds)
-        self._operators = operators
+        self.operators = operators
         self._mesh = lru_cache(maxsize=2 * recipe.data.workers)(self._read_mesh)
         self._frames: dict[str, Frame] = {}
         self._kept: OrderedDict[tuple[str, int], _Samples] = OrderedDict()
@@ -219,7 +219,7 @@ class ShapeBank:
         return repair(Shape(frame.inside(shape.points), shape.faces, name=shape.name)).shape
 
     def _operators_of(self, shape: Shape) -> Operators:
-        return self._operators(shape, settings=self.recipe.operators, length=1.0)
+        return self.operators(shape, settings=self.recipe.operators, length=1.0)
 
     def _near(self, weights: sparse.csr_array) -> Int[np.ndarray, " s"]:
         """For each point of a cloud the point of the mesh with the largest weight; or all, where all are wanted."""

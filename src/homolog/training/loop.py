@@ -49,6 +49,7 @@ def train(
     run: str | Path,
     *,
     resume: bool = False,
+    weights: str | Path | None = None,
     device: Device = "auto",
     processes: int = 1,
     machines: int = 1,
@@ -67,6 +68,7 @@ def train(
         data: a folder; see ``TrainingSet.open``.
         run: the folder to write; see ``RunFolder``.
         resume: go on from the latest checkpoint in ``run``, or begin where there is none.
+        weights: to begin with, a file or the name of some that ship; random ones by default.
         device: where to compute.
         processes: on each machine; with GPUs, one for each.
         machines: on each of which the same command runs.
@@ -81,6 +83,7 @@ def train(
         DataError: if ``data`` has too few shapes.
         ShapeError: if a shape cannot be used.
         TrainingError: if a loss is not finite, or the checkpoint does not fit the recipe or the data.
+        WeightsError: if there are no such weights, or they are of another network than the recipe's.
         MissingExtraError: without the packages of the extra ``train``.
     """
     shapes = TrainingSet.open(data, recipe)
@@ -92,21 +95,22 @@ def train(
             until_the_end.enter_context(folder.held())
         fabric.launch()
         report = progress if progress is not None and fabric.is_global_zero else unheard
-        return _trained(fabric, folder, operators or OperatorCache.default().operators, report)
+        bank = ShapeBank(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
+        with failing_together():
+            state = folder.load(fabric.device, weights=weights)
+        return _trained(fabric, folder, bank, state, report)
 
 
-def _trained(fabric: Fabric, folder: RunFolder, operators: OperatorSource, progress: Progress) -> TrainingState:
-    """The training itself, by one of the processes that were started."""
-    shapes, recipe = folder.shapes, folder.recipe
-    bank = ShapeBank(shapes, recipe, operators, fabric.device)
+def _trained(
+    fabric: Fabric, folder: RunFolder, bank: ShapeBank, state: TrainingState, progress: Progress
+) -> TrainingState:
+    """Take the steps that are left, in one of the processes that were started."""
     with failing_together():
-        bank.prepare(shapes.used[fabric.global_rank :: fabric.world_size], progress)
-    with failing_together():
-        state = folder.load(fabric.device)
-    if state.step < recipe.training.steps:
+        bank.prepare(folder.shapes.used[fabric.global_rank :: fabric.world_size], progress)
+    if state.step < folder.recipe.training.steps:
         keep_freed_memory()
         with deferred_interrupts() as interrupts:
-            _Training(fabric, folder, bank, operators, state, progress).run(interrupts)
+            _Training(fabric, folder, bank, state, progress).run(interrupts)
     return state
 
 
@@ -154,12 +158,10 @@ class _Training:
         fabric: Fabric,
         folder: RunFolder,
         bank: ShapeBank,
-        operators: OperatorSource,
         state: TrainingState,
         progress: Progress,
     ) -> None:
         self.fabric, self.folder, self.bank, self.state, self.progress = fabric, folder, bank, state, progress
-        self.operators = operators
         self.recipe = folder.recipe
         self.plan = Plan(folder.shapes, self.recipe)
         self.gradient = _flat_gradient(state.network)
@@ -323,7 +325,7 @@ class _Training:
             weights_info(self.recipe),
             settings=MatcherSettings(operators=self.recipe.operators),
             device="cuda" if self.fabric.device.type == "cuda" else "cpu",
-            operators=self.operators,
+            operators=self.bank.operators,
         )
         pairs = self.folder.shapes.held_out[: self.recipe.validation.score_pairs]
         listed = self.folder.path / "scored-pairs.txt"

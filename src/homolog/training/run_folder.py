@@ -83,11 +83,11 @@ class RunFolder:
         finally:
             lock.release()
 
-    def load(self, device: torch.device | str) -> TrainingState:
-        """The state of the latest checkpoint, or a new one where there is none."""
+    def load(self, device: torch.device | str, *, weights: str | Path | None = None) -> TrainingState:
+        """The state of the latest checkpoint, or a new one where there is none, with these weights if any are given."""
         if self.last.is_file():
             return load_checkpoint(self.last, self.recipe, self._digest, device)
-        return TrainingState.new(self.recipe, device)
+        return TrainingState.new(self.recipe, device, weights=weights)
 
     def save_last(self, state: TrainingState) -> None:
         """Write the latest checkpoint."""

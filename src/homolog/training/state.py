@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, field
+import logging
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from homolog.network import DiffusionNet
+from homolog.errors import WeightsError
+from homolog.network import DiffusionNet, load_weights
 from homolog.training.recipe import OptimiserSettings, Recipe
+
+_log = logging.getLogger(__name__)
 
 # An average of weights forgets the first ones sooner: after n steps its decay is at most (n + 1) / (n + 10).
 _AVERAGE_DELAY = 10
@@ -43,8 +48,16 @@ class TrainingState:
     records: list[Record] = field(default_factory=list)
 
     @classmethod
-    def new(cls, recipe: Recipe, device: torch.device | str = "cpu") -> TrainingState:
-        """The state before the first step."""
+    def new(
+        cls, recipe: Recipe, device: torch.device | str = "cpu", *, weights: str | Path | None = None
+    ) -> TrainingState:
+        """The state before the first step, with random weights or with some that were trained before.
+
+        Raises:
+            WeightsError: if there are no such weights, or they are of another network than the recipe's.
+        """
+        if weights is not None:
+            return cls.of(_pretrained(recipe, weights).to(device).train(), recipe.optimiser)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             network = DiffusionNet(recipe.network)
@@ -76,3 +89,27 @@ class TrainingState:
         if self.average is not None:
             network.load_state_dict(self.average)
         return network
+
+
+def _pretrained(recipe: Recipe, weights: str | Path) -> DiffusionNet:
+    """The recipe's network with weights from a file; dropout has none, and may differ."""
+    trained, info = load_weights(weights)
+    theirs = {**asdict(trained.settings), "dropout": recipe.network.dropout}
+    for name, wanted in asdict(recipe.network).items():
+        if theirs[name] != wanted:
+            raise WeightsError(
+                f"{weights} has {name} {theirs[name]!r}, but the recipe's [network] says {wanted!r}; "
+                "change the recipe, or give other weights"
+            )
+    for name, wanted in asdict(recipe.operators).items():
+        if getattr(info, name) != wanted:
+            _log.warning(
+                "%s were trained with %s %s, and the recipe's [operators] say %s.",
+                info.name,
+                name,
+                getattr(info, name),
+                wanted,
+            )
+    network = DiffusionNet(recipe.network)
+    network.load_state_dict(trained.state_dict())
+    return network
