@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
@@ -42,6 +43,19 @@ class MissingExtraError(HomologError, ImportError):
         super().__init__(
             f"{need} needs the package {package}, which is not installed; run: pip install 'homolog[{extra}]'"
         )
+
+
+@contextmanager
+def needs_extra(need: str, extra: str) -> Iterator[None]:
+    """Around imports of what an extra brings: say which one, and for what, where they fail.
+
+    Raises:
+        MissingExtraError: if a package is missing.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(need, str(error.name), extra) from None
 
 
 def bad_choice(name: str, found: str, allowed: Sequence[str], hint: str = "") -> ArgumentError:

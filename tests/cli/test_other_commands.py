@@ -5,18 +5,26 @@ import json
 import os
 import re
 import shutil
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import homolog as homolog_package
 from homolog.cli import demo as demo_module
+from homolog.cli import doctor as doctor_module
 from homolog.cli import evaluate as evaluate_module
 from homolog.cli.options import check_file
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
 from homolog.training import adapt_to_pair
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 COMMANDS = ["match", "train", "evaluate", "info", "doctor", "demo"]
 
@@ -354,3 +362,22 @@ def test_no_arguments_show_the_help(homolog):
     ended = homolog()
     assert re.search("Usage: .*homolog", ended.out + ended.err)
     assert ended.code in (0, 2)
+
+
+def test_doctor_knows_every_extra_and_its_packages(homolog):
+    """Those of pyproject.toml, without the ones that only gather others."""
+    file = Path(__file__).parents[2] / "pyproject.toml"
+    if not file.is_file():
+        pytest.skip("the project's file is not beside the tests")
+    extras = tomllib.loads(file.read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    names = {
+        extra: [re.match(r"[\w-]+", line).group() for line in lines]
+        for extra, lines in extras.items()
+        if not any(line.startswith("homolog[") for line in lines)
+    }
+    assert {extra: set(packages) for extra, packages in doctor_module._EXTRAS.items()} == {
+        extra: set(packages) for extra, packages in names.items()
+    }
+    said = homolog("doctor").out
+    for extra in names:
+        assert f"extra '{extra}'" in said

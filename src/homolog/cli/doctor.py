@@ -12,7 +12,13 @@ from homolog.memory import get_working_memory
 from homolog.network import shipped_weights
 from homolog.versions import version_of, versions
 
-_EXTRAS = {"vtk": "vtk", "pcd": "pypcd4", "train": "lightning-fabric", "synth": "anny"}
+_EXTRAS = {
+    "vtk": ("vtk",),
+    "pcd": ("pypcd4",),
+    "train": ("lightning-fabric", "tensorboard", "filelock"),
+    "synth": ("anny",),
+    "volumes": ("SimpleITK", "scikit-image", "fast-simplification"),
+}
 
 
 def doctor() -> None:
@@ -25,9 +31,11 @@ def doctor() -> None:
         _row(name, version)
     _row("processors", f"{os.cpu_count()}, {torch.get_num_threads()} threads used")
     _row("CUDA devices", ", ".join(_cuda_devices()) or "none")
-    for extra, package in _EXTRAS.items():
-        found = version_of(package)
-        _row(f"extra '{extra}'", f"{package} {found}" if found else f"missing: pip install 'homolog[{extra}]'")
+    for extra, packages in _EXTRAS.items():
+        found = {package: version_of(package) for package in packages}
+        missing = [package for package in packages if not found[package]]
+        there = ", ".join(f"{package} {version}" for package, version in found.items())
+        _row(f"extra '{extra}'", f"{', '.join(missing)} missing: pip install 'homolog[{extra}]'" if missing else there)
     _row("shipped weights", ", ".join(shipped_weights()) or "none")
     cache = OperatorCache.default()
     entries, size = cache.size()

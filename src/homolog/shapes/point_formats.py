@@ -11,7 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from homolog.errors import MissingExtraError
+from homolog.errors import needs_extra
 from homolog.shapes.parsing import (
     CUT_OFF,
     Arrays,
@@ -196,10 +196,8 @@ def read_pcd(path: Path) -> Arrays:
 
 def pcd_class() -> Any:
     """The class of point clouds of the package that reads and writes PCD."""
-    try:
+    with needs_extra("reading and writing PCD files", "pcd"):
         from pypcd4.pypcd4 import PointCloud
-    except ImportError:
-        raise MissingExtraError("Reading and writing PCD files", "pypcd4", "pcd") from None
     return PointCloud
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from homolog.errors import MissingExtraError
+from homolog.errors import needs_extra
 from homolog.synthesis.joints import Rotations
 from homolog.synthesis.template import Template
 
@@ -109,10 +109,8 @@ class BodyModel:
 
 
 def _anny() -> Any:
-    try:
+    with needs_extra("making bodies", "synth"):
         import anny
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("making bodies", str(error.name), "synth") from None
     return anny
 
 

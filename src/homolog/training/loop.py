@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.errors import ArgumentError, MissingExtraError, TrainingError
+from homolog.errors import ArgumentError, TrainingError, needs_extra
 from homolog.files import expanded
 from homolog.geometry import OperatorCache
 from homolog.matching import Device, Matcher, MatcherSettings, OperatorSource, choose_device
@@ -124,12 +124,10 @@ def is_first_process() -> bool:
 
 def _fabric_package() -> type[Fabric]:
     logging.getLogger("lightning_fabric").setLevel(logging.WARNING)
-    try:
+    with needs_extra("training", "train"):
         import filelock  # noqa: F401
         import tensorboard  # noqa: F401
         from lightning_fabric import Fabric
-    except ImportError as error:
-        raise MissingExtraError("training", str(error.name), "train") from None
     return Fabric
 
 

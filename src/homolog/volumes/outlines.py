@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from homolog.arguments import check_count, is_real
-from homolog.errors import MissingExtraError, ShapeError, bad_value
+from homolog.errors import ShapeError, bad_value, needs_extra
 from homolog.shapes import FEWEST_POINTS, Shape, farthest_points
 from homolog.volumes.mask import Mask
 
@@ -64,8 +64,6 @@ def _outline(inside: np.ndarray, axis: int, number: int) -> Float[np.ndarray, "n
 
 
 def _find_contours() -> Any:
-    try:
+    with needs_extra("outlines of slices", "volumes"):
         from skimage.measure import find_contours
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("outlines of slices", str(error.name), "volumes") from None
     return find_contours

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from homolog.errors import MissingExtraError, ShapeError
+from homolog.errors import ShapeError, needs_extra
 from homolog.files import expanded
 from homolog.shapes import VOLUMES
 from homolog.volumes.mask import Mask
@@ -83,8 +83,6 @@ def _labels(values: np.ndarray) -> str:
 
 
 def _simple_itk() -> Any:
-    try:
+    with needs_extra("reading volumes", "volumes"):
         import SimpleITK
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("reading volumes", str(error.name), "volumes") from None
     return SimpleITK

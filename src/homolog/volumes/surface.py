@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
 from homolog.arguments import check_count, is_real
-from homolog.errors import MissingExtraError, bad_value
+from homolog.errors import bad_value, needs_extra
 from homolog.shapes import FEWEST_POINTS, Shape
 from homolog.volumes.mask import Mask
 
@@ -78,16 +78,12 @@ def _outwards(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -
 
 
 def _marching_cubes() -> Any:
-    try:
+    with needs_extra("making surfaces of volumes", "volumes"):
         from skimage.measure import marching_cubes
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("making surfaces of volumes", str(error.name), "volumes") from None
     return marching_cubes
 
 
 def _simplify() -> Any:
-    try:
+    with needs_extra("making surfaces smaller", "volumes"):
         from fast_simplification import simplify
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("making surfaces smaller", str(error.name), "volumes") from None
     return simplify
