@@ -55,7 +55,7 @@ def needs_extra(need: str, extra: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise MissingExtraError(need, str(error.name), extra) from None
+        raise MissingExtraError(need, str(error.name).partition(".")[0], extra) from None
 
 
 def bad_choice(name: str, found: str, allowed: Sequence[str], hint: str = "") -> ArgumentError:
