@@ -32,7 +32,7 @@ FLOORS = {
     "volumes": GROUND | {"shapes"},
     "synthesis": GROUND | {"shapes", "geometry", "datasets"},
     "evaluation": GROUND | BENEATH_EVALUATION,
-    "training": GROUND | BENEATH_EVALUATION | {"evaluation"},
+    "training": GROUND | BENEATH_EVALUATION | {"synthesis", "evaluation"},
     "cli": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "synthesis", "volumes"},
     "__main__": {"cli"},
     "__init__": GROUND | BENEATH_EVALUATION | {"evaluation"},
