@@ -13,7 +13,7 @@ ROOT = Path(homolog.__file__).parent
 MODULES = sorted(path for path in ROOT.rglob("*.py"))
 
 # Floor by floor, what each part may import of homolog. `errors`, `memory` and the like are the ground.
-GROUND = {"errors", "arguments", "memory", "arrays", "files", "steps", "versions"}
+GROUND = {"errors", "arguments", "memory", "arrays", "files", "steps", "versions", "tables"}
 BENEATH_EVALUATION = {"shapes", "geometry", "network", "maps", "matching", "datasets"}
 FLOORS = {
     "errors": set(),
@@ -23,6 +23,7 @@ FLOORS = {
     "files": {"errors"},
     "steps": set(),
     "versions": set(),
+    "tables": {"errors"},
     "shapes": GROUND,
     "geometry": GROUND | {"shapes"},
     "network": GROUND | {"shapes", "geometry"},

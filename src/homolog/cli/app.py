@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from homolog.cli.data import data
 from homolog.cli.demo import demo
 from homolog.cli.doctor import doctor
 from homolog.cli.evaluate import evaluate
@@ -43,5 +44,5 @@ def homolog(
 
 for command in (match, train, evaluate, info, doctor, demo):
     app.command()(command)
-for group in (synth, volume):
+for group in (synth, volume, data):
     app.add_typer(group)

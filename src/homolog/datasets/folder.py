@@ -1,21 +1,27 @@
-"""A folder of shapes with ground truth, ``off/NAME.off`` and ``corres/NAME.vts``, and lists of pairs and splits."""
+"""A folder of shapes as a description has it: names, files, splits, pairs and ground truth."""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
-import warnings
-from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path
+import logging
+import re
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path, PurePosixPath
 from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Int
 
+from homolog.datasets.description import SetDescription, read_description
+from homolog.datasets.truth import GroundTruth, read_vertices
 from homolog.errors import DataError, bad_choice, bad_value
 from homolog.files import expanded
 from homolog.shapes import Shape, Up, read_shape, stand_upright
+
+_log = logging.getLogger(__name__)
 
 Split = Literal["train", "test", "all"]
 Pair = tuple[str, str]
@@ -26,48 +32,102 @@ _TEST_SHAPES = 20
 
 @dataclass(frozen=True)
 class ShapeFolder:
-    """Shapes in correspondence on disk.
+    """Shapes in correspondence on disk, in whatever layout its description says.
 
-    Line i of every ``corres/NAME.vts`` holds the 1-based index of the vertex of NAME nearest to the i-th common point;
-    -1 where NAME, a part, lacks it. Splits are ``train.txt`` and ``test.txt``, a name a line; without them the
-    last 20 shapes in name order are the test set, or all of them where ``pairs.txt`` lists the pairs. ``pairs.txt``
-    holds ``source,target`` a line.
+    Without a description a folder is one's own: see ``SetDescription``'s defaults, and docs/conventions.md.
 
     Args:
         root: the folder.
-        names: of all its shapes, in order.
+        names: of all its shapes or, where parts lie apart, of the parts, in order.
         up: which axis of the files points up.
+        description: of the set.
+        complete: where parts lie apart, the names of the complete shapes.
+        seed: of the order that the rows of files are put in, where the description wants that.
     """
 
     root: Path
     names: tuple[str, ...]
     up: Up = "y"
+    description: SetDescription = field(default_factory=SetDescription)
+    complete: tuple[str, ...] = ()
+    seed: int = 0
 
     @classmethod
-    def open(cls, root: str | Path, *, up: Up = "y") -> ShapeFolder:
-        """Look into a folder whose shapes stand with this axis up.
+    def open(
+        cls, root: str | Path, description: SetDescription | str | Path | None = None, *, up: Up | None = None
+    ) -> ShapeFolder:
+        """Look into a folder with shapes and ground truth.
+
+        Args:
+            root: the folder.
+            description: of the set, its name, or a TOML file of one's own; by default the folder is one's own.
+            up: which axis of the files points up; by default the description's.
 
         Raises:
-            ArgumentError: if ``up`` is not x, y or z.
-            DataError: if it has no shapes or no ground truth.
+            ArgumentError: if ``up`` is not x, y or z, or there is no such description.
+            DataError: if the folder has no shapes, or shapes without ground truth.
+        """
+        found = cls.without_truth(root, description, up=up)
+        found._warn_of_others()
+        if missing := found.missing_truth():
+            raise DataError(
+                f"{found.root}: {len(missing)} of {len(found.names)} shapes have no ground truth; "
+                f"put the first one's at {next(iter(missing.values()))}"
+            )
+        return found
+
+    @classmethod
+    def without_truth(
+        cls, root: str | Path, description: SetDescription | str | Path | None = None, *, up: Up | None = None
+    ) -> ShapeFolder:
+        """Look into a folder with shapes, whether they have ground truth or not; see ``open``.
+
+        Raises:
+            ArgumentError: as with ``open``.
+            DataError: if it has no shapes, or holds volumes.
         """
         root = expanded(root)
-        names = tuple(sorted(path.stem for path in (root / "off").glob("*.off")))
-        if not names:
-            raise DataError(f"{root}: no shapes; put them at {root / 'off'}/NAME.off")
-        missing = [name for name in names if not (root / "corres" / f"{name}.vts").is_file()]
-        if missing:
-            raise DataError(
-                f"{root}: {len(missing)} of {len(names)} shapes have no ground truth; "
-                f"put the first one's at {root / 'corres' / missing[0]}.vts"
-            )
-        if up not in get_args(Up):
+        if description is None:
+            description = SetDescription()
+        elif not isinstance(description, SetDescription):
+            description = read_description(description)
+        if description.holds == "volumes":
+            raise DataError(f"{root} holds volumes; make surfaces of them with homolog volume surface, and give these")
+        if up is not None and up not in get_args(Up):
             raise bad_choice("up", up, get_args(Up))
-        return cls(root, names, up)
+        names, complete = names_at(root, description.shapes), names_at(root, description.complete)
+        for found, pattern in ((names, description.shapes), (complete, description.complete)):
+            if pattern and not found:
+                raise DataError(f"{root}: no shapes; put them at {place(root, pattern, 'NAME')}")
+        if shared := sorted({*names} & {*complete}):
+            raise DataError(f"{root}: {shared[0]!r} names a complete shape and a part; rename the partial one")
+        return cls(root, names, up or description.up, description, complete)
+
+    def _warn_of_others(self) -> None:
+        """Say so where these are not all the shapes of the set, or others: their scores are not the set's."""
+        wanted = self.description.expected_shapes
+        if wanted and len(self.names) != wanted:
+            _log.warning(
+                "%s has %d shapes, but %s has %d; homolog data check %s says which differ.",
+                *(self.root, len(self.names), self.description.name, wanted, self.description.name),
+            )
+
+    def file(self, name: str) -> Path:
+        """Where a shape lies."""
+        pattern = self.description.complete if name in self.complete else self.description.shapes
+        return place(self.root, pattern, name)
 
     def shape(self, name: str) -> Shape:
-        """Read one shape, and stand it upright: +y up."""
-        return stand_upright(read_shape(self.root / "off" / f"{name}.off"), self.up)
+        """Read one shape, and stand it upright: +y up. Its points are shuffled if the set asks for it."""
+        shape = stand_upright(read_shape(self.file(name)), self.up)
+        return _reordered(shape, self._order(name, shape.n_points)) if self.description.shuffled else shape
+
+    def missing_truth(self) -> dict[str, Path]:
+        """The files of ground truth that are not there, by the shape or part that each belongs to."""
+        if self.description.truth not in ("common-points", "barycentric"):
+            return {}
+        files = {name: place(self.root, self.description.truth_files, name) for name in self.names}
+        return {name: file for name, file in files.items() if not file.is_file()}
 
     def common_points(self, name: str) -> Int[np.ndarray, " p"]:
         """0-based vertex index of each common point; -1 for those that the shape does not have.
@@ -75,19 +135,14 @@ class ShapeFolder:
         Raises:
             DataError: if the file does not hold positive whole numbers, one a line.
         """
-        path = self.root / "corres" / f"{name}.vts"
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("error")  # an empty file, or a number with a fraction
-                indices = np.loadtxt(path, dtype=np.int64, ndmin=1)
-        except (OSError, ValueError, OverflowError, Warning) as error:
-            raise DataError(f"{path} must hold a vertex number a line ({error})") from None
-        if indices.ndim != 1 or indices.size == 0 or np.any((indices < 1) & (indices != -1)):
-            raise DataError(f"{path} must hold a vertex number a line, counted from 1, or -1 for none")
-        return np.where(indices < 0, -1, indices - 1)
+        return read_vertices(place(self.root, self.description.truth_files, name))
+
+    def ground_truth(self, shape_of: Callable[[str], Shape] | None = None) -> GroundTruth:
+        """The truth of its pairs, of whatever kind; ``shape_of`` gives shapes that are read already by their names."""
+        return GroundTruth(self.root, self.description, shape_of or self.shape, self._order)
 
     def split(self, split: Split) -> tuple[str, ...]:
-        """The names of the shapes in a split.
+        """The names of the shapes, or parts, in a split.
 
         Raises:
             ArgumentError: if ``split`` is not one.
@@ -97,31 +152,55 @@ class ShapeFolder:
             raise bad_choice("split", split, get_args(Split))
         if split == "all":
             return self.names
-        listed = self.root / f"{split}.txt"
-        names = self._listed_names(listed) if listed.is_file() else self._split_by_order(split)
+        names = self._split_names(split)
         if not names:
-            raise DataError(f"{self.root}: no shapes in split {split!r}; list them in {listed}, or use split 'all'")
+            hint = f"list them in {self._list(split)}, or use split 'all'"
+            hint = hint if self.description.split in ("found", "listed") else "use another split, or 'all'"
+            raise DataError(f"{self.root}: no shapes in split {split!r}; {hint}")
         return names
 
     def pairs(self, split: Split, *, listed: str | Path | None = None) -> tuple[Pair, ...]:
-        """Source and target of each pair to match: as listed in a file, or every two shapes of the split, in order.
+        """Source and target of each pair to match: those that the description wants of a split.
 
         Args:
-            split: where the shapes come from; only pairs with both shapes in it are kept from ``pairs.txt``.
+            split: where the shapes come from; a pair has both of its shapes, or its part, in it.
             listed: a file of ``source,target`` lines to use instead, whatever the split.
+
+        Raises:
+            DataError: if there are none, or a list of them is not as it should be.
         """
         if listed is not None:
-            return self._read_pairs(expanded(listed))
+            return self._read_pairs(expanded(listed), ",")
         names = self.split(split)
-        own = self.root / "pairs.txt"
-        if not own.is_file():
-            return tuple((source, target) for source in names for target in names)
-        pairs = tuple(pair for pair in self._read_pairs(own) if set(pair) <= set(names))
+        left_out = self.description.left_out if split == "test" else ()
+        pairs = tuple(pair for pair in self._pairs_of(names) if not set(pair) & set(left_out))
         if not pairs:
+            where = self.description.truth_files if self.description.pairs == "maps" else self.description.pairs_file
             raise DataError(
-                f"{own} lists no pair with both shapes in split {split!r}; use split 'all', or another list of pairs"
+                f"{self.root / where} lists no pair with both shapes in split {split!r}; "
+                "use split 'all', or another list of pairs"
             )
         return pairs
+
+    def _order(self, name: str, n_points: int) -> Int[np.ndarray, " n"]:
+        """Which row of a shape's file each of its points is."""
+        if not self.description.shuffled:
+            return np.arange(n_points)
+        return np.random.default_rng(zlib.crc32(f"{self.seed} {name}".encode())).permutation(n_points)
+
+    def _list(self, split: Split) -> Path:
+        return self.root / f"{split}.txt"
+
+    def _split_names(self, split: Split) -> tuple[str, ...]:
+        rule = self.description.split
+        if rule in ("train", "test", "either"):
+            return self.names if rule in (split, "either") else ()
+        if rule == "listed" or (rule == "found" and self._list(split).is_file()):
+            return self._listed_names(self._list(split))
+        if rule == "found" and (self.root / self.description.pairs_file).is_file():
+            return self.names if split == "test" else ()
+        n_test = self.description.n_test if rule == "last" else _TEST_SHAPES
+        return self.names[-n_test:] if split == "test" else self.names[:-n_test]
 
     def _listed_names(self, listed: Path) -> tuple[str, ...]:
         try:
@@ -130,34 +209,85 @@ class ShapeFolder:
             raise DataError(f"{listed} cannot be read as text; it must hold a name a line") from None
         return self._known(names, listed)
 
-    def _split_by_order(self, split: Split) -> tuple[str, ...]:
-        if (self.root / "pairs.txt").is_file():
-            return self.names if split == "test" else ()
-        return self.names[-_TEST_SHAPES:] if split == "test" else self.names[:-_TEST_SHAPES]
+    def _pairs_of(self, names: tuple[str, ...]) -> Iterable[Pair]:
+        rule, own = self.description.pairs, self.root / self.description.pairs_file
+        if rule == "parts":
+            return tuple((partner(name, self.complete), name) for name in names)
+        if rule == "maps":
+            return (pair for pair in self._pairs_with_maps() if set(pair) <= set(names))
+        if rule == "listed" or (rule == "found" and own.is_file()):
+            return (pair for pair in self._read_pairs(own, self.description.separator) if set(pair) <= set(names))
+        every = ((source, target) for source in names for target in names)
+        return every if rule != "same-class" else (pair for pair in every if class_of(pair[0]) == class_of(pair[1]))
 
-    def _read_pairs(self, path: Path) -> tuple[Pair, ...]:
+    def _pairs_with_maps(self) -> Iterable[Pair]:
+        """The pairs that have a map, by its name; those of shapes that are not there do not count."""
+        for name in names_at(self.root, self.description.truth_files):
+            words = name.split("_")
+            ways = (("_".join(words[:i]), "_".join(words[i:])) for i in range(1, len(words)))
+            yield from (pair for pair in ways if set(pair) <= set(self.names))
+
+    def _read_pairs(self, path: Path, separator: str) -> tuple[Pair, ...]:
+        wanted = f"SOURCE{separator}TARGET"
         try:
             lines = path.read_text(encoding="utf-8").splitlines()
         except (OSError, UnicodeDecodeError):
-            raise DataError(f"{path}: there is no such list of pairs; it must hold SOURCE,TARGET a line") from None
+            raise DataError(f"{path}: there is no such list of pairs; it must hold {wanted} a line") from None
         pairs = []
         for number, line in enumerate(lines, 1):
-            words = tuple(word.strip() for word in line.split(","))
+            words = tuple(word.strip() for word in line.strip().split(separator))
             if words == ("",):
                 continue
             if len(words) != 2:
-                raise DataError(f"{path}, line {number}: {line.strip()[:60]!r} must be SOURCE,TARGET")
+                raise DataError(f"{path}, line {number}: {line.strip()[:60]!r} must be {wanted}")
             pairs.append((words[0], words[1]))
         if not pairs:
-            raise DataError(f"{path} lists no pairs; it must hold SOURCE,TARGET a line")
+            raise DataError(f"{path} lists no pairs; it must hold {wanted} a line")
         self._known(tuple(itertools.chain.from_iterable(pairs)), path)
         return tuple(pairs)
 
     def _known(self, names: tuple[str, ...], listed: Path) -> tuple[str, ...]:
-        unknown = sorted(set(names) - set(self.names))
+        unknown = sorted(set(names) - set(self.names) - set(self.complete))
         if unknown:
-            raise DataError(f"{listed} names {unknown[0]!r}, but {self.root / 'off'} has no {unknown[0]}.off")
+            file = PurePosixPath(self.description.shapes.replace("*", unknown[0]))
+            raise DataError(f"{listed} names {unknown[0]!r}, but {self.root / file.parent} has no {file.name}")
         return names
+
+
+def place(root: Path, pattern: str, name: str) -> Path:
+    """Where the file of a name lies, by a pattern with one star."""
+    return root / pattern.replace("*", name)
+
+
+def names_at(root: Path, pattern: str) -> tuple[str, ...]:
+    """What the star of a pattern stands for in each file that is there, in order; hidden files do not count."""
+    if not pattern:
+        return ()
+    head, tail = (len(part) for part in PurePosixPath(pattern).name.split("*"))
+    found = (path.name for path in root.glob(pattern) if not path.name.startswith("."))
+    return tuple(sorted(name[head : len(name) - tail] for name in found))
+
+
+def partner(part: str, complete: Iterable[str]) -> str:
+    """The complete shape whose name is a word, or several, of the part's.
+
+    Raises:
+        DataError: if there is none.
+    """
+    found = [name for name in complete if f"_{name}_" in f"_{part}_"]
+    if not found:
+        raise DataError(f"{part}: no complete shape has a word of its name, as cat has of cuts_cat_shape_1; rename it")
+    return max(found, key=len)
+
+
+def class_of(name: str) -> str:
+    """A name without its last number: cat of cat10."""
+    return re.sub(r"[\W_]*\d+$", "", name)
+
+
+def _reordered(shape: Shape, order: Int[np.ndarray, " n"]) -> Shape:
+    faces = None if shape.faces is None else np.argsort(order)[shape.faces]
+    return replace(shape, points=shape.points[order], faces=faces)
 
 
 def drawn_pairs(pairs: Iterable[Pair], count: int, *, seed: int) -> tuple[Pair, ...]:

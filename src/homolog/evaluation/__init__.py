@@ -1,10 +1,11 @@
 """How good maps are: metrics and the field's protocol."""
 
-from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
+from homolog.evaluation.metrics import PCK_THRESHOLD, Detection, area_under_pck, least_confident_share, pck_curve
 from homolog.evaluation.protocol import Evaluation, MatchPair, Modalities, Protocol, evaluate, geodesic_errors
 
 __all__ = [
     "PCK_THRESHOLD",
+    "Detection",
     "Evaluation",
     "MatchPair",
     "Modalities",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.integrate import trapezoid
 
 # The correct-points curve runs from zero to this geodesic error, in units of sqrt(area).
@@ -33,3 +35,46 @@ def least_confident_share(
     least = order[: round(fraction * len(order))]
     total = errors.sum()
     return float(errors[least].sum() / total) if total > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class Detection:
+    """How well something is found, counted in points; add several to pool them.
+
+    Args:
+        found: how many points are said to have it.
+        true: how many have it.
+        both: how many are rightly said to have it.
+    """
+
+    found: int
+    true: int
+    both: int
+
+    @classmethod
+    def of(cls, found: Bool[np.ndarray, " p"], true: Bool[np.ndarray, " p"]) -> Detection:
+        """Count what is found and what is true of the same points."""
+        return cls(int(found.sum()), int(true.sum()), int((found & true).sum()))
+
+    def __add__(self, other: Detection) -> Detection:
+        return Detection(self.found + other.found, self.true + other.true, self.both + other.both)
+
+    @property
+    def precision(self) -> float | None:
+        """Share of the found ones that are true; None if there are none."""
+        return self.both / self.found if self.found else None
+
+    @property
+    def recall(self) -> float | None:
+        """Share of the true ones that are found; None if there are none."""
+        return self.both / self.true if self.true else None
+
+    @property
+    def f1(self) -> float | None:
+        """The harmonic mean of the two; None if nothing is found and nothing is true."""
+        return 2 * self.both / (self.found + self.true) if self.found + self.true else None
+
+    def to_dict(self) -> dict[str, float | None]:
+        """The three figures, and the counts, for JSON."""
+        figures = {"precision": self.precision, "recall": self.recall, "f1": self.f1}
+        return {**figures, "found": self.found, "true": self.true, "both": self.both}

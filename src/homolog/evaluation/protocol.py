@@ -1,4 +1,4 @@
-"""The field's protocol: geodesic error of the map that gives each target point its source point."""
+"""The field's protocol: error of the map that gives each target point its source point."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import time
 import zlib
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.datasets import Pair, ShapeFolder, Split, drawn_pairs
+from homolog.datasets import Counterparts, Pair, ShapeFolder, Split, drawn_pairs
 from homolog.errors import ArgumentError, DataError, bad_choice, bad_value
-from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
+from homolog.evaluation.metrics import PCK_THRESHOLD, Detection, area_under_pck, least_confident_share, pck_curve
 from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
 from homolog.matching import Correspondence, Matcher, Prepared, Side
 from homolog.shapes import Shape, add_noise, repair
@@ -44,7 +44,7 @@ class Protocol:
         in_place: whether such parts lie in the coordinates of their sources, about where they belong.
         noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
             on source and target.
-        seed: of the noise, and of the pairs drawn.
+        seed: of the noise, of the pairs drawn, and of the order of points in sets that are shuffled.
     """
 
     modality: Modalities = "mesh"
@@ -74,53 +74,93 @@ class Protocol:
 
 @dataclass(frozen=True, eq=False)
 class PairErrors:
-    """Errors of one pair: per common point the geodesic error (p,) in units of sqrt(area), and the confidence there."""
+    """Errors of one pair.
+
+    Args:
+        pair: names of source and target.
+        errors: of each point with a known counterpart that is matched (p,): geodesic, in units of sqrt(area), or
+            straight ones in the files' unit where the set is of clouds.
+        confidences: of the map there (p,).
+        missing: how well points of the source that a part lacks are found; None where that is not known.
+    """
 
     pair: Pair
     errors: Float[np.ndarray, " p"]
     confidences: Float[np.ndarray, " p"]
+    missing: Detection | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """The errors of all pairs, and where the time went."""
+    """The errors of all pairs, and where the time went.
+
+    Args:
+        pairs: in the order of the folder.
+        route: by which shapes of these modalities are matched.
+        unmatched_points: points with a known counterpart that are left out, as they have no match.
+        seconds: per part of the work.
+        straight_unit: of straight errors, where the set is of clouds; None for geodesic ones.
+    """
 
     pairs: tuple[PairErrors, ...]
     route: str
     unmatched_points: int
     seconds: dict[str, float]
+    straight_unit: str | None = None
 
     @property
     def errors(self) -> Float[np.ndarray, " p"]:
         """Errors of all points of all pairs together."""
         return np.concatenate([pair.errors for pair in self.pairs])
 
+    @property
+    def missing(self) -> Detection | None:
+        """How well points of complete shapes that parts lack are found, in all pairs together; None if not known."""
+        known = [pair.missing for pair in self.pairs if pair.missing is not None]
+        return sum(known[1:], known[0]) if known else None
+
+    @property
+    def error_kind(self) -> str:
+        """Whether errors are ``"geodesic"`` or ``"straight"``."""
+        return "geodesic" if self.straight_unit is None else "straight"
+
     def to_dict(self) -> dict[str, Any]:
-        """Figures for JSON; errors are multiplied by 100, as tables in the field show them."""
-        errors = self.errors
+        """Figures for JSON; geodesic errors are multiplied by 100, as tables in the field show them."""
         confidences = np.concatenate([pair.confidences for pair in self.pairs])
-        thresholds, shares = pck_curve(errors)
-        share = least_confident_share(errors, confidences)
+        share = least_confident_share(self.errors, confidences)
+        missing = self.missing
         return {
-            "mean_geodesic_error": 100 * float(errors.mean()),
-            "median_geodesic_error": 100 * float(np.median(errors)),
-            "pck_auc": area_under_pck(errors),
-            "pck_threshold": PCK_THRESHOLD,
-            "pck": {"thresholds": thresholds.tolist(), "shares": shares.tolist()},
+            f"mean_{self.error_kind}_error": self._shown(self.errors.mean()),
+            f"median_{self.error_kind}_error": self._shown(np.median(self.errors)),
+            "unit": "sqrt(area) / 100" if self.straight_unit is None else self.straight_unit,
+            **(self._curve() if self.straight_unit is None else {}),
             # JSON has no NaN, which stands for no error at all.
             "least_confident_fifth_error_share": share if np.isfinite(share) else None,
+            **({} if missing is None else {"without_counterpart": missing.to_dict()}),
             "route": self.route,
             "unmatched_points": self.unmatched_points,
-            "pairs": [
-                {
-                    "source": pair.pair[0],
-                    "target": pair.pair[1],
-                    "points": len(pair.errors),
-                    "mean_geodesic_error": 100 * float(pair.errors.mean()) if len(pair.errors) else None,
-                }
-                for pair in self.pairs
-            ],
+            "pairs": [self._pair(pair) for pair in self.pairs],
             "seconds": self.seconds,
+        }
+
+    def _shown(self, error: float) -> float:
+        return float(error) * (100 if self.straight_unit is None else 1)
+
+    def _curve(self) -> dict[str, Any]:
+        thresholds, shares = pck_curve(self.errors)
+        return {
+            "pck_auc": area_under_pck(self.errors),
+            "pck_threshold": PCK_THRESHOLD,
+            "pck": {"thresholds": thresholds.tolist(), "shares": shares.tolist()},
+        }
+
+    def _pair(self, pair: PairErrors) -> dict[str, Any]:
+        return {
+            "source": pair.pair[0],
+            "target": pair.pair[1],
+            "points": len(pair.errors),
+            f"mean_{self.error_kind}_error": self._shown(pair.errors.mean()) if len(pair.errors) else None,
+            **({} if pair.missing is None else {"without_counterpart": pair.missing.to_dict()}),
         }
 
 
@@ -136,12 +176,14 @@ def evaluate(
 
     Each shape's operators and features are computed once, those of a part once for each complete shape. ``match`` makes
     the maps of a prepared pair; by default ``matcher.match_prepared``. A shape's scale is that of its repaired mesh,
-    before any noise is added and any face dropped, as the published protocol has it.
+    before any noise is added and any face dropped, as the published protocol has it. Of a set of clouds the errors are
+    straight distances on the source, in the files' unit.
 
     Raises:
         ArgumentError: if more pairs are to be drawn than there are.
         DataError: if the ground truth does not fit the shapes, or not one of its points is matched.
     """
+    folder = replace(folder, seed=protocol.seed)
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     if protocol.n_pairs is not None:
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
@@ -158,6 +200,7 @@ class _Queries:
     truth: Int[np.ndarray, " p"]
     mapped: Int[np.ndarray, " p"]
     confidences: Float[np.ndarray, " p"]
+    missing: Detection | None
 
 
 class _Run:
@@ -174,9 +217,9 @@ class _Run:
         self.match, self.progress = match, progress
         names = dict.fromkeys(name for pair in pairs for name in pair)
         self.shapes = {name: folder.shape(name) for name in names}
-        self.truth = {name: self._common_points(name) for name in names}
+        self.truth = folder.ground_truth(self.shapes.__getitem__)
         for pair in pairs:
-            self._check_lines(*pair)
+            self.truth.between(*pair)  # what is wrong with any is said before anything is computed
         self.to_prepare = {self._variant(pair, role): (pair, role) for pair in pairs for role in _ROLES}
         self.total = len(self.to_prepare) + len(pairs)
         self.done = 0
@@ -191,7 +234,7 @@ class _Run:
         if not any(len(pair.errors) for pair in errors):
             raise DataError(
                 f"{self.folder.root}: no common point of any pair is matched, so there is nothing to score; "
-                "corres/ must name points that the faces use"
+                "ground truth must name points that the faces use"
             )
         seconds = {
             "prepare": matched - began,
@@ -202,31 +245,13 @@ class _Run:
         source, target = (prepared[self._variant(self.pairs[0], role)] for role in _ROLES)
         route = self.matcher.route(source.modality, target.modality)
         unmatched = sum(len(query.mapped) - len(pair.errors) for query, pair in zip(queries, errors, strict=True))
-        return Evaluation(tuple(errors), route, unmatched, seconds)
+        unit = (self.folder.description.unit or "units of the files") if self._straight else None
+        return Evaluation(tuple(errors), route, unmatched, seconds, unit)
 
-    def _common_points(self, name: str) -> Int[np.ndarray, " p"]:
-        points = self.folder.common_points(name)
-        if points.max() >= self.shapes[name].n_points:
-            raise DataError(
-                f"{self.folder.root / 'corres' / name}.vts names vertex {points.max() + 1}, "
-                f"but the shape has {self.shapes[name].n_points}"
-            )
-        there = points[points >= 0]
-        nowhere = there[~np.isfinite(self.shapes[name].points[there]).all(axis=1)]
-        if len(nowhere):
-            raise DataError(
-                f"{self.folder.root / 'corres' / name}.vts names vertex {nowhere[0] + 1}, which is NaN or infinite; "
-                "correct the shape, or leave that line out of every .vts file"
-            )
-        return points
-
-    def _check_lines(self, source: str, target: str) -> None:
-        n_source, n_target = len(self.truth[source]), len(self.truth[target])
-        if n_source != n_target:
-            raise DataError(
-                f"{source} has {n_source} common points and {target} {n_target}; "
-                "every .vts file of a set must have the same number of lines"
-            )
+    @property
+    def _straight(self) -> bool:
+        """Whether distances are straight ones: there is no surface that they could run along."""
+        return self.folder.description.holds == "clouds"
 
     def _variant(self, pair: Pair, role: Side) -> _Variant:
         """What tells preparations apart: noise makes source and target of one name two clouds, scale a part several."""
@@ -252,15 +277,16 @@ class _Run:
         return self.matcher.prepare(shape, as_cloud=cloud, length=frame.length, centre=centre)
 
     def _match(self, pair: Pair, prepared: dict[_Variant, Prepared]) -> _Queries:
-        source, target = pair
-        self._tick(f"{source} - {target}")
+        self._tick(" - ".join(pair))
         found = self.match(*(prepared[self._variant(pair, role)] for role in _ROLES))
-        both = (self.truth[source] >= 0) & (self.truth[target] >= 0)
-        at = self.truth[target][both]
-        return _Queries(pair, self.truth[source][both], found.target_to_source[at], found.target_confidence[at])
+        truth = self.truth.between(*pair)
+        known = self.truth.counterparts(*pair) if self.protocol.partial else None
+        missing = None if known is None else _missing(found, known)
+        at = truth.target
+        return _Queries(pair, truth.source, found.target_to_source[at], found.target_confidence[at], missing)
 
     def _errors(self, queries: list[_Queries]) -> list[PairErrors]:
-        """Geodesic errors, each source shape's distances searched for all its pairs at once."""
+        """Errors, each source shape's distances searched for all its pairs at once."""
         by_source: dict[str, list[int]] = defaultdict(list)
         for number, query in enumerate(queries):
             by_source[query.pair[0]].append(number)
@@ -268,12 +294,21 @@ class _Run:
         for source, numbers in by_source.items():
             truth = np.concatenate([queries[number].truth for number in numbers])
             mapped = np.concatenate([queries[number].mapped for number in numbers])
-            distances = geodesic_errors(self.shapes[source], truth, np.where(mapped < 0, truth, mapped))
+            distances = self._distances(self.shapes[source], truth, np.where(mapped < 0, truth, mapped))
             cuts = np.cumsum([len(queries[number].truth) for number in numbers])[:-1]
             for number, part in zip(numbers, np.split(distances, cuts), strict=True):
-                kept = queries[number].mapped >= 0
-                errors[number] = PairErrors(queries[number].pair, part[kept], queries[number].confidences[kept])
+                query = queries[number]
+                kept = query.mapped >= 0
+                errors[number] = PairErrors(query.pair, part[kept], query.confidences[kept], query.missing)
         return [errors[number] for number in range(len(queries))]
+
+    def _distances(
+        self, shape: Shape, truth: Int[np.ndarray, " q"], mapped: Int[np.ndarray, " q"]
+    ) -> Float[np.ndarray, " q"]:
+        if not self._straight:
+            return geodesic_errors(shape, truth, mapped)
+        distances: np.ndarray = np.linalg.norm(shape.points[truth] - shape.points[mapped], axis=1)
+        return distances
 
     def _tick(self, what: str) -> None:
         self.progress(self.done, self.total, what)
@@ -282,6 +317,11 @@ class _Run:
 
 def _in_role(pair: Pair, role: Side) -> str:
     return pair[_ROLES.index(role)]
+
+
+def _missing(found: Correspondence, known: Counterparts) -> Detection:
+    """How well a match tells which of these points of the complete shape the part lacks."""
+    return Detection.of(found.source_to_target[known.points] < 0, ~known.present)
 
 
 def geodesic_errors(

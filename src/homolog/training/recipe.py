@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from homolog.datasets import Split
-from homolog.errors import ArgumentError, bad_choice, bad_value
+from homolog.errors import bad_choice, bad_value
 from homolog.files import expanded
 from homolog.geometry import OperatorSettings
 from homolog.network import AugmentationSettings, NetworkSettings
 from homolog.shapes import Up
+from homolog.tables import read_table, read_toml
 from homolog.training.objective import LossSettings
-from homolog.training.tables import read_table
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 Schedule = Literal["cosine", "constant", "one-cycle"]
 Precision = Literal["32", "bf16"]
@@ -278,13 +272,7 @@ def read_recipe(recipe: str | Path) -> Recipe:
         ArgumentError: if there is no such recipe, or it is not as it should be; one line with file, section and key.
     """
     path = find_recipe(recipe)
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ArgumentError(f"{path} cannot be read ({error}); give a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ArgumentError(f"{path} is not valid TOML: {error}") from None
-    return recipe_from(table, str(path))
+    return recipe_from(read_toml(path), str(path))
 
 
 def recipe_from(table: dict[str, Any], where: str) -> Recipe:

@@ -1,0 +1,260 @@
+"""Whether a folder holds what its description says: files, counts, sizes, splits, pairs, and truth that fits."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import get_args
+
+from homolog.datasets.description import SetDescription
+from homolog.datasets.folder import ShapeFolder, Split, class_of, names_at, partner, place
+from homolog.errors import DataError, HomologError
+from homolog.files import expanded, sha256
+from homolog.shapes import Shape
+from homolog.steps import Progress, unheard
+
+
+@dataclass
+class SetReport:
+    """What was found in a folder.
+
+    Args:
+        root: the folder.
+        findings: what is wrong, each a line that says what to do.
+        n_shapes: how many shapes or parts, or volumes, are there.
+        n_complete: how many complete shapes lie apart from parts.
+        n_points: the fewest and the most points of a shape.
+        n_truth: the fewest and the most points of a shape, part or pair whose counterparts are known.
+        splits: the number of shapes of each split that has any.
+        pairs: the number of pairs of each.
+        sha256: of what ``sha256sum`` says of all files of shapes and truth, in the order of their places.
+    """
+
+    root: Path
+    findings: list[str] = field(default_factory=list)
+    n_shapes: int = 0
+    n_complete: int = 0
+    n_points: tuple[int, int] | None = None
+    n_truth: tuple[int, int] | None = None
+    splits: dict[str, int] = field(default_factory=dict)
+    pairs: dict[str, int] = field(default_factory=dict)
+    sha256: str = ""
+
+
+def check_set(root: str | Path, description: SetDescription, *, progress: Progress | None = None) -> SetReport:
+    """Read every file of a set, and compare with its description.
+
+    Args:
+        root: the folder.
+        description: of the set.
+        progress: told which file is read.
+    """
+    check = _Check(expanded(root), description, progress or unheard)
+    check.run()
+    return check.report
+
+
+class _Check:
+    def __init__(self, root: Path, description: SetDescription, progress: Progress) -> None:
+        self.root, self.description, self.progress = root, description, progress
+        self.report = SetReport(root)
+
+    def run(self) -> None:
+        if not self.root.is_dir():
+            self._say(f"put the set at {self.root}; get it from {self.description.source or 'its owner'}")
+            return
+        self._names()
+        self._lists()
+        if self.description.holds == "volumes":
+            self._volumes()
+        elif self.report.n_shapes and bool(self.description.complete) == bool(self.report.n_complete):
+            with self._saying():
+                self._shapes(ShapeFolder.without_truth(self.root, self.description))
+        self._checksum()
+
+    def _say(self, finding: str) -> None:
+        if finding not in self.report.findings:
+            self.report.findings.append(finding)
+
+    def _put(self, file: Path) -> None:
+        self._say(f"put {file.name} at {file}")
+
+    @contextmanager
+    def _saying(self, *, unless: bool = False) -> Iterator[None]:
+        """Turn an error of this block into a finding, unless it is none of the set's."""
+        try:
+            yield
+        except HomologError as error:
+            if not unless:
+                self._say(str(error))
+
+    # ---- which files are there
+
+    def _names(self) -> None:
+        described = self.description
+        names, complete = names_at(self.root, described.shapes), names_at(self.root, described.complete)
+        self.report.n_shapes, self.report.n_complete = len(names), len(complete)
+        self._expect(names, described.expected_names, described.shapes, described.n_shapes)
+        if described.complete:
+            self._expect(complete, described.expected_complete_names, described.complete, 0)
+
+    def _expect(self, names: Sequence[str], expected: Sequence[str], pattern: str, count: int) -> None:
+        """Say what is missing and what is too much, by names where these are known."""
+        for name in (name for name in expected if name not in names):
+            self._put(place(self.root, pattern, name))
+        for name in (name for name in names if expected and name not in expected):
+            self._say(f"take {place(self.root, pattern, name)} away; the set has no such shape")
+        if not expected:
+            self._count(len(names), count, place(self.root, pattern, "NAME"))
+
+    def _count(self, found: int, wanted: int, files: Path) -> None:
+        if wanted and found > wanted:
+            self._say(f"take {found - wanted} of the {found} shapes at {files} away; the set has {wanted}")
+        elif not found or found < wanted:
+            missing = f"the {wanted - found} missing of {wanted} shapes" if wanted else "the shapes"
+            self._say(f"put {missing} at {files}")
+
+    def _lists(self) -> None:
+        described = self.description
+        lists = ["train.txt", "test.txt"] if described.split == "listed" else []
+        lists += [described.pairs_file] if described.pairs == "listed" else []
+        for name in lists:
+            if not (self.root / name).is_file():
+                self._put(self.root / name)
+
+    # ---- what is in them
+
+    def _shapes(self, folder: ShapeFolder) -> None:
+        for file in folder.missing_truth().values():
+            self._put(file)
+        reader = _Reader(folder)
+        steps = reader.steps()
+        for done, (what, read) in enumerate(steps):
+            self.progress(done, len(steps), what)
+            with self._saying():
+                read()
+        self.report.n_points, self.report.n_truth = _range(reader.n_points), _range(reader.n_truth)
+        self._within("points", self.report.n_points, self.description.n_points)
+        wanted = self.description.n_truth
+        self._within("points of ground truth", self.report.n_truth, (wanted, wanted) if wanted else None)
+        self._splits(folder)
+
+    def _within(self, what: str, found: tuple[int, int] | None, wanted: tuple[int, int] | None) -> None:
+        if found and wanted and (found[0] < wanted[0] or found[1] > wanted[1]):
+            self._say(
+                f"{self.root}: shapes have {counted(found)} {what}, but those of the set have {counted(wanted)}; "
+                "get the ones that differ again"
+            )
+
+    def _splits(self, folder: ShapeFolder) -> None:
+        wanted: dict[str, int] = {"train": self.description.n_train, "test": self.description.n_test}
+        for split in get_args(Split):
+            with self._saying(unless=not wanted.get(split)):
+                found = len(folder.split(split))
+                self.report.splits[split] = found
+                self._same(split, "shapes", found, wanted.get(split, 0))
+            if split in self.report.splits:
+                self._pairs(folder, split)
+
+    def _pairs(self, folder: ShapeFolder, split: Split) -> None:
+        with self._saying(unless=split != "test"):
+            found = len(folder.pairs(split))
+            self.report.pairs[split] = found
+            self._same(split, "pairs", found, self.description.n_pairs if split == "test" else 0)
+
+    def _same(self, split: Split, what: str, found: int, wanted: int) -> None:
+        if wanted and found != wanted:
+            self._say(f"{self.root}: split {split!r} has {found} {what}, but that of the set has {wanted}")
+
+    def _volumes(self) -> None:
+        headers = sorted(self.root.glob(self.description.shapes))
+        for done, header in enumerate(headers):
+            self.progress(done, len(headers), header.name)
+            data = _data_file(header)
+            if data is None:
+                self._say(f"{header} is no MetaImage header that names its ElementDataFile; get it again")
+            elif not data.is_file():
+                self._put(data)
+
+    def _checksum(self) -> None:
+        files = sorted(file for file in set(self._files()) if not file.name.startswith("."))
+        lines = (f"{sha256(file)}  {file.relative_to(self.root).as_posix()}\n" for file in files)
+        self.report.sha256 = hashlib.sha256("".join(lines).encode()).hexdigest()
+        if self.description.sha256 not in ("", self.report.sha256):
+            self._say(f"{self.root}: the checksum is {self.report.sha256}, but the set's is {self.description.sha256}")
+
+    def _files(self) -> Iterable[Path]:
+        described = self.description
+        truth = described.truth_files if described.truth not in ("none", "same-numbering") else ""
+        for pattern in filter(None, (described.shapes, described.complete, truth)):
+            yield from self.root.glob(pattern)
+
+
+class _Reader:
+    """Reads the shapes of a set one after the other, and their truth by the way that evaluations take.
+
+    Only those shapes stay in memory that the truth of later ones needs.
+    """
+
+    def __init__(self, folder: ShapeFolder) -> None:
+        self.folder, self.description = folder, folder.description
+        self.n_points: list[int] = []
+        self.n_truth: list[int] = []
+        self._shapes: dict[str, Shape] = {}
+        self._truth = folder.ground_truth(self._shapes.__getitem__)
+        self._first: dict[str, str] = {}
+        self._missing = folder.missing_truth()
+
+    def steps(self) -> list[tuple[str, Callable[[], None]]]:
+        """What is to be read, and a function that reads it."""
+        steps = [(name, partial(self._read, name)) for name in (*self.folder.complete, *self.folder.names)]
+        maps = self.folder.pairs("all") if self.description.pairs == "maps" else ()
+        return [*steps, *((f"map of {pair[0]} - {pair[1]}", partial(self._compare, *pair)) for pair in maps)]
+
+    def _read(self, name: str) -> None:
+        shape = self.folder.shape(name)
+        self.n_points.append(shape.n_points)
+        if shape.faces is None and self.description.holds == "meshes":
+            raise DataError(f"{self.folder.file(name)} has no faces, but the set is of meshes; get it again")
+        self._shapes[name] = shape
+        if name not in self.folder.complete and self.description.truth != "pair-maps":
+            self._read_truth(name)
+
+    def _read_truth(self, name: str) -> None:
+        """Compare with the shape's complete one, or with the first of its class whose truth is as it should be."""
+        kind = class_of(name) if self.description.pairs == "same-class" else ""
+        try:
+            if self.description.truth != "none" and name not in self._missing:
+                apart = self.folder.complete
+                self._compare(partner(name, apart) if apart else self._first.get(kind, name), name)
+                self._first.setdefault(kind, name)
+        finally:
+            if name not in self._first.values():
+                del self._shapes[name]
+
+    def _compare(self, source: str, target: str) -> None:
+        self.n_truth.append(len(self._truth.between(source, target).target))
+
+
+def _data_file(header: Path) -> Path | None:
+    """Where a MetaImage header says that its voxels lie; None where it does not say."""
+    for line in header.read_text(encoding="utf-8", errors="replace").splitlines():
+        key, _, value = line.partition("=")
+        if key.strip() == "ElementDataFile":
+            return header.parent / value.strip()
+    return None
+
+
+def _range(counts: Sequence[int]) -> tuple[int, int] | None:
+    return (min(counts), max(counts)) if counts else None
+
+
+def counted(counts: tuple[int, int] | None) -> str:
+    """A range of counts for people; nothing if there is none."""
+    if counts is None:
+        return ""
+    return f"{counts[0]:,}" if counts[0] == counts[1] else f"{counts[0]:,} to {counts[1]:,}"
