@@ -293,8 +293,8 @@ def wait_for(run, step, is_alive):
         time.sleep(0.001)
 
 
-def kill_at(step, recipe, meshes, run):
-    """Train in a process of its own, and kill that as soon as its checkpoint has so many steps."""
+def kill_at(step, recipe, meshes, run, *, later=0.0):
+    """Train in a process of its own, and kill that once its checkpoint has so many steps, or so many seconds later."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["homolog.training.loop", "lightning_fabric", "torch.utils.tensorboard"])
     process = context.Process(
@@ -302,17 +302,20 @@ def kill_at(step, recipe, meshes, run):
     )
     process.start()
     wait_for(run, step, process.is_alive)
+    time.sleep(later)
     process.kill()
     process.join()
     assert process.exitcode == -signal.SIGKILL
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
-def test_killed_twice_it_ends_as_if_it_had_not_been(meshes, small, tmp_path):
-    recipe = small(**SLOW)
+@pytest.mark.parametrize("minutes", [0, 0.002])
+def test_killed_twice_it_ends_as_if_it_had_not_been(meshes, small, tmp_path, minutes):
+    """Right after a checkpoint, or some steps later, which are then taken again."""
+    recipe = small(**{**SLOW, "training": {**SLOW["training"], "checkpoint_minutes": minutes}})
     chance = random.Random(0)
     for step in (chance.randrange(2, 9), chance.randrange(13, 20)):
-        kill_at(step, recipe, meshes, tmp_path / "run")
+        kill_at(step, recipe, meshes, tmp_path / "run", later=20 * minutes)
         assert step <= steps_done(tmp_path / "run") < 30
     state = loop.train(recipe, meshes, tmp_path / "run", device="cpu", resume=True)
     whole = loop.train(recipe, meshes, tmp_path / "whole", device="cpu")
@@ -368,8 +371,10 @@ def test_where_one_process_fails_all_do_and_the_first_one_says_it(as_toml, tmp_p
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="gloo needs other settings there")
-def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path):
-    changes = {"training": {"steps": 1, "pairs_per_step": 4}, "validation": {"pairs": 0}}
+@pytest.mark.parametrize(("steps", "tolerance"), [(1, 1e-4), (5, 0.02)])
+def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path, steps, tolerance):
+    """The same gradients at first; later, what rounding made of them, which Adam's first steps enlarge."""
+    changes = {"training": {"steps": steps, "pairs_per_step": 4}, "validation": {"pairs": 0}}
     (tmp_path / "four.toml").write_text(as_toml(**changes))
     loop.train(small(**changes), meshes, tmp_path / "one", device="cpu")
     options = ["--data", meshes, "--out", tmp_path / "two", "--device", "cpu", "--processes", "2"]
@@ -378,9 +383,9 @@ def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path):
     )
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines() == [str(tmp_path / "two" / "weights.safetensors")]
-    assert ended.stderr.count("Trained 1 steps") == 1
+    assert ended.stderr.count(f"Trained {steps} steps") == 1
     one, two = tensors_of(tmp_path / "one"), tensors_of(tmp_path / "two")
     for name, tensor in one.items():
-        if name.startswith("exp_avg."):  # a tenth of the first gradient
-            assert (tensor - two[name]).norm() <= 1e-4 * tensor.norm(), name
+        if name.startswith("exp_avg."):  # a tenth of the first gradient, or a running mean of all
+            assert (tensor - two[name]).norm() <= tolerance * tensor.norm(), name
     assert one["exp_avg.last.weight"].norm() > 0
