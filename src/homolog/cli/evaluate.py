@@ -14,10 +14,10 @@ from rich.table import Table
 from homolog.cli.options import (
     Adapt,
     DeviceOption,
-    InPlace,
     MethodOption,
     NoCache,
     Quiet,
+    SetOption,
     Verbose,
     Weights,
     build_matcher,
@@ -26,8 +26,8 @@ from homolog.cli.options import (
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar
-from homolog.datasets import ShapeFolder, Split
-from homolog.evaluation import Evaluation, MatchPair, Modalities, Protocol
+from homolog.datasets import SetDescription, ShapeFolder, Split, read_description
+from homolog.evaluation import Detection, Evaluation, MatchPair, Modalities, Protocol
 from homolog.evaluation import evaluate as evaluate_folder
 from homolog.files import write_json
 from homolog.matching import Correspondence, Matcher, Prepared, Side
@@ -37,23 +37,43 @@ from homolog.versions import versions
 
 
 def evaluate(
-    data: Annotated[Path, typer.Argument(help="A folder with off/ and corres/.", show_default=False)],
+    data: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A set's folder, or one with off/ and corres/.", show_default=False)
+    ],
+    name: SetOption = None,
     weights: Weights = None,
     method: MethodOption = "auto",
     adapt: Adapt = 0,
-    modality: Annotated[Modalities, typer.Option(help="What source and target are used as.")] = "mesh",
+    modality: Annotated[
+        Modalities | None,
+        typer.Option(help="What source and target are used as.", show_default="mesh, or cloud for sets of clouds"),
+    ] = None,
     split: Annotated[Split, typer.Option(help="Which shapes: train.txt or test.txt, or by order of name.")] = "test",
     pairs: Annotated[Path | None, typer.Option(help="A file of SOURCE,TARGET lines to use instead.")] = None,
     n_pairs: Annotated[
         int | None, typer.Option(help="Draw so many pairs of different shapes at random, by the seed.", min=1)
     ] = None,
     partial: Annotated[
-        bool, typer.Option("--partial", help="Each target is a part of a shape like its source, in the same units.")
-    ] = False,
-    in_place: InPlace = False,
-    up: Annotated[Up, typer.Option(help="The axis that points up in the files.")] = "y",
+        bool | None,
+        typer.Option(
+            "--partial/--whole",
+            help="Each target is a part of a shape like its source, in the same units.",
+            show_default="as the set has it",
+        ),
+    ] = None,
+    in_place: Annotated[
+        bool | None,
+        typer.Option(
+            "--in-place/--not-in-place",
+            help="Parts lie in the coordinates of their complete shapes, about where they belong.",
+            show_default="as the set has it",
+        ),
+    ] = None,
+    up: Annotated[
+        Up | None, typer.Option(help="The axis that points up in the files.", show_default="as the set has it, or y")
+    ] = None,
     noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of the noise, and of the pairs drawn.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the noise, of pairs drawn, and of orders shuffled.")] = 0,
     json: Annotated[Path | None, typer.Option(metavar="OUT", help="Also write everything as JSON.")] = None,
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
@@ -63,7 +83,11 @@ def evaluate(
     """Score maps on a folder of shapes with ground truth.
 
     The score is the mean geodesic error x100 of the map that gives each target point its source point, over all points
-    of all pairs together, in units of the square root of the source's area.
+    of all pairs together, in units of the square root of the source's area. Of sets of clouds it is the mean straight
+    distance in the files' unit. Of parts, it is also said how well points without a counterpart are found.
+
+    With --set, the axis that points up, whether targets are parts and where these lie are as the set's description
+    says; options that are given count more.
 
     Examples:
       homolog evaluate FAUST_r --weights people.safetensors
@@ -72,6 +96,8 @@ def evaluate(
 
       homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 --n-pairs 20
 
+      homolog evaluate SHREC16 --set shrec16_cuts --weights cuts.safetensors
+
       homolog evaluate people_views --weights views.safetensors --partial
 
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
@@ -79,18 +105,20 @@ def evaluate(
     set_verbosity(quiet=quiet, verbose=verbose)
     if json is not None:
         check_file(json)
+    description = SetDescription() if name is None else read_description(name)
+    partial = description.partial if partial is None else partial
     protocol = Protocol(
-        modality=modality,
+        modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
         split=split,
         pairs_file=None if pairs is None else str(pairs),
         n_pairs=n_pairs,
         partial=partial,
-        in_place=in_place,
+        in_place=(description.in_place and partial) if in_place is None else in_place,
         noise=noise,
         seed=seed,
     )
     matcher = build_matcher(weights, method, device, no_cache=no_cache)
-    folder = ShapeFolder.open(data, up=up)
+    folder = ShapeFolder.open(data, description, up=up)
     with progress_bar(quiet=quiet) as progress:
         evaluation = evaluate_folder(
             matcher, folder, protocol, match=_match_by(matcher, adapt, partial=partial), progress=progress
@@ -99,6 +127,8 @@ def evaluate(
         report = {
             **evaluation.to_dict(),
             "data": str(folder.root),
+            "set": description.name or None,
+            "up": folder.up,
             "protocol": asdict(protocol),
             "adapt": adapt,
             **described(matcher, weights),
@@ -125,17 +155,30 @@ def _match_by(matcher: Matcher, steps: int, *, partial: bool) -> MatchPair | Non
 
 def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> Table:
     found = evaluation.to_dict()
-    partial = ", partial" if protocol.partial else ""
-    noise = f", noise {protocol.noise:g}" if protocol.noise else ""
-    table = Table(
-        title=f"{folder.root.name}, {protocol.modality}{partial}{noise}", show_header=False, title_justify="left"
-    )
-    table.add_row("mean geodesic error x100", f"{found['mean_geodesic_error']:.2f}")
-    table.add_row("median geodesic error x100", f"{found['median_geodesic_error']:.2f}")
-    table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
+    table = Table(title=_title(folder, protocol), show_header=False, title_justify="left")
+    kind = evaluation.error_kind
+    unit = "x100" if evaluation.straight_unit is None else f"in {evaluation.straight_unit}"
+    table.add_row(f"mean {kind} error {unit}", f"{found[f'mean_{kind}_error']:.2f}")
+    table.add_row(f"median {kind} error {unit}", f"{found[f'median_{kind}_error']:.2f}")
+    if "pck" in found:
+        table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
+    if evaluation.missing is not None:
+        table.add_row("points without a counterpart", _described_detection(evaluation.missing))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
         table.add_row("points without a match, left out", str(found["unmatched_points"]))
     table.add_row("route", found["route"])
     table.add_row("seconds", f"{found['seconds']['total']:.0f}")
     return table
+
+
+def _title(folder: ShapeFolder, protocol: Protocol) -> str:
+    name = folder.description.name or folder.root.name
+    partial = (", partial, in place" if protocol.in_place else ", partial") if protocol.partial else ""
+    noise = f", noise {protocol.noise:g}" if protocol.noise else ""
+    return f"{name}, {protocol.modality}{partial}{noise}"
+
+
+def _described_detection(missing: Detection) -> str:
+    figures = {"precision": missing.precision, "recall": missing.recall, "F1": missing.f1}
+    return ", ".join(f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())

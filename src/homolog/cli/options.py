@@ -50,6 +50,16 @@ InPlace = Annotated[
         "registered does. Without it only its form counts.",
     ),
 ]
+SetOption = Annotated[
+    str | None,
+    typer.Option(
+        "--set",
+        metavar="NAME|FILE",
+        help="Which set the folder holds: a name that homolog data list knows, or a TOML file. "
+        "Without it the folder is one's own.",
+        show_default=False,
+    ),
+]
 Processes = Annotated[int, typer.Option(help="Processes that share the work.", min=1, show_default="one per core")]
 ONE_PER_CORE = os.cpu_count() or 1
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]

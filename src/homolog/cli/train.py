@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from homolog.cli.options import DeviceOption, Quiet, Verbose, set_verbosity
+from homolog.cli.options import DeviceOption, Quiet, SetOption, Verbose, set_verbosity
 from homolog.cli.progress import progress_bar
+from homolog.datasets import read_description
 from homolog.errors import HomologError
 from homolog.training import WEIGHTS, is_first_process, read_recipe
 from homolog.training import train as train_network
@@ -20,6 +21,7 @@ def train(
         Path, typer.Option(help="A folder of meshes, or one with off/ and perhaps corres/.", show_default=False)
     ],
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder for checkpoints and weights.", show_default=False)],
+    name: SetOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from RUN's last checkpoint, or begin where there is none.")
     ] = False,
@@ -40,9 +42,13 @@ def train(
 
     Writes RUN/weights.safetensors (for match and evaluate), RUN/last.safetensors and RUN/best.safetensors
     (checkpoints), RUN/report.json, and curves for TensorBoard. Ctrl-C saves first, and --resume goes on from there.
+    With --set, the shapes for testing that the set's description names stay out, and the axis that points up and where
+    parts lie are as it says, unless the recipe says so itself.
 
     Examples:
       homolog train quick --data FAUST_r --out run
+
+      homolog train faust --data FAUST_r --set faust_r --out run
 
       homolog train my_recipe.toml --data scans --out run --resume
 
@@ -52,6 +58,7 @@ def train(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     settings = read_recipe(recipe)
+    description = None if name is None else read_description(name)
     first = is_first_process()
     try:
         with progress_bar(quiet=quiet or not first) as progress:
@@ -59,6 +66,7 @@ def train(
                 settings,
                 data,
                 out,
+                description=description,
                 resume=resume,
                 weights=weights,
                 device=device,

@@ -133,7 +133,7 @@ class ShapeBank:
 
     @property
     def _in_place(self) -> bool:
-        return self.recipe.partial is not None and self.recipe.partial.in_place
+        return self.recipe.partial is not None and bool(self.recipe.partial.in_place)
 
     def _prepare(self, name: str) -> str:
         for variant in (_MESH, *range(len(self.variants))):

@@ -47,7 +47,7 @@ def save_checkpoint(path: Path, state: TrainingState, recipe: Recipe, shapes: st
     header = {
         "format": _FORMAT,
         "shapes": shapes,
-        "recipe": json.dumps(asdict(recipe)),
+        "recipe": json.dumps(asdict(recipe.for_set())),
         "progress": json.dumps(progress),
     }
     with atomic_path(path) as temporary:
@@ -110,7 +110,9 @@ def _fill(place: Tensor, values: Tensor) -> Tensor:
 
 
 def _check_recipe(path: Path, found: dict[str, Any], recipe: Recipe) -> None:
-    now, by_default = (_flat(json.loads(json.dumps(asdict(settings)))) for settings in (recipe, Recipe()))
+    now, by_default = (
+        _flat(json.loads(json.dumps(asdict(settings)))) for settings in (recipe.for_set(), Recipe().for_set())
+    )
     before = {**by_default, **_flat(found)}  # what an older checkpoint does not name was as it is by default
     for key in sorted((before.keys() | now.keys()) - _WITHOUT_EFFECT):
         if before.get(key) != now.get(key):

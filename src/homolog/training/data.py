@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import itertools
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 
-from homolog.datasets import Pair, ShapeFolder, mesh_files
-from homolog.errors import DataError
+from homolog.datasets import Pair, SetDescription, ShapeFolder, mesh_files, partner
+from homolog.errors import ArgumentError, DataError
 from homolog.files import expanded
 from homolog.shapes import Shape, Up, read_shape, stand_upright
 from homolog.training.recipe import DataSettings, Recipe
@@ -46,27 +46,33 @@ class TrainingSet:
     up: Up
 
     @classmethod
-    def open(cls, root: str | Path, recipe: Recipe) -> TrainingSet:
-        """Look into a folder: ``off/NAME.off`` with or without ground truth, complete shapes and parts, or any meshes.
+    def open(cls, root: str | Path, recipe: Recipe, description: SetDescription | None = None) -> TrainingSet:
+        """Look into a folder: a set as its description has it, or one of one's own.
+
+        That is ``off/NAME.off`` with or without ground truth, complete shapes and parts, or any meshes.
 
         Raises:
+            ArgumentError: if the recipe and the description do not fit each other.
             DataError: if it has too few shapes.
         """
         root = expanded(root)
         if not root.is_dir():
             raise DataError(f"{root}: there is no such folder; give one that holds meshes")
-        complete, files = _complete_and_other_files(root, recipe)
+        recipe = recipe.for_set(description)
+        described = None if description is None else ShapeFolder.without_truth(root, description)
+        complete, files = _complete_and_other_files(root, recipe, described)
         kept = sorted(name for name in files if not _left_out(name, recipe.data))
         chosen = _held_out(kept, recipe)
         trained = tuple(name for name in kept if name not in chosen)
-        listed = _listed_pairs(root, kept, complete, recipe)
+        listed = _parts(kept, complete) if complete else _listed_pairs(described or _own(root), kept, recipe)
         watched = tuple(pair for pair in listed if not chosen.isdisjoint(pair))
         pairs = tuple(pair for pair in listed if chosen.isdisjoint(pair))
         _check_numbers(root, trained, listed, pairs)
         # Where nothing is held out, pairs that are trained on are validated, too.
         held_out = _some_pairs(sorted(chosen) or trained, watched or pairs, recipe)
         files = {**complete, **{name: files[name] for name in kept}}
-        return cls(root, files, trained, pairs, held_out, _ground_truth(root, recipe), recipe.data.up)
+        up = recipe.data.up or "y"
+        return cls(root, files, trained, pairs, held_out, _ground_truth(root, recipe, description), up)
 
     def shape(self, name: str) -> Shape:
         """Read one mesh, and stand it upright.
@@ -86,14 +92,28 @@ class TrainingSet:
         return tuple(sorted({*paired, *(() if self.pairs else self.names)}))
 
 
-def _complete_and_other_files(root: Path, recipe: Recipe) -> tuple[dict[str, Path], dict[str, Path]]:
+def _complete_and_other_files(
+    root: Path, recipe: Recipe, described: ShapeFolder | None
+) -> tuple[dict[str, Path], dict[str, Path]]:
     """Complete shapes in a folder of their own, if there are such, and all others."""
-    if recipe.partial is not None and (root / recipe.partial.complete).is_dir():
-        complete, parts = root / recipe.partial.complete, root / recipe.partial.parts
+    if described is not None:
+        return _described_files(described, recipe)
+    if recipe.partial is not None and (root / str(recipe.partial.complete)).is_dir():
+        complete, parts = root / str(recipe.partial.complete), root / str(recipe.partial.parts)
         if not parts.is_dir():
             raise DataError(f"{root} has complete shapes, but no {recipe.partial.parts!r}; change [partial] parts")
         return _apart(mesh_files(complete), mesh_files(parts))
     return {}, _split_files(root, recipe.data)
+
+
+def _described_files(folder: ShapeFolder, recipe: Recipe) -> tuple[dict[str, Path], dict[str, Path]]:
+    if folder.description.partial and recipe.partial is None:
+        raise ArgumentError(
+            f"{folder.description.name} is a set of parts, but the recipe {recipe.name!r} has no section [partial]; "
+            "take one that has, such as cuts or views"
+        )
+    names = folder.split(recipe.data.split)
+    return {name: folder.file(name) for name in folder.complete}, {name: folder.file(name) for name in sorted(names)}
 
 
 def _apart(complete: dict[str, Path], parts: dict[str, Path]) -> tuple[dict[str, Path], dict[str, Path]]:
@@ -122,26 +142,35 @@ def _held_out(names: Sequence[str], recipe: Recipe) -> set[str]:
     return {str(name) for name in random.permutation(np.array(names, dtype=object))[: recipe.validation.shapes]}
 
 
-def _listed_pairs(root: Path, names: Sequence[str], complete: dict[str, Path], recipe: Recipe) -> tuple[Pair, ...]:
-    """Each part with its complete shape, or the pairs of partial shapes that a file lists; else none."""
-    if complete:
-        return tuple((_partner(name, complete), name) for name in names)
-    if recipe.partial is None or not (root / "pairs.txt").is_file():
+def _own(root: Path) -> ShapeFolder:
+    """A folder of one's own with the names of all its meshes."""
+    return ShapeFolder(root, tuple(mesh_files(root / "off" if (root / "off").is_dir() else root)))
+
+
+def _parts(names: Sequence[str], complete: dict[str, Path]) -> tuple[Pair, ...]:
+    """Each part with its complete shape."""
+    return tuple((partner(name, complete), name) for name in names)
+
+
+def _listed_pairs(folder: ShapeFolder, names: Sequence[str], recipe: Recipe) -> tuple[Pair, ...]:
+    """The pairs that a list or the classes of shapes give; none where any two make one."""
+    if not _has_pairs_of_its_own(folder, recipe):
         return ()
-    every = tuple(sorted(mesh_files(root / "off" if (root / "off").is_dir() else root)))
-    listed = (pair for pair in ShapeFolder(root, every).pairs("all") if pair[0] != pair[1])
+    listed = (pair for pair in folder.pairs("all") if pair[0] != pair[1])
     kept = tuple(pair for pair in listed if set(names).issuperset(pair))
     if not kept:
-        raise DataError(f"{root / 'pairs.txt'} lists no pair of shapes that are trained on; leave fewer of them out")
+        raise DataError(
+            f"{folder.root / folder.description.pairs_file} lists no pair of shapes that are trained on; "
+            "leave fewer of them out"
+        )
     return kept
 
 
-def _partner(part: str, complete: Iterable[str]) -> str:
-    """The complete shape whose name is a word, or several, of the part's."""
-    found = [name for name in complete if f"_{name}_" in f"_{part}_"]
-    if not found:
-        raise DataError(f"{part}: no complete shape has a word of its name, as cat has of cuts_cat_shape_1; rename it")
-    return max(found, key=len)
+def _has_pairs_of_its_own(folder: ShapeFolder, recipe: Recipe) -> bool:
+    """Whether not any two shapes make a pair: lists are for parts, as whole shapes' lists are for tests."""
+    rule, listed = folder.description.pairs, folder.root / folder.description.pairs_file
+    is_listed = rule == "listed" or (rule == "found" and listed.is_file())
+    return rule == "same-class" or (recipe.partial is not None and is_listed)
 
 
 def _check_numbers(root: Path, names: Sequence[str], listed: Sequence[Pair], pairs: Sequence[Pair]) -> None:
@@ -168,11 +197,11 @@ def _pair(names: Sequence[str], number: int) -> Pair:
     return names[first], names[second + (second >= first)]
 
 
-def _ground_truth(root: Path, recipe: Recipe) -> ShapeFolder | None:
+def _ground_truth(root: Path, recipe: Recipe, description: SetDescription | None) -> ShapeFolder | None:
     if not recipe.validation.score_every:
         return None
     try:
-        return ShapeFolder.open(root, up=recipe.data.up)
+        return ShapeFolder.open(root, description, up=recipe.data.up)
     except DataError as error:  # training needs none, so that an incomplete one does not matter
         _log.warning("no scores, though [validation] score_every is %d: %s", recipe.validation.score_every, error)
         return None

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from homolog.datasets import SetDescription
 from homolog.errors import ArgumentError, TrainingError, needs_extra
 from homolog.files import expanded
 from homolog.geometry import OperatorCache
@@ -48,6 +49,7 @@ def train(
     data: str | Path,
     run: str | Path,
     *,
+    description: SetDescription | None = None,
     resume: bool = False,
     weights: str | Path | None = None,
     device: Device = "auto",
@@ -67,6 +69,7 @@ def train(
         recipe: what to do.
         data: a folder; see ``TrainingSet.open``.
         run: the folder to write; see ``RunFolder``.
+        description: of the set in ``data``; by default the folder is one's own.
         resume: go on from the latest checkpoint in ``run``, or begin where there is none.
         weights: to begin with, a file or the name of some that ship; random ones by default.
         device: where to compute.
@@ -86,7 +89,8 @@ def train(
         WeightsError: if there are no such weights, or they are of another network than the recipe's.
         MissingExtraError: without the packages of the extra ``train``.
     """
-    shapes = TrainingSet.open(data, recipe)
+    recipe = recipe.for_set(description)
+    shapes = TrainingSet.open(data, recipe, description)
     folder = RunFolder(expanded(run), recipe, shapes)
     fabric = _fabric(recipe, device, processes, machines)
     with contextlib.ExitStack() as until_the_end:

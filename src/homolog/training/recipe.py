@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from homolog.datasets import Split
-from homolog.errors import bad_choice, bad_value
+from homolog.datasets import SetDescription, Split
+from homolog.errors import ArgumentError, bad_choice, bad_value
 from homolog.files import expanded
 from homolog.geometry import OperatorSettings
 from homolog.network import AugmentationSettings, NetworkSettings
@@ -31,20 +31,22 @@ class DataSettings:
     Args:
         split: of a folder with ``off/``: ``"train"``, ``"test"`` or ``"all"``; other folders are used whole.
         leave_out: patterns such as ``"*_shape_1?"``; shapes with such names are neither trained nor validated on.
-        up: which axis of the files points up; shapes are turned so that +y does.
+        up: which axis of the files points up; shapes are turned so that +y does. Left out, it is the one that the
+            set's description names, and y where there is none.
         memory_gb: how much memory the prepared shapes may take; those beyond are read again from the disk cache.
         workers: threads that read and sample shapes while the steps before theirs are computed.
     """
 
     split: Split = "train"
     leave_out: tuple[str, ...] = ()
-    up: Up = "y"
+    up: Up | None = None
     memory_gb: float = 4.0
     workers: int = 1
 
     def __post_init__(self) -> None:
         _choose("split", self.split, Split)
-        _choose("up", self.up, Up)
+        if self.up is not None:
+            _choose("up", self.up, Up)
         _require("memory_gb", self.memory_gb, _positive, "a positive number of gigabytes")
         _require("workers", self.workers, _positive, "at least 1")
 
@@ -199,17 +201,32 @@ class PartialSettings:
 
     Where the data has the two folders, a part's partner is the complete shape whose name its own contains; otherwise
     any two shapes make a pair, or those that ``pairs.txt`` lists. The one with the larger area is the complete one.
+    What is left out is as the set's description says.
 
     Args:
-        complete: the folder of the complete shapes.
-        parts: the folder of the partial ones.
-        in_place: parts lie in the coordinates of their complete shapes, about where they belong. Otherwise only their
-            form counts, and the positions of each are around its own middle.
+        complete: the folder of the complete shapes; ``"null"`` where nothing says otherwise.
+        parts: the folder of the partial ones; ``"cuts"`` where nothing says otherwise.
+        in_place: parts lie in the coordinates of their complete shapes, about where they belong. Otherwise, as where
+            nothing says so, only their form counts, and the positions of each are around its own middle.
     """
 
-    complete: str = "null"
-    parts: str = "cuts"
-    in_place: bool = False
+    complete: str | None = None
+    parts: str | None = None
+    in_place: bool | None = None
+
+    def for_set(self, described: SetDescription) -> PartialSettings:
+        """These settings with nothing left out.
+
+        Raises:
+            ArgumentError: if they name other folders than the description.
+        """
+        complete, parts = described.folders if described.complete else (self.complete or "null", self.parts or "cuts")
+        for key, given, wanted in (("complete", self.complete, complete), ("parts", self.parts, parts)):
+            if given not in (None, wanted):
+                raise ArgumentError(
+                    f"[partial] {key} is {given!r}, but {described.name} has {wanted!r}; leave it out of the recipe"
+                )
+        return PartialSettings(complete, parts, described.in_place if self.in_place is None else self.in_place)
 
 
 @dataclass(frozen=True)
@@ -263,6 +280,16 @@ class Recipe:
             lambda points: points == 0 or points >= 2 * n,
             f"0 for all, or at least twice [operators] n_eigenpairs, {2 * n}",
         )
+
+    def for_set(self, description: SetDescription | None = None) -> Recipe:
+        """The recipe for a set, or for a folder of one's own: with what it leaves to the description filled in.
+
+        Raises:
+            ArgumentError: if it names other folders of parts than the description.
+        """
+        described = description or SetDescription()
+        data = replace(self.data, up=self.data.up or described.up)
+        return replace(self, data=data, partial=self.partial and self.partial.for_set(described))
 
 
 def read_recipe(recipe: str | Path) -> Recipe:

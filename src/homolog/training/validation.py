@@ -55,7 +55,7 @@ def scores(
     """
     with atomic_path(listed) as temporary:
         temporary.write_text("".join(f"{source},{target}\n" for source, target in pairs), encoding="utf-8")
-    in_place = partial is not None and partial.in_place
+    in_place = partial is not None and bool(partial.in_place)
     protocol = Protocol(pairs_file=str(listed), partial=partial is not None, in_place=in_place)
     try:
         found = {way: evaluate(matcher, folder, replace(protocol, modality=way)) for way in _SCORED}
