@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tarfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +25,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import homolog
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.geometry.operators import compressed_rows
-from homolog.shapes import Shape, read_shape
+from homolog.shapes import Shape, read_shape, write_shape
 
 # The same examples on every run, and no failure because a machine is slow.
 settings.register_profile("homolog", derandomize=True, deadline=None)
@@ -198,6 +199,75 @@ def demo_operators(demo: DemoPair) -> tuple[Operators, Operators]:
     """The operators of both bundled bodies, with 60 eigenpairs."""
     wanted = OperatorSettings(n_eigenpairs=60)
     return compute_operators(demo.amber, settings=wanted), compute_operators(demo.boris, settings=wanted)
+
+
+def write_rows(path: Path, rows: np.ndarray) -> None:
+    """A file with a row a line, numbers as they come."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(" ".join(f"{value:.17g}" for value in np.atleast_1d(row)) + "\n" for row in rows))
+
+
+@pytest.fixture
+def parts_set(tmp_path: Path, make: Makers) -> tuple[Path, dict[str, tuple[str, np.ndarray, np.ndarray]]]:
+    """Two complete shapes and three parts laid out as SHREC'16 has them; where each point of a part lies is known.
+
+    Returns:
+        The folder, and per part its complete shape's name, the triangle (from 0) and the weights of each point.
+    """
+    root, known = tmp_path / "parts", {}
+    rng = np.random.default_rng(0)
+    for below in ("null", "cuts"):
+        (root / below).mkdir(parents=True)
+    complete = {"cat": make.blob(2), "dog": make.sphere(2, radius=30)}
+    for name, shape in complete.items():
+        write_shape(root / "null" / f"{name}.off", shape)
+    for name, partner, n_faces in (
+        ("cuts_cat_shape_1", "cat", 60),
+        ("cuts_dog_shape_1", "dog", 90),
+        ("cuts_dog_2", "dog", 40),
+    ):
+        whole = complete[partner]
+        middles = whole.points[whole.faces].mean(axis=1)
+        triangles = np.argsort(middles[:, 2])[:n_faces]
+        weights = rng.dirichlet([1, 1, 1], size=n_faces)
+        points = np.einsum("ij,ijk->ik", weights, whole.points[whole.faces[triangles]])
+        faces = np.stack([np.arange(n_faces), np.roll(np.arange(n_faces), 1), np.roll(np.arange(n_faces), 2)], axis=1)
+        write_shape(root / "cuts" / f"{name}.off", Shape(points, faces))
+        write_rows(root / "cuts" / f"{name}.baryc_gt", np.column_stack([triangles + 1, weights]))
+        known[name] = (partner, triangles, weights)
+    return root, known
+
+
+@pytest.fixture
+def clouds_set(tmp_path: Path) -> tuple[Path, dict[str, np.ndarray]]:
+    """Three clouds of 50 points laid out as the lungs are: row i is the same point in each, and in no other place."""
+    root, rng = tmp_path / "clouds", np.random.default_rng(1)
+    root.mkdir()
+    base = rng.standard_normal((50, 3)) * [10, 20, 30]
+    clouds = {}
+    for number, name in enumerate(("A", "B", "C")):
+        clouds[name] = base * (1 + 0.1 * number) + number
+        rows = "".join(",".join(f"{value:.17g}" for value in row) + "\n" for row in clouds[name])
+        (root / f"landmarks{name}.csv").write_text("# x,y,z\n" + rows)
+    return root, clouds
+
+
+@pytest.fixture(scope="session")
+def benchmark_set(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """``benchmark_set("FAUST_r")``: below ``HOMOLOG_BENCHMARKS``, or unpacked from ``../shared/data``."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    unpacked = Path(os.environ.get("HOMOLOG_BENCHMARKS") or tmp_path_factory.mktemp("benchmarks"))
+
+    def folder(name: str) -> Path:
+        if not (unpacked / name).is_dir():
+            archive = beside / f"{name}.tar.xz"
+            if "HOMOLOG_BENCHMARKS" in os.environ or not archive.is_file():
+                pytest.skip(f"no {name} at {unpacked} or {archive}; set HOMOLOG_BENCHMARKS")
+            with tarfile.open(archive) as tar:
+                tar.extractall(unpacked, filter="data")
+        return unpacked / name
+
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -170,3 +172,22 @@ def test_smoothed_positions_are_the_projection_onto_the_lowest_functions(blob: O
     np.testing.assert_allclose(smoothed_positions(blob), phi @ fit, atol=1e-5)
     constant = smoothed_positions(blob, n_eigenpairs=1)
     np.testing.assert_allclose(constant, constant[:1].expand(blob.n_points, 3), atol=1e-6)
+
+
+def test_a_last_point_without_neighbours_is_covered_by_itself_alone(blob):
+    """Its rows and columns of the Laplacian are empty; on the others nothing changes."""
+    n = len(blob.mass)
+    laplacian = torch.sparse_csr_tensor(
+        torch.cat([blob.laplacian.crow_indices(), blob.laplacian.crow_indices()[-1:]]),
+        blob.laplacian.col_indices(),
+        blob.laplacian.values(),
+        size=(n + 1, n + 1),
+        check_invariants=True,
+    )
+    mean = blob.mass.mean()
+    lonely = replace(blob, laplacian=laplacian, mass=torch.cat([blob.mass, mean[None]]))
+    target = torch.arange(n)
+    density = coverage_density(lonely, blob.mass, target)
+    torch.testing.assert_close(density[:n], torch.ones(n), atol=1e-4, rtol=0)
+    assert density[n] == 0
+    assert coverage_density(lonely, mean[None], torch.tensor([n]))[n] == pytest.approx(1)

@@ -88,7 +88,8 @@ def coverage_density(
     spacing = np.sqrt(own.sum() / len(own))
     laplacian = complete.laplacian.cpu()
     sparse = csc_matrix(
-        (laplacian.values().double().numpy(), laplacian.col_indices().numpy(), laplacian.crow_indices().numpy())
+        (laplacian.values().double().numpy(), laplacian.col_indices().numpy(), laplacian.crow_indices().numpy()),
+        shape=laplacian.shape,  # the last point may have no entry
     )
     heat = splu((diags(own) + (_COVERAGE_SPACINGS * spacing) ** 2 * sparse).tocsc(), permc_spec="MMD_AT_PLUS_A")
     return torch.from_numpy(heat.solve(pushed)).to(complete.mass)
