@@ -17,6 +17,7 @@ from homolog.cli import demo as demo_module
 from homolog.cli import doctor as doctor_module
 from homolog.cli import evaluate as evaluate_module
 from homolog.cli.options import check_file
+from homolog.errors import DataError
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
 from homolog.training import adapt_to_pair
@@ -71,6 +72,7 @@ def test_evaluate(homolog, data, tmp_path):
         "pairs_file": None,
         "n_pairs": None,
         "partial": False,
+        "in_place": False,
         "noise": 0.0,
         "seed": 0,
     }
@@ -239,6 +241,92 @@ def test_negative_noise(homolog, data):
     assert "--noise" in ended.err
 
 
+# ---- sets by their names
+
+
+def test_evaluate_parts_as_their_set_has_them(homolog, parts_set, tmp_path, monkeypatch):
+    """What the description says is taken where no option says otherwise."""
+    root, _ = parts_set
+    asked = []
+
+    def noted(matcher, folder, protocol, **options):
+        asked.append((folder.up, protocol.partial, protocol.in_place, protocol.modality))
+        raise DataError("enough")
+
+    monkeypatch.setattr(evaluate_module, "evaluate_folder", noted)
+    for options in (
+        [],
+        ["--up", "x"],
+        ["--whole"],
+        ["--not-in-place"],
+        ["--modality", "cloud"],
+        ["--whole", "--partial", "--in-place"],
+    ):
+        assert homolog("evaluate", root, "--set", "shrec16_cuts", *options).is_one_line_of_complaint()
+    assert asked == [
+        ("z", True, True, "mesh"),
+        ("x", True, True, "mesh"),
+        ("z", False, False, "mesh"),
+        ("z", True, False, "mesh"),
+        ("z", True, True, "cloud"),
+        ("z", True, True, "mesh"),
+    ]
+    ended = homolog("evaluate", root, "--set", "shrec16_cuts", "--whole", "--in-place")
+    assert ended.is_one_line_of_complaint() and "in_place is for parts" in ended.err
+
+
+def test_evaluate_parts(homolog, data, tmp_path):
+    """The half of a blob against the whole, with the points that have no counterpart."""
+    whole = read_shape(data / "off" / "one.off")
+    for place in ("null", "cuts"):
+        (tmp_path / place).mkdir()
+    write_shape(tmp_path / "null" / "blob.off", whole)
+    kept = np.flatnonzero(whole.points[:, 0] > -0.2)
+    index = np.full(whole.n_points, -1)
+    index[kept] = np.arange(len(kept))
+    faces = index[whole.faces]
+    write_shape(tmp_path / "cuts" / "cuts_blob_1.off", Shape(whole.points[kept], faces[(faces >= 0).all(axis=1)]))
+    rows = [
+        next((f + 1, *(whole.faces[f] == point)) for f in np.flatnonzero((whole.faces == point).any(axis=1)))
+        for point in kept
+    ]
+    (tmp_path / "cuts" / "cuts_blob_1.baryc_gt").write_text("".join("{} {:d} {:d} {:d}\n".format(*row) for row in rows))
+    ended = homolog("evaluate", tmp_path, "--set", "shrec16_cuts", "--json", tmp_path / "score.json")
+    assert ended.code == 0, ended
+    assert "shrec16_cuts, mesh, partial, in place" in ended.out
+    found = strictly((tmp_path / "score.json").read_text())
+    assert (found["set"], found["up"], found["pairs"][0]["points"]) == ("shrec16_cuts", "z", len(kept))
+    figures = found["without_counterpart"]
+    assert figures["true"] > 10
+    assert f"precision {figures['precision']:.3f}, recall {figures['recall']:.3f}, F1 {figures['f1']:.3f}" in ended.out
+
+
+def test_evaluate_clouds_in_their_own_unit(homolog, clouds_set, tmp_path, caplog):
+    root, _ = clouds_set
+    ended = homolog("evaluate", root, "--set", "lungs", "--n-pairs", 1, "--json", tmp_path / "score.json")
+    assert ended.code == 0, ended
+    assert "has 3 shapes, but lungs has 48; homolog data check lungs says which differ." in caplog.text
+    found = strictly((tmp_path / "score.json").read_text())
+    assert (found["unit"], found["protocol"]["modality"]) == ("mm", "cloud")
+    assert f"mean straight error in mm │ {found['mean_straight_error']:.2f}" in " ".join(ended.out.split())
+    assert "geodesic" not in ended.out
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("shrec16", r"set is 'shrec16', but must be one of .*did you mean 'shrec1"),
+        ("shrec16_cuts", r"no shapes; put them at .*cuts/NAME\.off"),
+        ("luna16", "holds volumes; make surfaces of them with homolog volume surface"),
+        ("surreal_5k", "no shapes in split 'test'; use another split, or 'all'"),
+    ],
+)
+def test_sets_that_are_not_there_are_one_line(homolog, data, name, said, caplog):
+    ended = homolog("evaluate", data, "--set", name, "--quiet")
+    assert ended.is_one_line_of_complaint(), ended
+    assert re.search(said, ended.err)
+
+
 # ---- info
 
 
@@ -342,7 +430,7 @@ def test_demo_fails_if_the_maps_are_bad(homolog, tmp_path, monkeypatch):
     assert "something is wrong" in ended.err
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "synth views", "synth part"])
+@pytest.mark.parametrize("command", [*COMMANDS, "synth views", "synth part", "data list", "data show", "data check"])
 def test_help_shows_an_example(homolog, command):
     ended = homolog(*command.split(), "--help")
     assert (ended.code, ended.err) == (0, "")
@@ -354,7 +442,7 @@ def test_help_shows_an_example(homolog, command):
 def test_help_names_every_command(homolog):
     ended = homolog("--help")
     assert ended.code == 0
-    for command in [*COMMANDS, "synth"]:
+    for command in [*COMMANDS, "synth", "data"]:
         assert f" {command} " in ended.out
 
 

@@ -2,13 +2,16 @@
 
 import itertools
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from homolog.errors import DataError
+from homolog.datasets import SetDescription, read_description
+from homolog.errors import ArgumentError, DataError
 from homolog.shapes import read_shape, stand_upright, write_shape
 from homolog.training.data import TrainingSet
+from homolog.training.recipe import PartialSettings, read_recipe
 
 
 @pytest.fixture
@@ -98,6 +101,59 @@ def test_without_ground_truth_or_lists_nothing_is_kept_for_a_test(meshes, tmp_pa
     assert TrainingSet.open(tmp_path, recipe).names == ("ape", "bee", "cat", "dog")
     (tmp_path / "train.txt").write_text("ape\ncat\ndog\n")
     assert TrainingSet.open(tmp_path, recipe).names == ("ape", "cat", "dog")
+
+
+def test_a_described_set_leaves_its_test_out(meshes, small):
+    described = SetDescription(name="mine", split="last", n_test=1, up="x")
+    found = TrainingSet.open(meshes, small(data={"split": "train"}, validation={"score_every": 1}), described)
+    assert found.names == ("ape", "bee", "cat")
+    assert found.up == found.truth.up == "x"
+    assert TrainingSet.open(meshes, small(data={"split": "train", "up": "z"}), described).up == "z"
+    assert TrainingSet.open(
+        meshes, small(data={"split": "test"}, validation={"shapes": 0}), replace(described, n_test=2)
+    ).names == (
+        "cat",
+        "dog",
+    )
+
+
+def test_parts_of_a_described_set(parts_set, small):
+    root, known = parts_set
+    described = read_description("shrec16_cuts")
+    recipe = small(data={"split": "train"}, partial={}, validation={"score_every": 1})
+    found = TrainingSet.open(root, recipe, described)
+    assert set(found.pairs) == {(partner, name) for name, (partner, *_) in known.items()}
+    assert found.up == "z" and found.truth.description == described
+    assert found.files["dog"] == root / "null" / "dog.off"
+    assert recipe.for_set(described).partial.in_place is True
+    assert small(partial={"in_place": False}).for_set(described).partial.in_place is False
+    assert recipe.for_set().partial == PartialSettings("null", "cuts", False)
+    with pytest.raises(ArgumentError, match="shrec16_cuts is a set of parts"):
+        TrainingSet.open(root, small(), described)
+    with pytest.raises(ArgumentError, match=r"\[partial\] complete is 'whole', but shrec16_cuts has 'null'"):
+        TrainingSet.open(root, small(partial={"complete": "whole"}), described)
+
+
+def test_recipes_for_shrec16_name_the_folders_of_its_sets():
+    for kind in ("cuts", "holes"):
+        recipe = read_recipe(kind)
+        own, described = recipe.for_set(), recipe.for_set(read_description(f"shrec16_{kind}"))
+        assert (own.partial.complete, own.partial.parts, own.data.up) == ("null", kind, "z")
+        assert (described.partial.complete, described.partial.parts, described.data.up) == ("null", kind, "z")
+
+
+def test_shapes_of_one_class_make_a_pair(tmp_path, meshes, small):
+    (tmp_path / "off").mkdir()
+    for name, source in (("cat1", "ape"), ("cat2", "bee"), ("dog1", "cat"), ("dog2", "dog")):
+        shutil.copy(meshes / "off" / f"{source}.off", tmp_path / "off" / f"{name}.off")
+    described = SetDescription(pairs="same-class", truth="none", split="train")
+    found = TrainingSet.open(tmp_path, small(data={"split": "train"}), described)
+    assert set(found.pairs) == {("cat1", "cat2"), ("cat2", "cat1"), ("dog1", "dog2"), ("dog2", "dog1")}
+
+
+def test_sets_for_testing_alone_are_not_trained_on(meshes, small):
+    with pytest.raises(DataError, match="no shapes in split 'train'"):
+        TrainingSet.open(meshes, small(data={"split": "train"}), SetDescription(split="test"))
 
 
 @pytest.mark.parametrize("up", ["x", "z"])

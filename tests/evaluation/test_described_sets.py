@@ -1,0 +1,253 @@
+"""Sets of parts and of clouds by the protocol, against direct computation, with matchers told what to answer."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import dijkstra
+
+from homolog.datasets import ShapeFolder
+from homolog.errors import DataError
+from homolog.evaluation import Detection, Protocol, evaluate
+from homolog.matching import Correspondence, Matcher
+from homolog.shapes import Shape, read_shape, stand_upright, upright_rotation, write_shape
+
+PARTS = Protocol(partial=True, in_place=True)
+
+
+@dataclass
+class Ready:
+    """What the stub prepares: the shape it was given."""
+
+    shape: Shape
+    modality: str
+
+    @property
+    def name(self):
+        return Path(self.shape.name).stem
+
+
+class Stub:
+    """Answers by functions of the two prepared shapes: per target point a source point, and the other way."""
+
+    def __init__(self, back, forth=None):
+        self.back, self.forth = back, forth
+        self.prepared, self.frames, self.matched = [], [], []
+
+    def prepare(self, shape, *, as_cloud=False, length=None, centre=None):
+        self.prepared.append(shape)
+        self.frames.append((length, centre))
+        return Ready(shape, "cloud" if as_cloud else "mesh")
+
+    def route(self, source, target):
+        return "features"
+
+    def match_prepared(self, source, target, *, partial=None):
+        self.matched.append((source.name, target.name, partial))
+        back = np.asarray(self.back(source, target))
+        forth = np.zeros(source.shape.n_points, int) if self.forth is None else self.forth(source, target)
+        return Correspondence(forth, back, np.zeros(len(forth)), np.ones(len(back)), "features")
+
+
+def distances_along_edges(shape):
+    """Between all points, edges taken from the faces one by one, over the root of the area."""
+    graph, area = np.zeros((shape.n_points, shape.n_points)), 0.0
+    for corners in shape.faces:
+        a, b, c = shape.points[corners]
+        area += np.linalg.norm(np.cross(b - a, c - a)) / 2
+        for i in range(3):
+            p, q = corners[i], corners[i - 1]
+            graph[p, q] = graph[q, p] = np.linalg.norm(shape.points[p] - shape.points[q])
+    return dijkstra(graph) / np.sqrt(area)
+
+
+def random_answer(source, target):
+    seed = source.shape.n_points + target.shape.n_points
+    return np.random.default_rng(seed).integers(0, source.shape.n_points, target.shape.n_points)
+
+
+# ---- parts
+
+
+def test_parts_are_scored_on_their_complete_shapes(parts_set):
+    root, known = parts_set
+    folder, stub = ShapeFolder.open(root, "shrec16_cuts"), Stub(random_answer)
+    found = evaluate(stub, folder, PARTS)
+    assert stub.matched == [(partner, name, "target") for name, (partner, *_) in sorted(known.items())]
+    for pair in found.pairs:
+        complete, part = (read_shape(folder.file(name)) for name in pair.pair)
+        _, triangles, weights = known[pair.pair[1]]
+        truth = [complete.faces[t][np.argmax(w)] for t, w in zip(triangles, weights, strict=True)]
+        mapped = random_answer(Ready(complete, ""), Ready(part, ""))
+        np.testing.assert_allclose(pair.errors, distances_along_edges(complete)[truth, mapped], rtol=1e-9)
+    every = np.concatenate([pair.errors for pair in found.pairs])
+    assert found.to_dict()["mean_geodesic_error"] == pytest.approx(100 * every.mean())
+    assert found.to_dict()["unit"] == "sqrt(area) / 100"
+
+
+def test_a_perfect_map_of_parts_has_no_error(parts_set):
+    root, _ = parts_set
+    folder = ShapeFolder.open(root, "shrec16_cuts")
+
+    def truth(source, target):
+        return folder.ground_truth().between(source.name, target.name).source
+
+    assert np.all(evaluate(Stub(truth), folder, PARTS).errors == 0)
+
+
+def test_parts_take_unit_and_place_of_their_complete_shapes_stood_upright(parts_set):
+    root, _ = parts_set
+    stub = Stub(random_answer)
+    evaluate(stub, ShapeFolder.open(root, "shrec16_cuts"), PARTS)
+    for shape, (length, centre) in zip(stub.prepared, stub.frames, strict=True):
+        name = Path(shape.name).stem
+        place = "null" if name in ("cat", "dog") else "cuts"
+        standing = stand_upright(read_shape(root / place / f"{name}.off"), "z")
+        np.testing.assert_array_equal(shape.points, standing.points)
+        if place == "cuts":
+            partner = stand_upright(read_shape(root / "null" / f"{name.split('_')[1]}.off"), "z")
+            a, b, c = (partner.points[partner.faces[:, i]] for i in range(3))
+            assert length == pytest.approx(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2))
+            np.testing.assert_allclose(centre, partner.points.mean(axis=0), atol=1e-9)
+        else:
+            assert length is centre is None
+
+
+def test_points_without_a_counterpart_are_counted_over_all_pairs(parts_set):
+    root, known = parts_set
+    folder = ShapeFolder.open(root, "shrec16_cuts")
+
+    def every_third_is_missing(source, target):
+        return np.where(np.arange(source.shape.n_points) % 3 == 0, -1, 0)
+
+    found = evaluate(Stub(random_answer, every_third_is_missing), folder, PARTS)
+    counts = np.zeros(3, int)
+    for name, (partner, triangles, weights) in known.items():
+        whole = read_shape(root / "null" / f"{partner}.off")
+        edge = np.mean(
+            [np.linalg.norm(whole.points[f[i]] - whole.points[f[i - 1]]) for f in whole.faces for i in range(3)]
+        )
+        places = [w @ whole.points[whole.faces[t]] for t, w in zip(triangles, weights, strict=True)]
+        lacks = [min(np.linalg.norm(point - place) for place in places) > edge for point in whole.points]
+        said = [number % 3 == 0 for number in range(whole.n_points)]
+        own = sum(said), sum(lacks), sum(a and b for a, b in zip(said, lacks, strict=True))
+        assert next(pair for pair in found.pairs if pair.pair[1] == name).missing == Detection(*own)
+        counts += own
+    precision, recall = counts[2] / counts[0], counts[2] / counts[1]
+    figures = found.to_dict()["without_counterpart"]
+    assert figures["precision"] == pytest.approx(precision)
+    assert figures["recall"] == pytest.approx(recall)
+    assert figures["f1"] == pytest.approx(2 * precision * recall / (precision + recall))
+    assert [figures[key] for key in ("found", "true", "both")] == counts.tolist()
+
+
+def test_whole_shapes_have_no_such_figures(parts_set):
+    root, _ = parts_set
+    found = evaluate(Stub(random_answer), ShapeFolder.open(root, "shrec16_cuts"), Protocol())
+    assert found.missing is None
+    assert "without_counterpart" not in found.to_dict()
+
+
+def test_common_points_tell_what_a_part_lacks(tmp_path, make):
+    """Of five common points of the complete shape, two are -1 on the part; the match says so of one, and of another."""
+    (tmp_path / "off").mkdir()
+    (tmp_path / "corres").mkdir()
+    for name, lines in (("a", "5 6 7 8 9"), ("b", "1 -1 3 4 -1")):
+        write_shape(tmp_path / "off" / f"{name}.off", make.sphere(1))
+        (tmp_path / "corres" / f"{name}.vts").write_text(lines.replace(" ", "\n"))
+    (tmp_path / "pairs.txt").write_text("a,b\n")
+
+    def forth(source, target):
+        found = np.zeros(42, int)
+        found[[5, 7, 20]] = -1  # common points 2 and 4 of five, and a point of which nothing is known
+        return found
+
+    found = evaluate(Stub(lambda s, t: np.zeros(42, int), forth), ShapeFolder.open(tmp_path), Protocol(partial=True))
+    assert found.missing == Detection(found=2, true=2, both=1)
+
+
+def test_figures_that_are_not_defined_are_none():
+    nothing = Detection(0, 0, 0)
+    assert (nothing.precision, nothing.recall, nothing.f1) == (None, None, None)
+    assert Detection(4, 0, 0).to_dict() == {
+        "precision": 0.0,
+        "recall": None,
+        "f1": 0.0,
+        "found": 4,
+        "true": 0,
+        "both": 0,
+    }
+    assert Detection(1, 2, 3) + Detection(10, 20, 30) == Detection(11, 22, 33)
+
+
+# ---- clouds
+
+
+def rows_of(clouds, prepared):
+    """Which row of its file each point is, by where it lies; the files are z-up."""
+    file = clouds[prepared.name.removeprefix("landmarks")]
+    points = prepared.shape.points @ upright_rotation("z")
+    return [int(np.argmin(np.linalg.norm(file - point, axis=1))) for point in points]
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_clouds_are_shuffled_before_they_are_matched_and_scored_in_their_own_unit(clouds_set, seed):
+    root, clouds = clouds_set
+
+    def next_row(source, target):
+        """By rows of the files: each point to the true one's successor."""
+        ours, theirs = rows_of(clouds, source), rows_of(clouds, target)
+        return [ours.index((row + 1) % 50) for row in theirs]
+
+    found = evaluate(Stub(next_row), ShapeFolder.open(root, "lungs"), Protocol(modality="cloud", seed=seed))
+    assert len(found.pairs) == 9
+    for pair in found.pairs:
+        file = clouds[pair.pair[0]]
+        expected = np.linalg.norm(file - np.roll(file, -1, axis=0), axis=1)
+        np.testing.assert_allclose(np.sort(pair.errors), np.sort(expected))
+    figures = found.to_dict()
+    assert figures["unit"] == "mm"
+    assert figures["mean_straight_error"] == pytest.approx(found.errors.mean())
+    assert figures["median_straight_error"] == pytest.approx(np.median(found.errors))
+    assert not [key for key in figures if "geodesic" in key or "pck" in key]
+    assert "mean_straight_error" in figures["pairs"][0]
+
+
+def test_the_numbering_of_clouds_gives_nothing_away(clouds_set):
+    """What maps row i to row i has no truth in it, but on a cloud itself."""
+    root, _ = clouds_set
+    stub = Stub(lambda source, target: np.arange(50))
+    found = evaluate(stub, ShapeFolder.open(root, "lungs"), Protocol(modality="cloud"))
+    for pair in found.pairs:
+        assert np.mean(pair.errors == 0) < 0.2 or pair.pair[0] == pair.pair[1]
+    other = evaluate(stub, ShapeFolder.open(root, "lungs"), Protocol(modality="cloud", seed=1))
+    assert not np.array_equal(found.errors, other.errors)
+    again = evaluate(stub, ShapeFolder.open(root, "lungs"), Protocol(modality="cloud"))
+    np.testing.assert_array_equal(found.errors, again.errors)
+
+
+def test_the_real_matcher_takes_clouds(clouds_set):
+    root, _ = clouds_set
+    found = evaluate(Matcher(device="cpu"), ShapeFolder.open(root, "lungs"), Protocol(modality="cloud", n_pairs=1))
+    assert np.isfinite(found.errors).all()
+
+
+# ---- what can be wrong
+
+
+def test_all_truth_is_looked_at_before_anything_is_matched(parts_set):
+    root, _ = parts_set
+    (root / "cuts" / "cuts_dog_shape_1.baryc_gt").write_text("1 1 0 0\n")
+    stub = Stub(random_answer)
+    with pytest.raises(DataError, match="has 1 lines, but cuts_dog_shape_1 has 90 points"):
+        evaluate(stub, ShapeFolder.open(root, "shrec16_cuts"), PARTS)
+    assert stub.prepared == []
+
+
+def test_a_set_without_truth_is_not_scored(parts_set):
+    root, _ = parts_set
+    folder = ShapeFolder.open(root, "shrec16_cuts")
+    described = replace(folder.description, truth="none", complete="", pairs="every", partial=False, in_place=False)
+    with pytest.raises(DataError, match="this set has no ground truth"):
+        evaluate(Stub(random_answer), ShapeFolder.open(root, described), Protocol())
