@@ -2,6 +2,7 @@
 
 import itertools
 import re
+from pathlib import Path
 
 import pytest
 
@@ -44,6 +45,11 @@ def test_all_are_there_and_say_where_to_get_what_on_which_terms():
         assert all([one.title, one.citation, one.source, one.terms]), one.name
         assert one.name in ("own", "lungs") or "https://" in one.source or "http://" in one.source
         assert read_description(one.name) == read_description(one.name.upper()) == one
+
+
+def test_the_table_for_people_has_every_set():
+    table = (Path(__file__).parents[2] / "docs" / "data.md").read_text(encoding="utf-8")
+    assert {one.name for one in shipped_descriptions()} <= set(re.findall(r"`(\w+)`", table))
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
