@@ -10,6 +10,7 @@ from homolog.maps.functional_map import (
 )
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
 from homolog.maps.refinement import guided_zoom_out, guided_zoom_out_to_part
+from homolog.maps.rigid import rigid_motion
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "normalised",
     "point_map_from_functional_map",
     "resolvent_mask",
+    "rigid_motion",
     "sinkhorn_matches",
     "smoothed_positions",
     "wave_kernel_signature",

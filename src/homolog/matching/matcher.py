@@ -42,6 +42,7 @@ from homolog.matching.checks import (
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.map_problem import MapProblem
 from homolog.matching.orientation import axiomatic_warnings, orientation_warnings
+from homolog.matching.placement import placed
 from homolog.matching.prepared import PointMaps, Prepared
 from homolog.matching.settings import AsCloud, Device, MatcherSettings, Side, choose_device
 from homolog.network import DiffusionNet, WeightsInfo, load_weights
@@ -210,7 +211,11 @@ class Matcher:
         check_kind("operators", operators, Operators)
         if self.network is None:
             return axiomatic_descriptors(operators)
-        features: Tensor = self.network(operators.points, operators)
+        return self._features_at(self.network, operators, operators.points)
+
+    @staticmethod
+    def _features_at(network: DiffusionNet, operators: Operators, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
+        features: Tensor = network(points, operators)
         # Of debris the network knows the position alone: it must not look like anything.
         return features * operators.reached[:, None]
 
@@ -343,6 +348,8 @@ class Matcher:
         if partial == "source":
             return self.match_prepared(target, source, partial="target").swapped()
         route = self.route(source.modality, target.modality)
+        if partial == "target":
+            target = self.placed(source, target)
         maps = self.point_maps(source, target, partial=partial == "target")
         forth = _debris_following(maps.source_to_target, source.operators)
         back = _debris_following(maps.target_to_source, target.operators)
@@ -358,6 +365,23 @@ class Matcher:
             target_confidence=target.repaired.to_original(target_confidence.cpu().numpy(), fill=0),
             route=route,
         )
+
+    @torch.inference_mode()
+    def placed(self, complete: Prepared, part: Prepared) -> Prepared:
+        """A part turned and shifted to where its features fit the complete shape's best, with its features there.
+
+        As it is given, where there is no network or the settings say so.
+        """
+        _check_prepared(complete, part)
+        if self.network is None or not self.settings.place:
+            return part
+        network = self.network
+
+        def features_at(points: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
+            return self._features_at(network, part.operators, points)
+
+        points = placed(part.operators.points, features_at, complete.operators.points, complete.features)
+        return replace(part, operators=replace(part.operators, points=points), features=features_at(points))
 
     @torch.inference_mode()
     def point_maps(self, source: Prepared, target: Prepared, *, partial: bool = False) -> PointMaps:

@@ -29,6 +29,7 @@ _ALLOWED: dict[str, _Rule] = {
     "temperature": (lambda value: is_real(value) and value > 0, "a finite number above 0"),
     "iterations": (is_count, "a whole number of at least 1"),
     "refine": (lambda value: isinstance(value, bool), "True or False"),
+    "place": (lambda value: isinstance(value, bool), "True or False"),
     "raw_products": (lambda value: isinstance(value, bool), "True or False"),
     "operators": (lambda value: value is None or isinstance(value, OperatorSettings), "OperatorSettings, or None"),
 }
@@ -47,6 +48,7 @@ class MatcherSettings:
         temperature: of the soft map between features.
         iterations: of Sinkhorn's algorithm.
         refine: refine the point maps that the network gives, see ``guided_zoom_out``.
+        place: turn and shift a part to where its features fit its whole's best, see ``placed``.
         raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
             here to reproduce the published code.
         operators: what operators to compute; by default those that the weights were trained with.
@@ -62,6 +64,7 @@ class MatcherSettings:
     temperature: float = 0.1
     iterations: int = 10
     refine: bool = True
+    place: bool = True
     raw_products: bool = False
     operators: OperatorSettings | None = None
 

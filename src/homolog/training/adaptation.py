@@ -74,6 +74,10 @@ def adapt_to_pair(
     """
     if matcher.network is None:
         raise ArgumentError("adapting needs a network; give weights, and another method than 'axiomatic'")
+    if partial == "source":
+        source = matcher.placed(target, source)
+    elif partial == "target":
+        target = matcher.placed(source, target)
     loss = replace(settings.loss, map_eigenpairs=matcher.map_size(partial=partial is not None))
     network = copy.deepcopy(matcher.network).requires_grad_().train()
     pairs = _training_pairs(matcher, source, target, settings, partial)

@@ -1,0 +1,79 @@
+"""Gather complete shapes and parts of several benchmarks in one folder, to train the recipe ``parts`` on.
+
+Run from the root of the checkout, with the unpacked sets::
+
+    python benchmarks/gather_parts.py MIXED --parts SHREC16 --leave-out "*_shape_1?" --complete FAUST_r SCAPE_r SMAL_r
+    homolog train parts --data MIXED --out run
+
+Parts keep their places in the coordinates of their complete shapes. Everything stands +y up, and has unit area where
+it is complete. ``MIXED/pairs.txt`` lists each part with its complete shape, and pairs of training shapes of each other
+set.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from fnmatch import fnmatch
+from pathlib import Path
+
+import numpy as np
+
+from homolog.datasets import Pair, ShapeFolder
+from homolog.geometry import Frame, unit_frame
+from homolog.shapes import Shape, read_shape, stand_upright, write_shape
+
+# Partners of each complete shape: sets with fewer shapes have more, so that each set has its share of the pairs.
+_PAIRS_PER_SET = 60
+
+
+def written(shape: Shape, frame: Frame, file: Path) -> None:
+    """Write a shape in the coordinates of a frame."""
+    write_shape(file, Shape(frame.inside(shape.points), shape.faces))
+
+
+def gather_complete(root: Path, output: Path) -> Iterator[Pair]:
+    """The training shapes of a set, in pairs drawn at random."""
+    folder, random = ShapeFolder.open(root), np.random.default_rng(0)
+    names = folder.split("train")
+    for name in names:
+        shape = folder.shape(name)
+        written(shape, unit_frame(shape), output / f"{root.name}-{name}.off")
+    for name in names:
+        others = [other for other in names if other != name]
+        for other in random.choice(others, size=max(round(_PAIRS_PER_SET / len(names)), 1), replace=False):
+            yield f"{root.name}-{name}", f"{root.name}-{other}"
+
+
+def gather_parts(root: Path, output: Path, leave_out: str) -> Iterator[Pair]:
+    """The parts of SHREC'16, in the frames of their complete shapes."""
+    frames: dict[str, Frame] = {}
+    for file in sorted((root / "null").glob("*.off")):
+        shape = stand_upright(read_shape(file), "z")
+        frames[file.stem] = unit_frame(shape)
+        written(shape, frames[file.stem], output / f"null_{file.stem}.off")
+    for file in sorted((*root.glob("cuts/*.off"), *root.glob("holes/*.off"))):
+        if not fnmatch(file.stem, leave_out):
+            kind = file.stem.split("_")[1]
+            written(stand_upright(read_shape(file), "z"), frames[kind], output / f"{file.stem}.off")
+            yield f"null_{kind}", file.stem
+
+
+def main() -> None:
+    """Gather what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("--parts", type=Path, required=True, help="SHREC16")
+    parser.add_argument("--complete", type=Path, nargs="+", default=[], help="sets of complete shapes")
+    parser.add_argument("--leave-out", default="", help="pattern of the names of parts to keep for testing")
+    arguments = parser.parse_args()
+    shapes = arguments.output / "off"
+    shapes.mkdir(parents=True)
+    pairs = list(gather_parts(arguments.parts, shapes, arguments.leave_out))
+    for root in arguments.complete:
+        pairs += gather_complete(root, shapes)
+    (arguments.output / "pairs.txt").write_text("".join(f"{x},{y}\n" for x, y in pairs), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

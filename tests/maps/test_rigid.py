@@ -1,0 +1,51 @@
+"""The rigid motion between points and their places."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from homolog.maps import rigid_motion
+
+
+def moved(points, seed):
+    rotation = torch.from_numpy(Rotation.random(random_state=seed).as_matrix()).to(points)
+    shift = torch.tensor([0.4, -1.0, 2.0]).to(points)
+    return rotation, shift, points @ rotation.T + shift
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("wrong", [0.0, 0.4])
+def test_found_exactly_though_many_places_are_wrong(seed, wrong):
+    random = torch.Generator().manual_seed(seed)
+    points = torch.randn(300, 3, generator=random, dtype=torch.float64)
+    rotation, shift, places = moved(points, seed)
+    n_wrong = int(wrong * len(points))
+    places[:n_wrong] = 3 * torch.randn(n_wrong, 3, generator=random, dtype=torch.float64)
+    found, away = rigid_motion(points, places)
+    torch.testing.assert_close(found, rotation, atol=1e-6, rtol=0)
+    torch.testing.assert_close(away, shift, atol=1e-6, rtol=0)
+
+
+def test_without_weighting_it_is_least_squares():
+    """Against scipy's own solution of Wahba's problem, with noise on the places."""
+    random = np.random.default_rng(0)
+    points = random.normal(size=(50, 3))
+    places = points @ Rotation.from_euler("xyz", [0.3, 1.0, -2.0]).as_matrix().T + random.normal(size=(50, 3))
+    found, away = rigid_motion(torch.from_numpy(points), torch.from_numpy(places), rounds=0)
+    expected, _ = Rotation.align_vectors(places - places.mean(axis=0), points - points.mean(axis=0))
+    np.testing.assert_allclose(found.numpy(), expected.as_matrix(), atol=1e-9)
+    np.testing.assert_allclose(away.numpy(), places.mean(axis=0) - expected.apply(points.mean(axis=0)), atol=1e-9)
+
+
+def test_never_a_reflection():
+    points = torch.randn(100, 3, generator=torch.Generator().manual_seed(1))
+    mirrored = points * torch.tensor([-1.0, 1.0, 1.0])
+    flat = points * torch.tensor([1.0, 1.0, 0.0])
+    for start, end in ((points, mirrored), (flat, flat @ moved(points, 2)[0].T), (points, points)):
+        rotation, _ = rigid_motion(start, end)
+        assert torch.det(rotation) == pytest.approx(1, abs=1e-5)
+        torch.testing.assert_close(rotation @ rotation.T, torch.eye(3), atol=1e-5, rtol=0)
+    rotation, shift = rigid_motion(points, points)
+    torch.testing.assert_close(rotation, torch.eye(3), atol=1e-5, rtol=0)
+    assert shift.norm() < 1e-5

@@ -1,0 +1,103 @@
+"""A part is placed where its features fit its whole's."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from homolog.geometry import compute_operators, unit_frame
+from homolog.matching import Matcher, MatcherSettings
+from homolog.network import DiffusionNet
+from homolog.shapes import Shape
+
+
+class Trained(DiffusionNet):
+    """An idea of a trained network: it knows each point, but where that lies has a say in its features, too."""
+
+    def __init__(self, *known):
+        super().__init__()
+        self.known = {len(points): torch.as_tensor(points).float() for points in known}
+
+    def forward(self, inputs, operators):
+        del operators
+        waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
+        return torch.cat([torch.sin(2 * self.known[len(inputs)] @ waves), 0.7 * torch.sin(2 * inputs @ waves)], dim=1)
+
+
+@pytest.fixture(scope="module")
+def upper(demo):
+    """A body, what of it lies above the hips, and the indices of that in it."""
+    body = demo.amber
+    height = body.points[:, 1]
+    faces = body.faces[(height[body.faces] > np.median(height)).all(axis=1)]
+    kept = np.unique(faces)
+    place = np.full(body.n_points, -1)
+    place[kept] = np.arange(len(kept))
+    return body, Shape(body.points[kept], place[faces], name="part"), kept
+
+
+@pytest.fixture(scope="module")
+def matcher_of(upper):
+    body, _, kept = upper
+    known = unit_frame(body).inside(body.points)
+
+    def build(**settings):
+        return Matcher(Trained(known, known[kept]), settings=MatcherSettings(**settings))
+
+    return build
+
+
+def displaced(upper, in_place, matcher, degrees=25.0, away=0.1):
+    """Where the points of a turned and shifted part come to lie, and the whole's points that they are."""
+    body, part, kept = upper
+    length = unit_frame(body).length
+    turn = Rotation.from_rotvec(np.deg2rad(degrees) * np.array([0.6, 0.0, 0.8])).as_matrix()
+    middle = part.points.mean(axis=0)
+    turned = Shape((part.points - middle) @ turn.T + middle + away * length, part.faces)
+    whole, prepared = matcher.prepare_pair(body, turned, partial="target", in_place=in_place)
+    return matcher.placed(whole, prepared), prepared, whole.operators.points[kept]
+
+
+@pytest.mark.parametrize("in_place", [False, True])
+def test_a_part_is_turned_and_shifted_to_its_place(upper, matcher_of, in_place):
+    matcher = matcher_of()
+    found, given, places = displaced(upper, in_place, matcher)
+    assert (given.operators.points - places).norm(dim=1).mean() > 0.1
+    assert (found.operators.points - places).norm(dim=1).mean() < 0.01
+    torch.testing.assert_close(found.features, matcher.network(found.operators.points, None))
+    lengths = [torch.pdist(each.operators.points[:200]) for each in (found, given)]
+    torch.testing.assert_close(*lengths, atol=1e-4, rtol=0)
+
+
+def test_the_better_of_two_beginnings_is_kept(upper, matcher_of):
+    """A part that says to lie in its whole's coordinates, and lies far away, begins anew from its middle."""
+    found, given, places = displaced(upper, True, matcher_of(), away=5.0)
+    assert (given.operators.points - places).norm(dim=1).mean() > 5
+    assert (found.operators.points - places).norm(dim=1).mean() < 0.01
+
+
+def test_maps_are_those_of_the_place(upper, matcher_of):
+    body, part, kept = upper
+    turned = Shape(part.points @ Rotation.from_euler("x", 30, degrees=True).as_matrix().T, part.faces)
+    error = {}
+    for place in (True, False):
+        matcher = matcher_of(place=place, method="features", refine=False)
+        found = matcher.match(body, turned, partial="target").target_to_source
+        error[place] = np.linalg.norm(body.points[found] - body.points[kept], axis=1).mean()
+        mirrored = matcher.match(turned, body, partial="source").source_to_target
+        np.testing.assert_array_equal(mirrored, found)
+    assert error[True] < 0.2 * error[False]
+
+
+def test_nothing_moves_that_need_not(upper, matcher_of):
+    body, part, _ = upper
+    matcher = matcher_of()
+    whole, prepared = matcher.prepare_pair(body, part, partial="target", in_place=True)
+    found = matcher.placed(whole, prepared)
+    assert (found.operators.points - prepared.operators.points).norm(dim=1).max() < 1e-3
+    assert matcher_of(place=False).placed(whole, prepared) is prepared
+    assert Matcher().placed(whole, prepared) is prepared
+    given = compute_operators(part, length=whole.operators.length).points
+    torch.testing.assert_close(
+        prepared.operators.points - prepared.operators.points.mean(dim=0), given, atol=1e-5, rtol=0
+    )
