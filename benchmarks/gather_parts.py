@@ -21,7 +21,7 @@ import numpy as np
 
 from homolog.datasets import Pair, ShapeFolder
 from homolog.geometry import Frame, unit_frame
-from homolog.shapes import Shape, read_shape, stand_upright, write_shape
+from homolog.shapes import Shape, write_shape
 
 # Partners of each complete shape: sets with fewer shapes have more, so that each set has its share of the pairs.
 _PAIRS_PER_SET = 60
@@ -47,16 +47,15 @@ def gather_complete(root: Path, output: Path) -> Iterator[Pair]:
 
 def gather_parts(root: Path, output: Path, leave_out: str) -> Iterator[Pair]:
     """The parts of SHREC'16, in the frames of their complete shapes."""
-    frames: dict[str, Frame] = {}
-    for file in sorted((root / "null").glob("*.off")):
-        shape = stand_upright(read_shape(file), "z")
-        frames[file.stem] = unit_frame(shape)
-        written(shape, frames[file.stem], output / f"null_{file.stem}.off")
-    for file in sorted((*root.glob("cuts/*.off"), *root.glob("holes/*.off"))):
-        if not fnmatch(file.stem, leave_out):
-            kind = file.stem.split("_")[1]
-            written(stand_upright(read_shape(file), "z"), frames[kind], output / f"{file.stem}.off")
-            yield f"null_{kind}", file.stem
+    for kind in ("shrec16_cuts", "shrec16_holes"):
+        folder = ShapeFolder.open(root, kind)
+        frames = {name: unit_frame(folder.shape(name)) for name in folder.complete}
+        for name, frame in frames.items():
+            written(folder.shape(name), frame, output / f"null_{name}.off")
+        for complete, part in folder.pairs("all"):
+            if not fnmatch(part, leave_out):
+                written(folder.shape(part), frames[complete], output / f"{part}.off")
+                yield f"null_{complete}", part
 
 
 def main() -> None:
