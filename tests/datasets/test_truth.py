@@ -210,6 +210,7 @@ def test_pairs_of_a_shape_that_is_left_out(maps_set):
     folder = ShapeFolder.open(root, described)
     assert folder.pairs("test") == (("a", "b"),)
     assert folder.pairs("all") == (("a", "b"), ("c_1", "a"))
+    assert ShapeFolder.open(root, replace(described, split="either")).pairs("train") == (("a", "b"), ("c_1", "a"))
 
 
 # ---- common points
