@@ -54,7 +54,7 @@ def needs_extra(need: str, extra: str) -> Iterator[None]:
     """
     try:
         yield
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise MissingExtraError(need, str(error.name).partition(".")[0], extra) from None
 
 

@@ -150,6 +150,22 @@ def test_points_left_out_are_told_from_those_without_a_counterpart(homolog, file
     assert matched["target_points_left_out"] == 162 - len(np.unique(upper))
 
 
+def test_a_part_in_place_is_matched_as_such(homolog, files, tmp_path, monkeypatch):
+    asked = []
+    prepare_pair = Matcher.prepare_pair
+
+    def spy(self, *shapes, **options):
+        asked.append(options["in_place"])
+        return prepare_pair(self, *shapes, **options)
+
+    monkeypatch.setattr(Matcher, "prepare_pair", spy)
+    common = (files.mesh, files.other, "--weights", files.weights, "--partial", "target", "-q")
+    for number, options in enumerate(((), ("--in-place",))):
+        assert homolog("match", *common, "-o", tmp_path / str(number), *options).code == 0
+        assert report(tmp_path / str(number))["options"]["in_place"] is bool(number)
+    assert asked == [False, True]
+
+
 def test_part_scale(homolog, files, tmp_path):
     """A part in other units than the whole: warned of, refused as strict, and put right by the factor."""
     clean = read_shape(files.other)

@@ -109,3 +109,11 @@ def test_a_missing_package_is_one_line(homolog, data, recipe, tmp_path, monkeypa
     assert ended.is_one_line_of_complaint()
     assert "pip install 'homolog[train]'" in ended.err
     assert not (tmp_path / "run").exists()
+
+
+def test_weights_to_begin_with(homolog, data, recipe, tmp_path):
+    ended = homolog(
+        "train", recipe, "--data", data, "--out", tmp_path / "run", "--weights", tmp_path / "none.safetensors"
+    )
+    assert ended.is_one_line_of_complaint()
+    assert "none.safetensors" in ended.err

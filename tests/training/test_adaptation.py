@@ -11,7 +11,7 @@ from homolog.geometry import OperatorSettings
 from homolog.matching import Matcher, MatcherSettings
 from homolog.network import DiffusionNet, NetworkSettings, WeightsInfo
 from homolog.shapes import Shape
-from homolog.training import AdaptationSettings, LossSettings, TrainingShape, adapt_to_pair, pair_losses
+from homolog.training import AdaptationSettings, LossSettings, TrainingShape, adapt_to_pair, adaptation, pair_losses
 from homolog.training.recipe import OptimiserSettings, SampleSettings
 
 SETTINGS = AdaptationSettings(
@@ -102,3 +102,32 @@ def test_a_loss_that_is_not_finite_is_named(matcher, shapes):
     wild = replace(SETTINGS, optimiser=OptimiserSettings(learning_rate=1e30))
     with pytest.raises(TrainingError, match="not finite"):
         adapt_to_pair(matcher, *matcher.prepare_pair(*shapes), wild)
+
+
+@pytest.mark.parametrize("partial", ["source", "target"])
+def test_a_part_is_placed_first_and_its_cloud_lies_where_it_does(matcher, shapes, make, monkeypatch, partial):
+    blob = shapes[0]
+    kept = blob.points[blob.faces][:, :, 1].min(axis=1) > -0.2
+    used, faces = np.unique(blob.faces[kept], return_inverse=True)
+    part = Shape(blob.points[used], faces.reshape(-1, 3))
+    pair = (part, blob) if partial == "source" else (blob, part)
+    source, target = matcher.prepare_pair(*pair, partial=partial, in_place=True)
+    seen, placings = [], []
+
+    def losses(network, x, y, **options):
+        seen.append((x, y))
+        return pair_losses(network, x, y, **options)
+
+    def placed(self, complete, given):
+        placings.append((complete, given))
+        return replace(given, operators=replace(given.operators, points=given.operators.points + 0.25))
+
+    monkeypatch.setattr(adaptation, "pair_losses", losses)
+    monkeypatch.setattr(type(matcher), "placed", placed)
+    adapt_to_pair(matcher, source, target, AdaptationSettings(steps=1), partial=partial)
+    given = source if partial == "source" else target
+    assert placings == [(target, source) if partial == "source" else (source, target)]
+    ((x, y),) = seen
+    assert x.mesh.n_points > y.mesh.n_points
+    torch.testing.assert_close(y.mesh.points, y.cloud.points)
+    assert y.mesh.points.mean(dim=0) == pytest.approx(given.operators.points.mean(dim=0) + 0.25, abs=0.1)

@@ -169,6 +169,10 @@ def test_training_can_begin_with_weights(trained, meshes, small, tmp_path):
         state = loop.train(recipe, meshes, tmp_path / name, device="cpu", weights=run / "weights.safetensors")
     assert alike(tmp_path / "a", tmp_path / "b") and not alike(tmp_path / "a", tmp_path / "fresh")
     assert fresh.step == state.step == 6
+    info = load_weights(run / "weights.safetensors")[1]
+    report = json.loads((tmp_path / "a" / "report.json").read_text())
+    assert report["begun_with"] == {"name": "small", "licence": "CC0-1.0", "sha256": info.sha256}
+    assert json.loads((tmp_path / "fresh" / "report.json").read_text())["begun_with"] is None
     again = loop.train(recipe, meshes, tmp_path / "a", device="cpu", resume=True, weights=run / "weights.safetensors")
     assert again.step == 6 and alike(tmp_path / "a", tmp_path / "b")
 
@@ -179,9 +183,13 @@ def test_weights_of_another_network_or_none_at_all(trained, meshes, small, tmp_p
         loop.train(small(network={"width": 8}), meshes, tmp_path / "a", device="cpu", weights=weights)
     with pytest.raises(WeightsError, match="nothing"):
         loop.train(small(), meshes, tmp_path / "b", device="cpu", weights=tmp_path / "nothing.safetensors")
-    others = small(operators={"n_neighbours": 20}, training={"steps": 1})
+    for settings in ({"blocks": 3}, {"out_channels": 8}, {"gradient_product": "published"}):
+        with pytest.raises(WeightsError, match=f"has {next(iter(settings))} "):
+            TrainingState.new(small(network=settings), weights=weights)
+    others = small(operators={"n_neighbours": 20}, training={"steps": 1}, licence="other")
     loop.train(others, meshes, tmp_path / "c", device="cpu", weights=weights)
     assert "trained with n_neighbours 14, and the recipe's [operators] say 20" in caplog.text
+    assert "under 'CC0-1.0', which holds for what comes of them; the recipe's licence is 'other'" in caplog.text
 
 
 def test_nothing_is_overwritten(meshes, small, tmp_path):

@@ -366,3 +366,16 @@ def test_gradients_of_a_pair_are_those_of_the_published_code(published, faust) -
     for name in names:
         found, expected = parameters[_own_name(name.removeprefix("grad:"))].grad.numpy(), faust[name]
         assert np.linalg.norm(found - expected) < 1e-2 * np.linalg.norm(expected), name
+
+
+def test_what_a_part_lacks_is_not_carried_over_from_it(pair) -> None:
+    """With a part as the first shape's cloud there is no alignment; with one as the second's, no Sinkhorn."""
+    network, (x, y) = network_of(), pair
+    whole = pair_losses(network, x, y, settings=FEW)
+    first = pair_losses(network, replace(x, cloud_is_part=True), y, settings=FEW)
+    assert first.alignment == 0 and whole.alignment > 0
+    assert first.contrast == whole.contrast and first.bijectivity == whole.bijectivity
+    second = pair_losses(network, x, replace(y, cloud_is_part=True), settings=FEW)
+    softly = pair_losses(network, x, y, settings=FEW, partial=True)
+    assert second.alignment.item() == pytest.approx(softly.alignment.item(), rel=1e-5)
+    assert second.alignment.item() != pytest.approx(whole.alignment.item(), rel=1e-3)

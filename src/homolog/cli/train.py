@@ -11,6 +11,7 @@ from homolog.cli.options import DeviceOption, Quiet, SetOption, Verbose, set_ver
 from homolog.cli.progress import progress_bar
 from homolog.datasets import read_description
 from homolog.errors import HomologError
+from homolog.files import expanded
 from homolog.training import WEIGHTS, is_first_process, read_recipe
 from homolog.training import train as train_network
 
@@ -29,7 +30,8 @@ def train(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Begin with these weights instead of random ones: fewer shapes and steps will do.",
+            help="Begin with these weights instead of random ones: fewer shapes and steps will do. Where a training "
+            "is gone on with, they have had their say.",
         ),
     ] = None,
     device: DeviceOption = "auto",
@@ -80,4 +82,4 @@ def train(
         raise typer.Exit(2) from None  # the first process says it
     if first and not quiet:
         typer.echo(f"Trained {state.step} steps in {state.seconds / 60:.1f} minutes.", err=True)
-        typer.echo(out / WEIGHTS)
+        typer.echo(expanded(out) / WEIGHTS)

@@ -211,11 +211,7 @@ class Matcher:
         check_kind("operators", operators, Operators)
         if self.network is None:
             return axiomatic_descriptors(operators)
-        return self._features_at(self.network, operators, operators.points)
-
-    @staticmethod
-    def _features_at(network: DiffusionNet, operators: Operators, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
-        features: Tensor = network(points, operators)
+        features: Tensor = self.network(operators.points, operators)
         # Of debris the network knows the position alone: it must not look like anything.
         return features * operators.reached[:, None]
 
@@ -370,18 +366,17 @@ class Matcher:
     def placed(self, complete: Prepared, part: Prepared) -> Prepared:
         """A part turned and shifted to where its features fit the complete shape's best, with its features there.
 
+        Its operators' points are then no longer where ``centre`` and ``length`` put those of its file.
         As it is given, where there is no network or the settings say so.
         """
         _check_prepared(complete, part)
         if self.network is None or not self.settings.place:
             return part
-        network = self.network
-
-        def features_at(points: Float[Tensor, "n 3"]) -> Float[Tensor, "n d"]:
-            return self._features_at(network, part.operators, points)
-
-        points = placed(part.operators.points, features_at, complete.operators.points, complete.features)
-        return replace(part, operators=replace(part.operators, points=points), features=features_at(points))
+        points = placed(part.operators.basis, self.network, complete.operators.points, complete.features)
+        if points is part.operators.basis.points:
+            return part
+        operators = replace(part.operators, points=points)
+        return replace(part, operators=operators, features=self.features(operators))
 
     @torch.inference_mode()
     def point_maps(self, source: Prepared, target: Prepared, *, partial: bool = False) -> PointMaps:

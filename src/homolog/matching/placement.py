@@ -7,53 +7,79 @@ so the map, are better.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.geometry import Basis
 from homolog.maps import most_similar, normalised, rigid_motion
 
-# How often the part is moved, and how many points say where to; the whole's are what they are compared with.
-_ROUNDS = 4
+# How many places are looked at from each beginning, that one included.
+_PLACES = 4
+# How many points of both are compared. A basis at samples needs some twice as many as it has eigenvectors.
 _PART_SAMPLES = 1000
 _WHOLE_SAMPLES = 2500
+# Mean cosine between features from which on the part is at its place, and no other beginning is tried.
+_ALIKE = 0.94
+# Beginnings: a turn of so many degrees, about this axis.
+_TURNS = ((0, 1), (180, 1), (90, 1), (270, 1), (60, 0), (-60, 0), (60, 2), (-60, 2))
 
-# The network's features of a shape, with its points at these positions.
-FeaturesAt = Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n d"]]
+# Middles this near to one another are at one place.
+_SAME_PLACE = 1e-3
+
+# The network's features of a shape, given its points' positions and its basis there.
+Features = Callable[[Float[Tensor, "s 3"], Basis], Float[Tensor, "s d"]]
 
 
 def placed(
-    part: Float[Tensor, "n 3"],
-    features_at: FeaturesAt,
-    whole: Float[Tensor, "m 3"],
-    whole_features: Float[Tensor, "m d"],
+    part: Basis, features_of: Features, whole: Float[Tensor, "m 3"], whole_features: Float[Tensor, "m d"]
 ) -> Float[Tensor, "n 3"]:
     """A part's positions, turned and shifted to where its features resemble its whole's the most.
 
-    Begins where the part is given and where both have their middles in one place; each round, the part follows the
-    rigid motion towards the points of the whole with the most similar features. The best place on the way is kept.
+    Each round, the part follows the rigid motion towards the points of the whole with the most similar features. It
+    begins as it is given and with both middles in one place; where it does not come to resemble its whole, turned, too.
 
     Args:
-        part: positions, in the whole's scale.
-        features_at: the features of the part at given positions.
+        part: in the whole's scale.
+        features_of: the part's features, of some of its points.
         whole: positions of the whole.
         whole_features: there.
     """
-    some = _samples(len(part), _PART_SAMPLES).to(part.device)
-    among = _samples(len(whole), _WHOLE_SAMPLES).to(part.device)
-    candidates = normalised(whole_features[among])
-    best, best_likeness = part, -torch.inf
-    for start in (part, part - part.mean(dim=0)):
-        for _ in range(_ROUNDS):
-            found = most_similar(normalised(features_at(start)[some]), candidates)
+    some = _samples(part.n_points, _PART_SAMPLES).to(part.points.device)
+    among = _samples(len(whole), _WHOLE_SAMPLES).to(part.points.device)
+    basis, places, candidates = part.sampled(some), whole[among], normalised(whole_features[among])
+    best, best_likeness = part.points, -torch.inf
+    for start in _beginnings(part.points, whole.mean(dim=0)):
+        for _ in range(_PLACES):
+            found = most_similar(normalised(features_of(start[some], basis)), candidates)
             likeness = float(found.value.mean())
             if likeness > best_likeness:
                 best, best_likeness = start, likeness
-            rotation, shift = rigid_motion(start[some], whole[among][found.index])
+            rotation, shift = rigid_motion(start[some], places[found.index])
             start = start @ rotation.T + shift
+        if best_likeness >= _ALIKE:
+            break
     return best
+
+
+def _beginnings(points: Float[Tensor, "n 3"], goal: Float[Tensor, " 3"]) -> Iterator[Float[Tensor, "n 3"]]:
+    middle = points.mean(dim=0)
+    for degrees, axis in _TURNS:
+        turned = (points - middle) @ _turn(degrees, axis).T.to(points)
+        yield turned + middle if degrees else points
+        if (middle - goal).norm() > _SAME_PLACE:
+            yield turned + goal
+
+
+def _turn(degrees: float, axis: int) -> Float[Tensor, "3 3"]:
+    """The rotation by an angle about a coordinate axis."""
+    angle = torch.deg2rad(torch.tensor(float(degrees)))
+    turn, (i, j) = torch.eye(3), [other for other in range(3) if other != axis]
+    turn[i, i] = turn[j, j] = angle.cos()
+    turn[i, j], turn[j, i] = -angle.sin(), angle.sin()
+    return turn
 
 
 def _samples(n_points: int, wanted: int) -> Int[Tensor, " s"]:

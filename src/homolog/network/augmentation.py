@@ -23,8 +23,8 @@ class AugmentationSettings:
         degrees: largest angle of a turn about the vertical, to either side.
         least_scale: smallest factor per axis.
         most_scale: largest factor per axis.
-        shift: standard deviation of a shift along each axis, in units of sqrt(area); a part lies about its own middle,
-            not its whole's, so that positions mean little there.
+        shift: standard deviation of a shift along each axis, in units of sqrt(area): parts seldom lie just where they
+            belong, and those about their own middle lie elsewhere altogether.
         jitter: standard deviation of noise per coordinate, in units of sqrt(area).
         largest_jitter: where that noise is clipped.
     """

@@ -109,7 +109,8 @@ def _training_shapes(matcher: Matcher, prepared: Prepared, settings: SampleSetti
 
 def _cloud_basis(matcher: Matcher, prepared: Prepared) -> Basis:
     length = prepared.operators.length
-    return matcher.operators(prepared.repaired.shape, as_cloud=True, length=length).basis
+    cloud = matcher.operators(prepared.repaired.shape, as_cloud=True, length=length).basis
+    return replace(cloud, points=prepared.operators.basis.points)  # of the same points, wherever a part was placed
 
 
 def _train(

@@ -17,6 +17,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.datasets import Pair
+from homolog.errors import ArgumentError, DataError, ShapeError
 from homolog.geometry import Basis, Frame, Operators, unit_frame
 from homolog.matching import OperatorSource
 from homolog.shapes import Shape, repair
@@ -108,6 +110,18 @@ class ShapeBank:
         """The pairs that were drawn; partial ones with the complete shape first, and both at its scale."""
         return [self._pair(draw) for draw in draws]
 
+    def whole_first(self, pair: Pair) -> Pair:
+        """A pair of shapes in the order that a step takes them in: where one may be a part, the larger one first."""
+        if self.recipe.partial is None:
+            return pair
+        first, second = (self._frame(name).length for name in pair)
+        return pair if first >= second else (pair[1], pair[0])
+
+    def _frame(self, name: str) -> Frame:
+        if name not in self._frames:
+            self._mesh(name)
+        return self._frames[name]
+
     def shape(self, member: Member) -> TrainingShape:
         """One shape with one of its clouds, at one of its subsets of points."""
         clouds = self._samples(member.name, member.variant)
@@ -122,7 +136,7 @@ class ShapeBank:
         x, y = self.shape(draw.x), self.shape(draw.y)
         if self.recipe.partial is None:
             return TrainingPair(draw, x, y)
-        if self._frames[draw.y.name].length > self._frames[draw.x.name].length:
+        if (draw.x.name, draw.y.name) != self.whole_first((draw.x.name, draw.y.name)):
             draw, x, y = replace(draw, x=draw.y, y=draw.x), y, x
         whole, part = self._frames[draw.x.name], self._frames[draw.y.name]
         y = _changed(y, lambda basis: basis.scaled(part.length / whole.length))
@@ -209,14 +223,17 @@ class ShapeBank:
         if variant == _MESH:
             return Cloud(mesh, None)
         seed = zlib.crc32(f"{self.recipe.seed} {name} {variant}".encode())
-        return make_cloud(mesh, self.variants[variant], seed=seed)
+        try:
+            return make_cloud(mesh, self.variants[variant], seed=seed)
+        except (ArgumentError, ShapeError) as error:
+            raise DataError(f"[clouds] {self.variants[variant]} cannot be made of {name}: {error}") from None
 
     def _read_mesh(self, name: str) -> Shape:
         """A clean mesh of unit area: what its clouds are made with is in these units."""
-        shape = self.shapes.shape(name)
+        shape = repair(self.shapes.shape(name)).shape
         frame = unit_frame(shape)
         self._frames[name] = frame
-        return repair(Shape(frame.inside(shape.points), shape.faces, name=shape.name)).shape
+        return Shape(frame.inside(shape.points), shape.faces, name=shape.name)
 
     def _operators_of(self, shape: Shape) -> Operators:
         return self.operators(shape, settings=self.recipe.operators, length=1.0)

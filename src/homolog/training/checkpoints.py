@@ -43,7 +43,7 @@ def save_checkpoint(path: Path, state: TrainingState, recipe: Recipe, shapes: st
         recipe: of the training.
         shapes: a digest of the shapes trained on.
     """
-    progress = {name: getattr(state, name) for name in ("step", "seconds", "best", "records")}
+    progress = {name: getattr(state, name) for name in ("step", "seconds", "best", "records", "begun_with")}
     header = {
         "format": _FORMAT,
         "shapes": shapes,

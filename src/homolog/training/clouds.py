@@ -27,6 +27,9 @@ class CloudVariant:
     kind: Literal["clean", "noisy", "thinned", "resampled", "cut", "pierced"] = "clean"
     amount: float = 0.0
 
+    def __str__(self) -> str:
+        return f"{self.kind} {self.amount:g}"
+
     @property
     def is_part(self) -> bool:
         """Whether it lacks a piece of the surface."""

@@ -176,6 +176,8 @@ class _Training:
         pairs_of_steps = prefetched(self._load, steps, workers=self.recipe.data.workers)
         with contextlib.closing(self), contextlib.closing(pairs_of_steps):
             if self.journal is not None:
+                if self.state.step == 0 and self.state.begun_with:
+                    self._save()  # gone on with from here, it need not be told again what it began with
                 self._validate_if_due()  # an interrupt is saved at once, and may leave this undone
             for _ in steps:
                 stopped = self._step(pairs_of_steps, interrupts)
@@ -329,7 +331,8 @@ class _Training:
             device="cuda" if self.fabric.device.type == "cuda" else "cpu",
             operators=self.bank.operators,
         )
-        pairs = self.folder.shapes.held_out[: self.recipe.validation.score_pairs]
+        held_out = self.folder.shapes.held_out[: self.recipe.validation.score_pairs]
+        pairs = [self.bank.whole_first(pair) for pair in held_out]
         listed = self.folder.path / "scored-pairs.txt"
         return scores(matcher, truth, pairs, listed, partial=self.recipe.partial)
 

@@ -214,6 +214,10 @@ class PartialSettings:
     parts: str | None = None
     in_place: bool | None = None
 
+    def __post_init__(self) -> None:
+        if self.complete is not None and self.complete == self.parts:
+            raise bad_value("parts", self.parts, "another folder than that of the complete shapes")
+
     def for_set(self, described: SetDescription) -> PartialSettings:
         """These settings with nothing left out.
 
@@ -280,6 +284,14 @@ class Recipe:
             lambda points: points == 0 or points >= 2 * n,
             f"0 for all, or at least twice [operators] n_eigenpairs, {2 * n}",
         )
+        for share in self.clouds.cut if self.samples.points else ():
+            _require(
+                "[clouds] cut",
+                share,
+                lambda kept: kept * self.samples.points >= 2 * n,
+                f"at least {2 * n / self.samples.points:.2f}, where twice [operators] n_eigenpairs of [samples] points "
+                "are left",
+            )
 
     def for_set(self, description: SetDescription | None = None) -> Recipe:
         """The recipe for a set, or for a folder of one's own: with what it leaves to the description filled in.

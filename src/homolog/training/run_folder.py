@@ -71,12 +71,17 @@ class RunFolder:
         """
         from filelock import FileLock, Timeout
 
-        lock = FileLock(self.path / _LOCK, blocking=False)
+        file = self.path / _LOCK
+        lock = FileLock(file, blocking=False)
         try:
             lock.acquire()
         except Timeout:
             raise ArgumentError(
                 f"another training is at work in {self.path}; wait for it, or give another --out"
+            ) from None
+        except (OSError, NotImplementedError) as error:
+            raise ArgumentError(
+                f"{file} cannot be locked ({error}); give an --out elsewhere, on another disk"
             ) from None
         try:
             yield
@@ -105,6 +110,7 @@ class RunFolder:
         report = {
             "recipe": asdict(self.recipe),
             "data": str(self.shapes.root),
+            "begun_with": state.begun_with,
             "shapes": len(self.shapes.used),
             "held_out": ["{} - {}".format(*pair) for pair in self.shapes.held_out],
             "device": str(device),

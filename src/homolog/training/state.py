@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from homolog.errors import WeightsError
-from homolog.network import DiffusionNet, load_weights
+from homolog.network import DiffusionNet, WeightsInfo, load_weights
 from homolog.training.recipe import OptimiserSettings, Recipe
 
 _log = logging.getLogger(__name__)
@@ -37,6 +37,7 @@ class TrainingState:
         seconds: of training, over all runs.
         best: the lowest validation loss, once there is one.
         records: what validations found, in order.
+        begun_with: name, licence and hash of the weights that it began with, if these were not random.
     """
 
     network: DiffusionNet
@@ -46,6 +47,7 @@ class TrainingState:
     seconds: float = 0.0
     best: float | None = None
     records: list[Record] = field(default_factory=list)
+    begun_with: dict[str, str] | None = None
 
     @classmethod
     def new(
@@ -57,7 +59,10 @@ class TrainingState:
             WeightsError: if there are no such weights, or they are of another network than the recipe's.
         """
         if weights is not None:
-            return cls.of(_pretrained(recipe, weights).to(device).train(), recipe.optimiser)
+            network, info = _pretrained(recipe, weights)
+            state = cls.of(network.to(device).train(), recipe.optimiser)
+            state.begun_with = {"name": info.name, "licence": info.licence, "sha256": info.sha256}
+            return state
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             network = DiffusionNet(recipe.network)
@@ -91,8 +96,8 @@ class TrainingState:
         return network
 
 
-def _pretrained(recipe: Recipe, weights: str | Path) -> DiffusionNet:
-    """The recipe's network with weights from a file; dropout has none, and may differ."""
+def _pretrained(recipe: Recipe, weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
+    """The recipe's network with weights from a file, and what these are; dropout has none, and may differ."""
     trained, info = load_weights(weights)
     theirs = {**asdict(trained.settings), "dropout": recipe.network.dropout}
     for name, wanted in asdict(recipe.network).items():
@@ -110,6 +115,11 @@ def _pretrained(recipe: Recipe, weights: str | Path) -> DiffusionNet:
                 getattr(info, name),
                 wanted,
             )
+    if info.licence != recipe.licence:
+        _log.warning(
+            "%s are under %r, which holds for what comes of them; the recipe's licence is %r.",
+            *(info.name, info.licence, recipe.licence),
+        )
     network = DiffusionNet(recipe.network)
     network.load_state_dict(trained.state_dict())
-    return network
+    return network, info
