@@ -67,6 +67,8 @@ def main() -> None:
     parser.add_argument("--leave-out", default="", help="pattern of the names of parts to keep for testing")
     arguments = parser.parse_args()
     shapes = arguments.output / "off"
+    if shapes.exists():
+        parser.error(f"{shapes} exists already; give another folder")
     shapes.mkdir(parents=True)
     pairs = list(gather_parts(arguments.parts, shapes, arguments.leave_out))
     for root in arguments.complete:
