@@ -125,4 +125,5 @@ def test_turned_beginnings_where_the_given_one_leads_nowhere(upper, degrees, axi
         return embedded(places if apart(points, places) < 0.1 else points + 9.0)
 
     assert apart(basis.points, whole[kept]) > 0.15
-    assert apart(placed(basis, features_of, whole, embedded(whole)), whole[kept]) < 0.1
+    found = {turned: placed(basis, features_of, whole, embedded(whole), turned=turned) for turned in (True, False)}
+    assert apart(found[True], whole[kept]) < 0.1 < apart(found[False], whole[kept])

@@ -372,7 +372,8 @@ class Matcher:
         _check_prepared(complete, part)
         if self.network is None or not self.settings.place:
             return part
-        points = placed(part.operators.basis, self.network, complete.operators.points, complete.features)
+        whole = complete.operators.points
+        points = placed(part.operators.basis, self.network, whole, complete.features, turned=self.info.partial)
         if points is part.operators.basis.points:
             return part
         operators = replace(part.operators, points=points)

@@ -7,7 +7,7 @@ so the map, are better.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import torch
 from jaxtyping import Float, Int
@@ -34,24 +34,31 @@ Features = Callable[[Float[Tensor, "s 3"], Basis], Float[Tensor, "s d"]]
 
 
 def placed(
-    part: Basis, features_of: Features, whole: Float[Tensor, "m 3"], whole_features: Float[Tensor, "m d"]
+    part: Basis,
+    features_of: Features,
+    whole: Float[Tensor, "m 3"],
+    whole_features: Float[Tensor, "m d"],
+    *,
+    turned: bool,
 ) -> Float[Tensor, "n 3"]:
     """A part's positions, turned and shifted to where its features resemble its whole's the most.
 
     Each round, the part follows the rigid motion towards the points of the whole with the most similar features. It
-    begins as it is given and with both middles in one place; where it does not come to resemble its whole, turned, too.
+    begins as it is given and with both middles in one place.
 
     Args:
         part: in the whole's scale.
         features_of: the part's features, of some of its points.
         whole: positions of the whole.
         whole_features: there.
+        turned: where the part does not come to resemble its whole, begin anew with it turned. That is for networks that
+            know parts: to others, a wrong place is often as good as the right one.
     """
     some = _samples(part.n_points, _PART_SAMPLES).to(part.points.device)
     among = _samples(len(whole), _WHOLE_SAMPLES).to(part.points.device)
     basis, places, candidates = part.sampled(some), whole[among], normalised(whole_features[among])
     best, best_likeness = part.points, -torch.inf
-    for start in _beginnings(part.points, whole.mean(dim=0)):
+    for start in _beginnings(part.points, whole.mean(dim=0), _TURNS if turned else _TURNS[:1]):
         for _ in range(_PLACES):
             found = most_similar(normalised(features_of(start[some], basis)), candidates)
             likeness = float(found.value.mean())
@@ -64,9 +71,11 @@ def placed(
     return best
 
 
-def _beginnings(points: Float[Tensor, "n 3"], goal: Float[Tensor, " 3"]) -> Iterator[Float[Tensor, "n 3"]]:
+def _beginnings(
+    points: Float[Tensor, "n 3"], goal: Float[Tensor, " 3"], turns: Sequence[tuple[float, int]]
+) -> Iterator[Float[Tensor, "n 3"]]:
     middle = points.mean(dim=0)
-    for degrees, axis in _TURNS:
+    for degrees, axis in turns:
         turned = (points - middle) @ _turn(degrees, axis).T.to(points)
         yield turned + middle if degrees else points
         if (middle - goal).norm() > _SAME_PLACE:
