@@ -104,4 +104,4 @@ def test_memory_that_is_kept_need_not_be_handed_out_again() -> None:
         way: int(subprocess.run([sys.executable, "-c", _HANDED_OUT, way], capture_output=True, check=True).stdout)
         for way in ("kept", "given back")
     }
-    assert pages["kept"] < 100 and pages["given back"] > 20_000  # of some 24,000
+    assert 10 * pages["kept"] < pages["given back"]
