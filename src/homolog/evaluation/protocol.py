@@ -7,7 +7,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -217,6 +217,7 @@ class _Run:
         self.match, self.progress = match, progress
         names = dict.fromkeys(name for pair in pairs for name in pair)
         self.shapes = {name: folder.shape(name) for name in names}
+        self.frame = cache(lambda name: unit_frame(repair(self.shapes[name]).shape))  # many parts may share one
         self.truth = folder.ground_truth(self.shapes.__getitem__)
         for pair in pairs:
             self.truth.between(*pair)  # what is wrong with any is said before anything is computed
@@ -269,7 +270,7 @@ class _Run:
         shape = self.shapes[name]
         if scaled_by == name and not (cloud and self.protocol.noise):
             return self.matcher.prepare(shape, as_cloud=cloud)
-        frame = unit_frame(repair(self.shapes[scaled_by]).shape)
+        frame = self.frame(scaled_by)
         centre = frame.centre if self.protocol.in_place else None
         if cloud and self.protocol.noise:
             seed = zlib.crc32(f"{self.protocol.seed} {name} {role}".encode())

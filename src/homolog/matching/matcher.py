@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import NoneType
-from typing import Any, get_args
+from typing import get_args
 
 import torch
 from jaxtyping import Float, Int
@@ -291,14 +291,22 @@ class Matcher:
                 raise bad_choice(f"{side}_up", str(ups[side]), get_args(Up))
         order: tuple[Side, Side] = ("target", "source") if partial == "source" else ("source", "target")
         prepared: dict[Side, Prepared] = {}
-        frame: dict[str, Any] = {}
+        length: float | None = None
+        centre: Float[Tensor, " 3"] | None = None
         for side in order:
-            flat = as_cloud in (side, "both")
             prepared[side] = self.prepare(
-                shapes[side], as_cloud=flat, up=ups[side], strict=strict, steps=steps, label=side, **frame
+                shapes[side],
+                as_cloud=as_cloud in (side, "both"),
+                up=ups[side],
+                length=length,
+                centre=centre,
+                strict=strict,
+                steps=steps,
+                label=side,
             )
-            if partial:
-                frame = _frame_of_part(prepared[side].operators, part_scale, in_place=in_place)
+            whole = prepared[side].operators
+            length = whole.length / part_scale if partial else None
+            centre = whole.centre / part_scale if in_place else None
         return prepared["source"], prepared["target"]
 
     def match_checked(
@@ -444,12 +452,6 @@ class Matcher:
             target, source, temperature=self.settings.temperature, iterations=self.settings.iterations
         )
         return PointMaps(source_to_target=soft.x_to_y, target_to_source=soft.y_to_x)
-
-
-def _frame_of_part(whole: Operators, part_scale: float, *, in_place: bool) -> dict[str, Any]:
-    """What a part takes from its complete partner, in its own units."""
-    length = whole.length / part_scale
-    return {"length": length, "centre": whole.centre / part_scale} if in_place else {"length": length}
 
 
 def _check_prepared(source: Prepared, target: Prepared) -> None:

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from homolog.geometry import Basis
 from homolog.maps import most_similar, normalised, rigid_motion
+from homolog.shapes import rotation_about
 
 # How many places are looked at from each beginning, that one included.
 _PLACES = 4
@@ -23,8 +24,8 @@ _PART_SAMPLES = 1000
 _WHOLE_SAMPLES = 2500
 # Mean cosine between features from which on the part is at its place, and no other beginning is tried.
 _ALIKE = 0.94
-# Beginnings: a turn of so many degrees, about this axis.
-_TURNS = ((0, 1), (180, 1), (90, 1), (270, 1), (60, 0), (-60, 0), (60, 2), (-60, 2))
+# Beginnings: turns about this axis, by so many degrees.
+_TURNS = ((1, 0), (1, 180), (1, 270), (1, 90), (0, 60), (0, -60), (2, 60), (2, -60))
 
 # Middles this near to one another are at one place.
 _SAME_PLACE = 1e-3
@@ -72,23 +73,14 @@ def placed(
 
 
 def _beginnings(
-    points: Float[Tensor, "n 3"], goal: Float[Tensor, " 3"], turns: Sequence[tuple[float, int]]
+    points: Float[Tensor, "n 3"], goal: Float[Tensor, " 3"], turns: Sequence[tuple[int, float]]
 ) -> Iterator[Float[Tensor, "n 3"]]:
     middle = points.mean(dim=0)
-    for degrees, axis in turns:
-        turned = (points - middle) @ _turn(degrees, axis).T.to(points)
+    for axis, degrees in turns:
+        turned = (points - middle) @ torch.from_numpy(rotation_about(axis, degrees).T).to(points)
         yield turned + middle if degrees else points
         if (middle - goal).norm() > _SAME_PLACE:
             yield turned + goal
-
-
-def _turn(degrees: float, axis: int) -> Float[Tensor, "3 3"]:
-    """The rotation by an angle about a coordinate axis."""
-    angle = torch.deg2rad(torch.tensor(float(degrees)))
-    turn, (i, j) = torch.eye(3), [other for other in range(3) if other != axis]
-    turn[i, i] = turn[j, j] = angle.cos()
-    turn[i, j], turn[j, i] = -angle.sin(), angle.sin()
-    return turn
 
 
 def _samples(n_points: int, wanted: int) -> Int[Tensor, " s"]:

@@ -136,7 +136,8 @@ class ShapeBank:
         x, y = self.shape(draw.x), self.shape(draw.y)
         if self.recipe.partial is None:
             return TrainingPair(draw, x, y)
-        if (draw.x.name, draw.y.name) != self.whole_first((draw.x.name, draw.y.name)):
+        first, _ = self.whole_first((draw.x.name, draw.y.name))
+        if first != draw.x.name:
             draw, x, y = replace(draw, x=draw.y, y=draw.x), y, x
         whole, part = self._frames[draw.x.name], self._frames[draw.y.name]
         y = _changed(y, lambda basis: basis.scaled(part.length / whole.length))
@@ -182,40 +183,35 @@ class ShapeBank:
     def _sample(self, name: str, variant: int) -> _Samples:
         source = self._source(name, variant)
         operators = self._operators_of(source.shape)
-        basis = operators.basis
         if source.weights is not None:
-            is_part = self.variants[variant].is_part
-            samples = self._sample_part if is_part else self._sample_apart
-            return replace(samples(name, basis, source.weights), centre=operators.centre.float().to(self.device))
+            return self._sample_apart(name, operators, source.weights, is_part=self.variants[variant].is_part)
+        basis = operators.basis
         kept = subsets(basis, self.recipe.samples) if variant == _MESH else self._samples(name, _MESH).kept
-        return _Samples(kept, tuple(self._at(basis, subset) for subset in kept))
+        return _Samples(kept, self._at_all(basis, kept))
 
-    def _sample_apart(self, name: str, cloud: Basis, weights: sparse.csr_array) -> _Samples:
-        """Subsets of a cloud whose points are not the mesh's, each with the points of the mesh that lie nearest."""
-        mesh = self._operators_of(self._mesh(name)).basis
-        kept = subsets(cloud, self.recipe.samples)
-        near = [self._near(weights[subset]) for subset in kept]
-        pairings = [_pairing(weights[rows][:, columns]) for rows, columns in zip(kept, near, strict=True)]
-        return _Samples(
-            kept,
-            tuple(self._at(cloud, subset) for subset in kept),
-            tuple(self._at(mesh, subset) for subset in near),
-            tuple(pairing.to(self.device) for pairing in pairings),
-        )
+    def _sample_apart(self, name: str, cloud: Operators, weights: sparse.csr_array, *, is_part: bool) -> _Samples:
+        """Subsets of a cloud whose points are not the mesh's, each with the points of the mesh that belong to them.
 
-    def _sample_part(self, name: str, cloud: Basis, weights: sparse.csr_array) -> _Samples:
-        """Those points of a mesh's subsets that a part of it has, beside all of them: coefficients on the mesh need
-        samples everywhere.
+        Those are the ones that lie nearest. Of a part it is the other way round: it has those of the mesh's samples
+        that lie on it, beside all of them, as coefficients on the mesh need samples everywhere.
         """
-        mesh = self._samples(name, _MESH)
-        places = weights.argmax(axis=1)  # a part's points are points of its mesh
-        held = [np.isin(places, subset) for subset in mesh.kept]
-        pairings = [_pairing(weights[rows][:, subset]) for rows, subset in zip(held, mesh.kept, strict=True)]
-        kept = tuple(np.nonzero(rows)[0] for rows in held)
+        kept: tuple[Int[np.ndarray, " s"], ...]
+        meshes: tuple[Basis, ...] = ()
+        if is_part:
+            near = self._samples(name, _MESH).kept
+            places = weights.argmax(axis=1)  # a part's points are points of its mesh
+            kept = tuple(np.flatnonzero(np.isin(places, subset)) for subset in near)
+        else:
+            kept = subsets(cloud.basis, self.recipe.samples)
+            near = tuple(self._near(weights[subset]) for subset in kept)
+            meshes = self._at_all(self._operators_of(self._mesh(name)).basis, near)
+        pairings = (_pairing(weights[rows][:, columns]) for rows, columns in zip(kept, near, strict=True))
         return _Samples(
             kept,
-            tuple(self._at(cloud, subset) for subset in kept),
-            pairings=tuple(pairing.to(self.device) for pairing in pairings),
+            self._at_all(cloud.basis, kept),
+            meshes,
+            tuple(pairing.to(self.device) for pairing in pairings),
+            cloud.centre.float().to(self.device),
         )
 
     def _source(self, name: str, variant: int) -> Cloud:
@@ -245,8 +241,9 @@ class ShapeBank:
         nearest: np.ndarray = np.unique(weights.argmax(axis=1))
         return nearest
 
-    def _at(self, basis: Basis, kept: Int[np.ndarray, " s"]) -> Basis:
-        return at_points(basis, kept).to(self.device)
+    def _at_all(self, basis: Basis, subsets: Sequence[Int[np.ndarray, " s"]]) -> tuple[Basis, ...]:
+        """A basis at each of several subsets of its points."""
+        return tuple(at_points(basis, kept).to(self.device) for kept in subsets)
 
 
 def _pairing(weights: sparse.csr_array) -> Tensor:

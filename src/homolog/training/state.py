@@ -106,20 +106,22 @@ def _pretrained(recipe: Recipe, weights: str | Path) -> tuple[DiffusionNet, Weig
                 f"{weights} has {name} {theirs[name]!r}, but the recipe's [network] says {wanted!r}; "
                 "change the recipe, or give other weights"
             )
+    _warn_of_differences(recipe, info)
+    network = DiffusionNet(recipe.network)
+    network.load_state_dict(trained.state_dict())
+    return network, info
+
+
+def _warn_of_differences(recipe: Recipe, info: WeightsInfo) -> None:
+    """Say where a recipe departs from what the weights that it begins with were trained with, or are given under."""
     for name, wanted in asdict(recipe.operators).items():
         if getattr(info, name) != wanted:
             _log.warning(
                 "%s were trained with %s %s, and the recipe's [operators] say %s.",
-                info.name,
-                name,
-                getattr(info, name),
-                wanted,
+                *(info.name, name, getattr(info, name), wanted),
             )
     if info.licence != recipe.licence:
         _log.warning(
             "%s are under %r, which holds for what comes of them; the recipe's licence is %r.",
             *(info.name, info.licence, recipe.licence),
         )
-    network = DiffusionNet(recipe.network)
-    network.load_state_dict(trained.state_dict())
-    return network, info
