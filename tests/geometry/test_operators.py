@@ -170,3 +170,18 @@ def test_neighbouring_points_of_a_cloud_are_a_setting(blob: Shape) -> None:
 def test_settings_that_cannot_be_are_refused(wrong: dict) -> None:
     with pytest.raises(ArgumentError, match=next(iter(wrong))):
         OperatorSettings(**wrong)
+
+
+@pytest.mark.parametrize("modality", ["mesh", "cloud"])
+def test_scaled_operators_are_those_of_the_scaled_shape(make, modality):
+    blob = make.blob(2)
+    own = operators_of(blob, modality, length=1.0)
+    found, wanted = own.scaled(2.5), operators_of(blob, modality, length=own.length / 2.5)
+    assert found.length == pytest.approx(wanted.length)
+    for name in ("points", "mass", "eigenvalues"):
+        torch.testing.assert_close(getattr(found, name), getattr(wanted, name), rtol=1e-4, atol=1e-4)
+    for name in ("laplacian", "gradient_x", "gradient_y"):
+        first, second = getattr(found, name).to_dense(), getattr(wanted, name).to_dense()
+        torch.testing.assert_close(first.abs(), second.abs(), rtol=1e-3, atol=1e-3 * float(second.abs().max()))
+    gram = found.eigenvectors.T @ (found.mass[:, None] * found.eigenvectors)
+    torch.testing.assert_close(gram, torch.eye(len(gram)), rtol=0, atol=1e-4)

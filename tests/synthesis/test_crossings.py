@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from stand_in import sphere
 
+from homolog.geometry.surface import Surface
 from homolog.synthesis.crossings import crossing_faces, crossing_share
-from homolog.synthesis.surface import Surface
 
 
 def pair(offset, scale=1.0):

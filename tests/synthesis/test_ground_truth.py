@@ -3,9 +3,9 @@
 import numpy as np
 from stand_in import sphere
 
+from homolog.geometry.surface import Ground, Surface
 from homolog.synthesis.ground_truth import settled, vertices_at
 from homolog.synthesis.remeshing import MeshSettings, remesh
-from homolog.synthesis.surface import Ground, Surface
 from homolog.synthesis.template import sample_evenly
 
 

@@ -13,6 +13,7 @@ from stand_in import Crossing, StandIn, sphere
 
 from homolog.datasets import ShapeFolder
 from homolog.errors import ArgumentError, MissingExtraError
+from homolog.geometry.surface import Places, Surface
 from homolog.shapes import read_shape
 from homolog.synthesis import (
     BodyModel,
@@ -26,7 +27,6 @@ from homolog.synthesis import (
 from homolog.synthesis.crossings import crossing_share
 from homolog.synthesis.people import MOST_CROSSING
 from homolog.synthesis.remeshing import is_one_closed_surface
-from homolog.synthesis.surface import Places, Surface
 from homolog.synthesis.template import boundary_loops, sample_evenly
 
 SMALL = PeopleSettings(seed=3, mesh=MeshSettings(500))

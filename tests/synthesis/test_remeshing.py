@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from stand_in import sphere
 
+from homolog.geometry.surface import Ground, Surface
 from homolog.synthesis.crossings import crossing_share
 from homolog.synthesis.remeshing import MeshSettings, is_one_closed_surface, relaxed, remesh
-from homolog.synthesis.surface import Ground, Surface
 
 
 def quality(surface):

@@ -7,17 +7,23 @@ from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_la
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
 from homolog.geometry.spectrum import Spectrum, lowest_eigenpairs
+from homolog.geometry.surface import Ground, Pieces, Places, Surface, closest_weights, split_long, unit
 
 __all__ = [
     "CLOUD_NEIGHBOURS",
     "Basis",
     "Frame",
+    "Ground",
     "LaplacianKind",
     "OperatorCache",
     "OperatorSettings",
     "Operators",
+    "Pieces",
+    "Places",
     "Spectrum",
+    "Surface",
     "cache_folder",
+    "closest_weights",
     "cloud_area",
     "cloud_laplacian",
     "compute_operators",
@@ -25,6 +31,8 @@ __all__ = [
     "lowest_eigenpairs",
     "mesh_laplacian",
     "pair_distances",
+    "split_long",
     "surface_area",
+    "unit",
     "unit_frame",
 ]

@@ -19,10 +19,11 @@ from homolog.geometry.debris import require_usable
 from homolog.shapes import Shape
 
 LaplacianKind = Literal["robust", "cotangent"]
+"""Of meshes: Sharp and Crane's, which takes any triangles, or the classical one."""
 
-# Neighbours per point of the point-cloud Laplacian and gradient: enough for noise and uneven sampling. With the 30 of
-# published code, hands that touch grow together; fewer than 14 do no better.
 CLOUD_NEIGHBOURS = 14
+"""Neighbours per point of the point-cloud Laplacian and gradient: enough for noise and uneven sampling. With the 30 of
+published code, hands that touch grow together; fewer than 14 do no better."""
 # With fewer, a point's neighbours make no triangles, on which the library for clouds can end the process.
 FEWEST_NEIGHBOURS = 3
 

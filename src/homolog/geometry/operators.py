@@ -115,6 +115,20 @@ class Operators:
             eigenvectors=self.eigenvectors[:, :n_eigenpairs].contiguous(),
         )
 
+    def scaled(self, factor: float) -> Operators:
+        """Those of the same shape with all lengths multiplied by a factor."""
+        # Eigenvectors of unit norm shrink as the root of the mass grows. L, of areas over squared lengths, stays.
+        return replace(
+            self,
+            points=self.points * factor,
+            mass=self.mass * factor**2,
+            eigenvalues=self.eigenvalues / factor**2,
+            eigenvectors=self.eigenvectors / factor,
+            gradient_x=self.gradient_x * (1 / factor),
+            gradient_y=self.gradient_y * (1 / factor),
+            length=self.length / factor,
+        )
+
     def around(self, centre: Float[Tensor, " 3"]) -> Operators:
         """The same operators with positions around another point of the file, such as the middle of a part's whole."""
         away = (self.centre - centre.to(self.centre)) / self.length

@@ -6,8 +6,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from homolog.geometry.surface import Surface
 from homolog.shapes import face_vectors
-from homolog.synthesis.surface import Surface
 
 _Pairs = Int[np.ndarray, "p 2"]
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Int
 from scipy.spatial import cKDTree
 
-from homolog.synthesis.surface import Ground, Places, Surface
+from homolog.geometry.surface import Ground, Places, Surface
 
 # So many mesh vertices nearest to a point on the template at rest, where no parts touch, may be the one on the body.
 _CANDIDATES = 12

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from homolog.synthesis.surface import unit
+from homolog.geometry.surface import unit
 
 Angles = Mapping[str, float]
 Skeleton = Mapping[str, Float[np.ndarray, " 3"]]

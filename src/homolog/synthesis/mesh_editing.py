@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csr_matrix
 
+from homolog.geometry.grouping import FacesAround
 from homolog.shapes import face_vectors
-from homolog.synthesis.grouping import FacesAround
 
 # Edges longer or shorter than this, relative to the length wanted, are split or collapsed.
 LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0

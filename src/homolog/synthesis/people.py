@@ -11,13 +11,13 @@ from jaxtyping import Float, Int
 
 from homolog.arguments import is_count, is_real
 from homolog.errors import bad_value
+from homolog.geometry.surface import Ground, Places, Surface
 from homolog.synthesis.builds import draw_build, nearer_the_mean
 from homolog.synthesis.crossings import crossing_share
 from homolog.synthesis.ground_truth import settled, vertices_at
 from homolog.synthesis.joints import Rotations, Skeleton, bone_rotations
 from homolog.synthesis.poses import FAMILIES, draw_pose, drawn_back
 from homolog.synthesis.remeshing import MeshSettings, is_one_closed_surface, remesh
-from homolog.synthesis.surface import Ground, Places, Surface
 from homolog.synthesis.template import Template
 
 MOST_CROSSING = 0.01

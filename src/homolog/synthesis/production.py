@@ -7,13 +7,13 @@ from functools import cache, partial
 from pathlib import Path
 
 from homolog.arguments import check_count
+from homolog.geometry.surface import Places
 from homolog.steps import Progress, unheard
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.people import PeopleSettings, make_person
 from homolog.synthesis.people_folder import PeopleFolder
-from homolog.synthesis.surface import Places
 from homolog.synthesis.template import sample_evenly
-from homolog.synthesis.work import work_off
+from homolog.work import work_off
 
 TEMPLATE_POINTS = 5000
 """How many points of the template carry the ground truth."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from homolog.synthesis.grouping import runs
+from homolog.geometry.grouping import runs
 
 # Cells along each side of the image per square root of the number of triangles, and at most.
 _CELLS, _MOST_CELLS = 2.0, 1024

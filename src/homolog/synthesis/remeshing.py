@@ -9,9 +9,9 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
+from homolog.geometry.surface import Ground, Surface, unit
 from homolog.shapes import face_areas
 from homolog.synthesis.mesh_editing import Draft, collapse_short, edges_of, flip_to_delaunay, split_long
-from homolog.synthesis.surface import Ground, Surface, unit
 
 _ROUNDS = 12
 # After so many rounds the edge length is settled; until then it follows the number of vertices.

@@ -8,8 +8,8 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
+from homolog.geometry.surface import Places, Surface, closest_weights
 from homolog.shapes import farthest_points
-from homolog.synthesis.surface import Places, Surface, closest_weights
 
 # The points are always the same ones, whatever set they are for.
 _SEED = 7

@@ -19,12 +19,12 @@ from homolog.arguments import check_count, is_count
 from homolog.datasets import ShapeFolder
 from homolog.errors import DataError, bad_value
 from homolog.files import all_or_nothing, atomic_path, expanded, write_json
+from homolog.folders import MANIFEST, claim
 from homolog.shapes import read_shape, repair, write_shape
 from homolog.steps import Progress, unheard
-from homolog.synthesis.set_folder import MANIFEST, claim
 from homolog.synthesis.view_plan import TEST_EVERY, Bodies, PlannedView, SetSplit, planned_view
 from homolog.synthesis.views import View, ViewSettings, view
-from homolog.synthesis.work import work_off
+from homolog.work import work_off
 
 # Changes whenever the same settings come to give other views.
 _MAKING = 1

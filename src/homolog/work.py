@@ -8,19 +8,38 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
+from typing import Any, TypeVar
 
 from homolog.errors import ArgumentError
 from homolog.steps import Progress
 
-# A name to show, and what to do; several processes need functions that can be pickled.
-Task = tuple[str, Callable[[], None]]
+T = TypeVar("T")
+
+# A name to show, and what to do; several processes need functions and results that can be pickled.
+Task = tuple[str, Callable[[], T]]
 
 
-def work_off(phases: Sequence[Sequence[Task]], *, processes: int, progress: Progress) -> None:
+def _unheard(result: Any) -> None:
+    """What a task gives that no one wants to know of."""
+
+
+def work_off(
+    phases: Sequence[Sequence[Task[T]]],
+    *,
+    processes: int,
+    progress: Progress,
+    told: Callable[[T], None] = _unheard,
+) -> None:
     """Do all tasks of a phase, in any order, before those of the next.
 
     On an error or an interrupt no further task begins. One process is this one; several begin by importing the program
     that calls this, so that a script must call it below ``if __name__ == "__main__":``.
+
+    Args:
+        phases: the tasks.
+        processes: how many work at once.
+        progress: told of each task before it is waited for.
+        told: what each task gives, in this process and in the order of the tasks.
 
     Raises:
         ArgumentError: if one of several processes is ended from outside.
@@ -30,15 +49,15 @@ def work_off(phases: Sequence[Sequence[Task]], *, processes: int, progress: Prog
     done = itertools.chain.from_iterable(map(_each, functions)) if processes == 1 else _shared(functions, processes)
     for number, name in enumerate(names):
         progress(number, len(names), name)
-        next(done)
+        told(next(done))
     progress(len(names), len(names), "done")
 
 
-def _each(functions: Sequence[Callable[[], None]]) -> Iterator[None]:
+def _each(functions: Sequence[Callable[[], T]]) -> Iterator[T]:
     return map(_call, functions)
 
 
-def _shared(phases: Sequence[Sequence[Callable[[], None]]], processes: int) -> Iterator[None]:
+def _shared(phases: Sequence[Sequence[Callable[[], T]]], processes: int) -> Iterator[T]:
     # Processes that are forked from one with threads, as PyTorch has, may hang.
     pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_parent)
     try:
@@ -57,5 +76,5 @@ def _leave_interrupts_to_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _call(function: Callable[[], None]) -> None:
-    function()
+def _call(function: Callable[[], T]) -> T:
+    return function()

@@ -2,9 +2,13 @@
 
 import numpy as np
 import trimesh
-from stand_in import sphere
 
-from homolog.synthesis.surface import Ground, Places, Surface, closest_weights, subdivided
+from homolog.geometry.surface import Ground, Places, Surface, closest_weights, split_long, subdivided
+
+
+def sphere(subdivisions):
+    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
+    return np.array(mesh.vertices), np.array(mesh.faces, dtype=np.int64)
 
 
 def test_subdividing_keeps_the_surface():
@@ -58,3 +62,30 @@ def test_values_at_subdivided_vertices():
     middles = surface.vertices[surface.faces[:, :2]].mean(axis=1)
     nearest = ground.nearest(middles, middles)
     np.testing.assert_allclose(ground.values_at(nearest, values), middles @ [1.0, 2.0, 3.0])
+
+
+def test_places_without_normals_are_the_closest_of_all():
+    vertices, faces = sphere(2)
+    surface = Surface(vertices * [1.0, 1.3, 0.7], faces)
+    points = np.random.default_rng(2).normal(size=(60, 3))
+    found = Ground(surface).places(points, around=3).on(surface)
+    every = closest_weights(np.tile(surface.vertices[faces], (60, 1, 1)), np.repeat(points, len(faces), axis=0))
+    on = np.einsum("pck,pc->pk", np.tile(surface.vertices[faces], (60, 1, 1)), every).reshape(60, -1, 3)
+    closest = np.linalg.norm(on - points[:, None], axis=2).min(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(found - points, axis=1), closest, rtol=1e-9)
+    assert Ground(surface).places(points[:0]).weights.shape == (0, 3)
+
+
+def test_split_triangles_are_the_same_surface():
+    generator = np.random.default_rng(4)
+    surface = Surface(
+        generator.normal(size=(30, 3)), generator.permuted(np.tile(np.arange(30), (12, 1)), axis=1)[:, :3]
+    )
+    pieces = split_long(surface, 0.9, most=100_000)
+    fine = pieces.surface
+    assert np.linalg.norm(np.diff(fine.vertices[fine.faces], axis=1), axis=2).max() <= 0.9
+    areas = np.bincount(pieces.of, np.linalg.norm(fine.face_vectors, axis=1), len(surface.faces))
+    np.testing.assert_allclose(areas, np.linalg.norm(surface.face_vectors, axis=1))
+    places = Places(np.arange(len(fine.faces)), generator.dirichlet([1.0, 1.0, 1.0], len(fine.faces)))
+    np.testing.assert_allclose(pieces.whole(places).on(surface), places.on(fine), atol=1e-12)
+    assert len(split_long(surface, 0.9, most=40).surface.faces) <= 40

@@ -1,4 +1,4 @@
-"""The folder of a set that is being made: begun for one way of making, and gone on with in that way alone."""
+"""Folders that are made over a while: begun for one way of making, and gone on with in that way alone."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from homolog.errors import ArgumentError
 from homolog.files import made_folder, read_json, write_json
 
 MANIFEST = "manifest.json"
-"""What a set is and how it is made, in its folder; there from the start, and complete once the set is."""
+"""What is made in a folder, and how; there from the start, and complete once the whole is."""
 
 
-def claim(root: Path, manifest: dict[str, Any], folders: Sequence[str]) -> None:
-    """Make a set's folder, or make sure that the set in it was begun in the same way.
+def claim(root: Path, manifest: dict[str, Any], folders: Sequence[str], *, what: str = "a set") -> None:
+    """Make a folder, or make sure that what is in it was begun in the same way.
 
     Args:
         root: the folder.
-        manifest: what it is to say until the set is complete; all that the set's files depend on is under ``making``.
+        manifest: what it is to say until the whole is complete; all that its files depend on is under ``making``.
         folders: to make within it.
+        what: is made there, for messages.
 
     Raises:
-        ArgumentError: if it holds another set or other things, or cannot be written to; nothing is changed then.
+        ArgumentError: if it holds another such whole or other things, or cannot be written to; nothing is changed then.
     """
     begun = read_json(root / MANIFEST, needs="making")
     if begun is None:
@@ -30,7 +31,7 @@ def claim(root: Path, manifest: dict[str, Any], folders: Sequence[str]) -> None:
             raise ArgumentError(f"{root} holds other things; give another folder with -o, a new or an empty one")
     elif different := _differences(begun["making"], manifest["making"]):
         raise ArgumentError(
-            f"{root} holds a set made in another way ({different}); give the same settings, or another folder with -o"
+            f"{root} holds {what} made in another way ({different}); give the same settings, or another folder with -o"
         )
     for folder in folders:
         made_folder(root / folder)

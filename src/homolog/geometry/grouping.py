@@ -40,8 +40,10 @@ class FacesAround:
         place, within = runs(self.degrees[vertices])
         return place, self.triangles[self.starts[vertices[place]] + within]
 
-    def padded(self) -> Int[np.ndarray, "n d"]:
-        """A row a vertex; shorter rows repeat their first triangle."""
-        steps = np.arange(self.degrees.max())
-        within = np.where(steps < self.degrees[:, None], steps, 0)
-        return np.asarray(self.triangles[self.starts[:, None] + within])
+    def joined(self, size: int) -> FacesAround:
+        """The same for groups of so many triangles, each group once around a vertex, in the order of its first one."""
+        vertex, groups = np.repeat(np.arange(len(self.degrees)), self.degrees), self.triangles // size
+        _, first = np.unique(vertex * (int(groups.max(initial=0)) + 1) + groups, return_index=True)
+        kept = np.sort(first)
+        degrees = np.bincount(vertex[kept], minlength=len(self.degrees))
+        return FacesAround(groups[kept], np.cumsum(degrees) - degrees, degrees)
