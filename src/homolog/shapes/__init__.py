@@ -1,7 +1,7 @@
 """What a shape is: reading, writing, checking and repairing meshes and point clouds."""
 
 from homolog.shapes.checking import Finding, Report, check
-from homolog.shapes.reading import READABLE, VOLUMES, files_of_shape, read_shape
+from homolog.shapes.reading import READABLE, VOLUMES, check_suffix, files_of_shape, read_hashed_shape, read_shape
 from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
@@ -22,12 +22,14 @@ __all__ = [
     "Up",
     "add_noise",
     "check",
+    "check_suffix",
     "components",
     "drawable",
     "face_areas",
     "face_vectors",
     "farthest_points",
     "files_of_shape",
+    "read_hashed_shape",
     "read_shape",
     "repair",
     "rotation_about",

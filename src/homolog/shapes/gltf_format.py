@@ -40,6 +40,24 @@ def buffer_files(path: Path) -> tuple[Path, ...]:
     return tuple(_files_beside(path.parent, header).values())
 
 
+def gltf_content(path: Path) -> tuple[dict[str, Any], dict[str | None, bytes]]:
+    """The header of a GLB or glTF, and its buffers by their names; under None the one inside a GLB.
+
+    Raises:
+        UnreadableError: if it is damaged, or refers to a file that is not beside it.
+    """
+    content = path.read_bytes()
+    binary = path.suffix.lower() == ".glb"
+    header = _glb_header(content) if binary else _json_object(content)
+    files: dict[str | None, bytes] = {
+        name: file.read_bytes() for name, file in _files_beside(path.parent, header).items()
+    }
+    if binary:
+        # Behind the header come the length and the kind of the second chunk, and then its bytes.
+        files[None] = content[28 + struct.unpack("<I", content[12:16])[0] :]
+    return header, files
+
+
 def _glb_header(content: bytes) -> dict[str, Any]:
     if len(content) < 20 or content[:4] != b"glTF":
         raise UnreadableError("it does not start with glTF")
@@ -66,7 +84,7 @@ def _read(path: Path, content: bytes, kind: str, header: dict[str, Any]) -> Arra
     available = len(content) + sum(map(len, files.values()))
     check_claim(sum(int(b["byteLength"]) for b in header.get("buffers", [])), "bytes of buffers", 1, available)
     _check_accessors(header, available)
-    with _quiet_trimesh():
+    with quiet_trimesh():
         scene = trimesh.load_scene(BytesIO(content), file_type=kind, resolver=files, skip_materials=True)
     return _merged(scene)
 
@@ -99,7 +117,8 @@ def _check_accessors(header: dict[str, Any], available: int) -> None:
 
 
 @contextmanager
-def _quiet_trimesh() -> Iterator[None]:
+def quiet_trimesh() -> Iterator[None]:
+    """Within a ``with`` block, keep what trimesh logs from the user."""
     logger = logging.getLogger("trimesh")
     before = logger.disabled
     logger.disabled = True

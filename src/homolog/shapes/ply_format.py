@@ -32,6 +32,7 @@ _TYPES = {
 }
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _INDEX_NAMES = ("vertex_indices", "vertex_index")
+_COLOURS = ("red", "green", "blue")
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,28 @@ class _Element:
 
 def read_ply(path: Path) -> Arrays:
     """Read points and faces of a PLY file; all other properties and elements are passed over."""
+    body, byte_order, elements = _opened(path)
+    points, faces = _read_parts(body, byte_order, elements, tuple("xyz"))
+    if points is None:
+        raise UnreadableError("it has no element vertex")
+    return Arrays(points, faces)
+
+
+def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
+    """The red, green and blue of each point of a PLY file, from 0 to 1; None if it has none."""
+    body, byte_order, elements = _opened(path)
+    vertex = next((element for element in elements if element.name == "vertex"), None)
+    types = {prop.name: prop.type for prop in vertex.properties} if vertex else {}
+    if not {*_COLOURS} <= types.keys():
+        return None
+    values, _ = _read_parts(body, byte_order, elements, _COLOURS)
+    types_of_colours = [np.dtype(types[name]) for name in _COLOURS]
+    largest = [1.0 if type_.kind == "f" else float(np.iinfo(type_).max) for type_ in types_of_colours]
+    return None if values is None else values / largest
+
+
+def _opened(path: Path) -> tuple[bytes, str, list[_Element]]:
+    """What comes after the header, the byte order, and what the header announces."""
     content = path.read_bytes()
     header = re.match(rb"ply\s*?\n.*?^end_header[ \t]*\r?\n", content, re.DOTALL | re.MULTILINE)
     if header is None:
@@ -78,14 +101,17 @@ def read_ply(path: Path) -> Arrays:
     for element in elements:
         if element.properties:
             check_claim(element.count, f"elements {element.name}", 1, len(content) - header.end())
-    body = content[header.end() :]
-    points, faces = _read_text(body, elements) if byte_order == "=" else _read_binary(body, elements, byte_order)
-    if points is None:
-        raise UnreadableError("it has no element vertex")
-    return Arrays(points, faces)
+    return content[header.end() :], byte_order, elements
 
 
 _Parts = tuple[Float[np.ndarray, "n 3"] | None, Int[np.ndarray, "m 3"] | None]
+
+
+def _read_parts(body: bytes, byte_order: str, elements: list[_Element], columns: tuple[str, ...]) -> _Parts:
+    """Some properties of the points, and the faces."""
+    if byte_order == "=":
+        return _read_text(body, elements, columns)
+    return _read_binary(body, elements, byte_order, columns)
 
 
 def _parse_header(text: str) -> tuple[str, list[_Element]]:
@@ -111,7 +137,7 @@ def _parse_header(text: str) -> tuple[str, list[_Element]]:
     return byte_order, elements
 
 
-def _read_text(body: bytes, elements: list[_Element]) -> _Parts:
+def _read_text(body: bytes, elements: list[_Element], columns: tuple[str, ...]) -> _Parts:
     lines = content_lines(body.decode("ascii", errors="replace"))
     points, faces = None, None
     for element in elements:
@@ -120,13 +146,13 @@ def _read_text(body: bytes, elements: list[_Element]) -> _Parts:
         if len(rows) < count:
             raise UnreadableError(f"it ends before the last element {element.name}; {CUT_OFF}")
         if element.name == "vertex":
-            points = number_rows(rows, [element.position(axis) for axis in "xyz"])
+            points = number_rows(rows, [element.position(name) for name in columns])
         elif element.name == "face" and rows:
             faces = polygon_rows(rows, element.position(element.index_list().name))
     return points, faces
 
 
-def _read_binary(body: bytes, elements: list[_Element], byte_order: str) -> _Parts:
+def _read_binary(body: bytes, elements: list[_Element], byte_order: str, columns: tuple[str, ...]) -> _Parts:
     points, faces, offset = None, None, 0
     for element in elements:
         wanted = element.index_list() if element.name == "face" and element.count else None
@@ -136,8 +162,8 @@ def _read_binary(body: bytes, elements: list[_Element], byte_order: str) -> _Par
             continue
         rows, offset = _binary_rows(body, offset, element, byte_order)
         if element.name == "vertex":
-            xyz = [rows[f"{element.position(axis)}"].astype(np.float64) for axis in "xyz"]
-            points = np.stack(xyz, axis=1)
+            values = [rows[f"{element.position(name)}"].astype(np.float64) for name in columns]
+            points = np.stack(values, axis=1)
     return points, faces
 
 

@@ -7,7 +7,7 @@ import re
 import zipfile
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
@@ -46,15 +46,43 @@ def read_table(path: Path) -> Arrays:
     Raises:
         UnreadableError: if more than three columns have names, and x, y and z are not among them.
     """
+    table = read_table_lines(path)
+    if not table.lines:
+        return Arrays(np.zeros((0, 3)))
+    return Arrays(number_rows(table.lines, table.columns, delimiter=table.delimiter))
+
+
+class TableLines(NamedTuple):
+    """The rows of a table of points, without comments and names, and where in a row the coordinates are.
+
+    ``axes`` are the names of these: "xyz", or of the others that were asked for those that the table has.
+    """
+
+    lines: list[str]
+    columns: list[int]
+    delimiter: str | None
+    axes: str = "xyz"
+
+
+def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLines:
+    """Read a table of points as ``read_table`` does, up to its numbers.
+
+    Args:
+        path: the file.
+        other_axes: other names that the columns may have in its first row, such as "ras", a letter each.
+    """
     text = read_text(path)
     lines = content_lines(text)
     if not lines:
         raise UnreadableError("it holds no points")
     names = [] if _is_numbers(lines[0]) else _names(lines.pop(0))
     if not lines:
-        return Arrays(np.zeros((0, 3)))
+        return TableLines([], [0, 1, 2], None)
+    for axes in other_axes:
+        if all(names.count(axis) == 1 for axis in axes):
+            return TableLines(lines, [names.index(axis) for axis in axes], _delimiter(lines[0]), axes)
     columns = _xyz_columns(names or _commented_names(text, lines[0]))
-    return Arrays(number_rows(lines, columns, delimiter=_delimiter(lines[0])))
+    return TableLines(lines, columns, _delimiter(lines[0]))
 
 
 def _delimiter(line: str) -> str | None:

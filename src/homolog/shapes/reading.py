@@ -17,7 +17,7 @@ import numpy as np
 
 from homolog.arguments import check_kind
 from homolog.errors import HomologError, ShapeError
-from homolog.files import expanded
+from homolog.files import expanded, sha256
 from homolog.shapes.gltf_format import buffer_files, read_glb, read_gltf
 from homolog.shapes.mesh_formats import read_obj, read_off, read_stl
 from homolog.shapes.parsing import Arrays, UnreadableError, shorten
@@ -68,17 +68,41 @@ def read_shape(path: str | Path) -> Shape:
     """
     check_kind("path", path, PathLike, str)
     file = _checked(path)
-    reader = _READERS.get(file.suffix.lower())
-    if reader is None and file.name.lower().endswith(VOLUMES):
-        raise ShapeError(f"{path} is a volume; make a surface of its mask first, with homolog volume surface")
-    if reader is None:
-        found = f"the suffix {file.suffix!r}" if file.suffix else "no suffix"
-        raise ShapeError(f"{path} has {found}, but must have one of {', '.join(READABLE)}")
+    check_suffix(path)
     with _in_one_line(path), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        arrays = reader(file)
+        arrays = _READERS[file.suffix.lower()](file)
         _check_content(arrays)
         return Shape(*arrays, name=file.name)
+
+
+def check_suffix(path: str | Path) -> None:
+    """Refuse a name that is none of a shape's file, without a look at the file.
+
+    Raises:
+        ShapeError: if its suffix is not in ``READABLE``.
+    """
+    name = Path(path).name
+    if (suffix := Path(path).suffix).lower() in READABLE:
+        return
+    if name.lower().endswith(VOLUMES):
+        raise ShapeError(f"{path} is a volume; make a surface of its mask first, with homolog volume surface")
+    found = f"the suffix {suffix!r}" if suffix else "no suffix"
+    raise ShapeError(f"{path} has {found}, but must have one of {', '.join(READABLE)}")
+
+
+def read_hashed_shape(path: str | Path) -> tuple[Shape, str]:
+    """A shape, and the hash of the very bytes that it was read from, be they in one file or in several.
+
+    Raises:
+        ShapeError: as ``read_shape`` does, and if the file changes while it is read.
+    """
+    before = sha256(*files_of_shape(path))
+    shape = read_shape(path)
+    digest = sha256(*files_of_shape(path))
+    if digest != before:
+        raise ShapeError(f"{path} changed while it was read; try again once it is complete")
+    return shape, digest
 
 
 def files_of_shape(path: str | Path) -> tuple[Path, ...]:

@@ -11,9 +11,10 @@ from jaxtyping import Float, Int
 from homolog.errors import ShapeError
 
 Modality = Literal["mesh", "cloud"]
+"""With faces, or without."""
 
-# A shape needs as many different points.
 FEWEST_POINTS = 4
+"""A shape needs as many different points."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ from homolog.errors import bad_choice
 from homolog.shapes.shape import Shape
 
 Up = Literal["x", "y", "z"]
+"""The axis that points up."""
 
 
 def stand_upright(shape: Shape, up: Up) -> Shape:

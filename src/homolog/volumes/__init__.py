@@ -1,8 +1,9 @@
-"""Volumes to shapes: the surface of what a segmentation mask marks, and outlines in some of its slices."""
+"""Volumes to shapes: surfaces of masks and of clouds, and outlines in some slices of a mask."""
 
 from homolog.volumes.mask import Mask
 from homolog.volumes.outlines import slice_cloud
 from homolog.volumes.reading import read_mask
+from homolog.volumes.reconstruction import reconstruct_surface
 from homolog.volumes.surface import mask_surface
 
-__all__ = ["Mask", "mask_surface", "read_mask", "slice_cloud"]
+__all__ = ["Mask", "mask_surface", "read_mask", "reconstruct_surface", "slice_cloud"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -40,18 +41,45 @@ def mask_surface(mask: Mask, *, points: int | None = 5000, smoothing: float = 1.
         ArgumentError: if a number is out of range.
         MissingExtraError: if scikit-image or fast-simplification is not installed.
     """
-    if points is not None:
-        check_count("points", points, least=FEWEST_POINTS)
+    check_points(points)
     if not (is_real(smoothing) and smoothing >= 0):
         raise bad_value("smoothing", smoothing, "a number of voxels of at least 0")
     box = mask.cropped(int(np.ceil(_REACH * smoothing)) + 1)
     density = gaussian_filter(box.inside.astype(np.float32), smoothing, truncate=_REACH)
-    places, faces, _, _ = _marching_cubes()(density, _level(density, box.inside), allow_degenerate=False)
-    positions = box.positions(places.astype(np.float64))
-    faces = faces.astype(np.int64)
-    if points is not None and len(positions) > points:
-        positions, faces = _simplified(positions, faces, points)
-    return Shape(positions, _outwards(positions, faces), name=mask.name)
+    return level_surface(density, _level(density, box.inside), box.positions, points=points, name=mask.name)
+
+
+def check_points(points: int | None) -> None:
+    """Refuse numbers of points that no surface can have."""
+    if points is not None:
+        check_count("points", points, least=FEWEST_POINTS)
+
+
+def level_surface(
+    density: Float[np.ndarray, "i j k"],
+    level: float,
+    positions: Callable[[Float[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]],
+    *,
+    points: int | None,
+    name: str,
+) -> Shape:
+    """The surface around where a density exceeds a level.
+
+    Args:
+        density: per voxel; below the level along the borders.
+        level: of the surface.
+        positions: where places given in voxels are.
+        points: about how many points the surface is to have, at most; None for all.
+        name: of the surface.
+
+    Returns:
+        A closed mesh with its faces turned outwards.
+    """
+    places, faces, _, _ = _marching_cubes()(density, level, allow_degenerate=False)
+    found, faces = positions(places.astype(np.float64)), faces.astype(np.int64)
+    if points is not None and len(found) > points:
+        found, faces = _simplified(found, faces, points)
+    return Shape(found, _outwards(found, faces), name=name)
 
 
 def _level(density: Float[np.ndarray, "i j k"], inside: Bool[np.ndarray, "i j k"]) -> float:
