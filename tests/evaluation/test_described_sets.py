@@ -1,5 +1,6 @@
 """Sets of parts and of clouds by the protocol, against direct computation, with matchers told what to answer."""
 
+import weakref
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from homolog.errors import DataError
 from homolog.evaluation import Detection, Protocol, evaluate
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, read_shape, stand_upright, upright_rotation, write_shape
+from homolog.synthesis import ViewSettings, write_view_set
 
 PARTS = Protocol(partial=True, in_place=True)
 
@@ -165,6 +167,89 @@ def test_common_points_tell_what_a_part_lacks(tmp_path, make):
 
     found = evaluate(Stub(lambda s, t: np.zeros(42, int), forth), ShapeFolder.open(tmp_path), Protocol(partial=True))
     assert found.missing == Detection(found=2, true=2, both=1)
+
+
+@pytest.fixture
+def views_set(tmp_path, make):
+    """Views of five blobs that are one another's doubles, whose every vertex is a common point."""
+    (tmp_path / "in" / "off").mkdir(parents=True)
+    (tmp_path / "in" / "corres").mkdir()
+    for name in "abcde":
+        blob = make.blob()
+        write_shape(tmp_path / "in" / "off" / f"{name}.off", blob)
+        (tmp_path / "in" / "corres" / f"{name}.vts").write_text("\n".join(str(i + 1) for i in range(blob.n_points)))
+    settings = ViewSettings(pixels=(24, 18), noise=0.01)
+    write_view_set(tmp_path / "in", tmp_path / "out", views=10, seed=3, settings=settings)
+    return tmp_path / "out"
+
+
+def test_views_as_clouds_have_points_of_their_own(views_set):
+    folder = ShapeFolder.open(views_set, "views")
+    clouds = {name: read_shape(views_set / "clouds" / f"{name}.ply") for _, name in folder.pairs("test")}
+    truth = {name: np.load(views_set / "truth" / f"{name}.npz")["cloud_to_complete"] for name in clouds}
+    matcher = Stub(lambda source, target: truth[target.name])
+    found = evaluate(matcher, folder, Protocol(partial=True, modality="mesh-to-cloud"))
+    assert [pair.pair[1] for pair in found.pairs] == list(clouds)
+    for pair in found.pairs:
+        assert len(pair.errors) == clouds[pair.pair[1]].n_points
+        assert not pair.errors.any()
+    seen = {Path(shape.name).stem: shape for shape in matcher.prepared}
+    for name, cloud in clouds.items():
+        assert np.array_equal(seen[name].points, cloud.points)
+        assert seen[name].faces is None
+    assert found.missing is not None
+
+    wrong = evaluate(
+        Stub(lambda s, t: np.zeros(t.shape.n_points, int)), folder, Protocol(partial=True, modality="cloud")
+    )
+    source = folder.shape(wrong.pairs[0].pair[0])
+    expected = distances_along_edges(source)[0][truth[wrong.pairs[0].pair[1]]]
+    assert np.allclose(wrong.pairs[0].errors, expected)
+
+
+def test_views_as_meshes_have_the_points_of_the_complete_shape(views_set):
+    folder = ShapeFolder.open(views_set, "views")
+    maps = {name: np.load(views_set / "truth" / f"{name}.npz")["mesh_to_complete"] for _, name in folder.pairs("test")}
+    found = evaluate(Stub(lambda source, target: maps[target.name]), folder, Protocol(partial=True))
+    assert all(len(pair.errors) == len(maps[pair.pair[1]]) and not pair.errors.any() for pair in found.pairs)
+
+
+def test_views_without_common_points_have_no_truth_as_clouds(views_set):
+    folder = ShapeFolder.open(views_set, "views")
+    (_, name), *_ = folder.pairs("test")
+    path = views_set / "truth" / f"{name}.npz"
+    with np.load(path) as arrays:
+        kept = {key: arrays[key] for key in arrays if key != "cloud_to_complete"}
+    np.savez(path, **kept)
+    with pytest.raises(DataError, match=f"{path} has no cloud_to_complete"):
+        evaluate(Stub(lambda s, t: [0]), folder, Protocol(partial=True, modality="mesh-to-cloud"))
+
+
+@pytest.mark.parametrize("modality", ["mesh", "mesh-to-cloud"])
+def test_shapes_are_let_go_of_when_they_are_needed_no_more(views_set, modality):
+    folder = ShapeFolder.open(views_set, "views")
+    held, most = [], 0
+
+    class Counting(Stub):
+        def prepare(self, shape, **options):
+            ready = super().prepare(shape, **options)
+            held.append(weakref.ref(ready))
+            return ready
+
+        def match_prepared(self, source, target, **options):
+            nonlocal most
+            most = max(most, sum(ready() is not None for ready in held))
+            return super().match_prepared(source, target, **options)
+
+    pairs = folder.pairs("all")
+    evaluate(
+        Counting(lambda s, t: np.zeros(t.shape.n_points, int)),
+        folder,
+        Protocol(partial=True, split="all", modality=modality),
+    )
+    # At most those sources that a later pair needs, and one target.
+    assert len(held) == len({source for source, _ in pairs}) + len(pairs)
+    assert most <= len({source for source, _ in pairs}) + 1
 
 
 def test_figures_that_are_not_defined_are_none():

@@ -8,9 +8,10 @@ from scipy.sparse.csgraph import dijkstra
 
 from homolog.datasets import ShapeFolder
 from homolog.errors import ArgumentError, DataError
-from homolog.evaluation import Protocol, evaluate, geodesic_errors
+from homolog.evaluation import Evaluation, Protocol, evaluate, geodesic_errors
+from homolog.evaluation.protocol import PairErrors
 from homolog.geometry import compute_operators
-from homolog.matching import Correspondence, Matcher, MatcherSettings
+from homolog.matching import Correspondence, MapQuality, Matcher, MatcherSettings, Quality
 from homolog.shapes import Shape, face_areas, write_shape
 
 BASE_POINTS = 162
@@ -566,3 +567,29 @@ def test_protocols_that_make_no_sense(settings, said):
 def test_who_is_a_cloud(modality, source, target):
     protocol = Protocol(modality=modality)
     assert (protocol.is_cloud("source"), protocol.is_cloud("target")) == (source, target)
+
+
+def pair_of(error, confidence, *, flipped=None):
+    """A pair of two points with this mean error; coverage is the same for all, energy grows with the error."""
+    side = Quality(1.0, 0.1 if error < 5 else 0.05, error**3, flipped, confidence)
+    return PairErrors(("a", "b"), np.array([error - 0.5, error + 0.5]), np.ones(2), quality=MapQuality(side, side))
+
+
+def test_figures_of_quality_are_ranked_against_the_errors():
+    errors = np.random.default_rng(0).permutation(12) + 1.0
+    found = Evaluation(tuple(pair_of(error, -np.exp(error)) for error in errors), "features", 0, {})
+    correlations = found.to_dict()["quality_rank_correlations"]
+    assert correlations["dirichlet_energy"] == pytest.approx(1)
+    assert correlations["confidence"] == pytest.approx(-1)
+    assert correlations["coverage"] is correlations["flipped_triangles"] is None
+    # Ranks 1 to 12 against eight and four that tie.
+    ranks, tied = np.arange(1, 13), np.where(np.arange(1, 13) < 5, 10.5, 4.5)
+    assert correlations["there_and_back"] == pytest.approx(np.corrcoef(ranks, tied)[0, 1])
+    assert found.to_dict()["pairs"][0]["quality"]["source"]["coverage"] == 1
+
+
+def test_few_pairs_are_not_ranked_nor_those_that_say_nothing(family):
+    few = Evaluation(tuple(pair_of(error, 0.5) for error in np.arange(1.0, 10)), "features", 0, {})
+    assert "quality_rank_correlations" not in few.to_dict()
+    silent = evaluate(Stub(family.truth), family.folder, ALL).to_dict()
+    assert "quality" not in silent["pairs"][0]

@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
 from homolog.errors import ArgumentError
@@ -15,11 +16,13 @@ from homolog.maps.losses import (
     bijectivity_loss,
     commutativity_loss,
     contrastive_loss,
+    displacement_loss,
     orthogonality_loss,
     partial_alignment_loss,
     partial_bijectivity_loss,
     partial_orthogonality_loss,
     partial_rank,
+    transport_loss,
 )
 from homolog.memory import working_memory
 
@@ -57,6 +60,10 @@ def test_losses_of_maps_are_sums_over_their_entries() -> None:
     x, y = random(4, seed=2).abs().numpy(), random(3, seed=3).abs().numpy()
     crossed = sum((c_xy[i, j] * (x[j] - y[i]) / max(*x, *y)) ** 2 for i in range(3) for j in range(4))
     np.testing.assert_allclose(commutativity_loss(c_xy, x, y), crossed)
+    here, there = random(4, 3, seed=4).numpy(), random(3, 3, seed=5).numpy()
+    moved = [[sum(c_xy[i, j] * here[j, a] for j in range(4)) - there[i, a] for a in range(3)] for i in range(3)]
+    rough = sum(y[i] * moved[i][a] ** 2 for i in range(3) for a in range(3))
+    np.testing.assert_allclose(displacement_loss(c_xy, here, there, y), rough)
 
 
 def test_maps_that_do_what_is_asked_cost_nothing() -> None:
@@ -73,6 +80,40 @@ def test_maps_that_do_what_is_asked_cost_nothing() -> None:
         assert partial_orthogonality_loss(part, rank=rank).item() == pytest.approx(1)
     # The other way round, from the part and back, is not asked for.
     assert partial_bijectivity_loss(part.T, part, rank=3) > 1
+
+
+def test_a_displacement_costs_its_dirichlet_energy() -> None:
+    """Of a sphere of unit area: its positions are its second to fourth eigenfunctions, of eigenvalue 2 / radius^2."""
+    square = 1 / (4 * np.pi)
+    values = torch.tensor([0.0, 2 / square, 2 / square, 2 / square], dtype=torch.float64)
+    positions = torch.cat([torch.zeros(1, 3), (square / 3) ** 0.5 * torch.eye(3)]).double()
+    eye = torch.eye(4, dtype=torch.float64)
+    shifted = positions + torch.tensor([[5.0, -2, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
+    assert displacement_loss(eye, positions, shifted, values) < 1e-20
+    for turn in (1.3 * torch.eye(3), -torch.eye(3), orthogonal(3)):
+        energy = (turn - torch.eye(3)).square().sum().item() * 2 / 3  # that of a linear function, over unit area
+        moved = positions @ turn.double().T
+        assert displacement_loss(eye, moved, positions, values).item() == pytest.approx(energy)
+
+
+def test_the_cost_of_a_transport_that_is_known() -> None:
+    """Features that tell points apart make the soft map a permutation."""
+    order, features = torch.randperm(9, generator=torch.Generator().manual_seed(0)), torch.eye(9, dtype=torch.float64)
+    x, y = random(9, 3), random(9, 3, seed=1)
+    cost = transport_loss(features, features[order], x, y, temperature=0.02)
+    assert cost.item() == pytest.approx((y - x[order]).square().sum(dim=1).mean().item())
+
+
+def test_the_best_transport_of_as_many_points_is_an_assignment() -> None:
+    """Positions can be lifted to features whose products are squared distances but for a number per point."""
+    x, y = random(9, 3), random(9, 3, seed=1)
+    squared = torch.cdist(y, x).square()
+    least = squared[linear_sum_assignment(squared.numpy())].mean().item()
+    lifted = torch.cat([2 * x, -x.square().sum(dim=1, keepdim=True)], dim=1), torch.cat([y, torch.ones(9, 1)], dim=1)
+    best = transport_loss(*lifted, x, y, temperature=0.02, iterations=300)
+    assert best.item() == pytest.approx(least, rel=1e-3)
+    other = transport_loss(unit(9, 4), unit(9, 4, seed=1), x, y, temperature=0.1, iterations=300)
+    assert other > 1.1 * least
 
 
 def test_full_rank_is_half_of_the_complete_losses() -> None:
@@ -225,8 +266,10 @@ def test_gradients_of_every_loss_are_right() -> None:
         (lambda c_xy, c_yx: partial_bijectivity_loss(c_xy, c_yx, rank=2), maps),
         (lambda c_xy: partial_orthogonality_loss(c_xy, rank=2), maps[:1]),
         (lambda c_xy: commutativity_loss(c_xy, *values), maps[:1]),
+        (lambda c_xy: displacement_loss(c_xy, phi_x[:3], phi_y[:3], values[1]), maps[:1]),
         (lambda x, y: alignment_loss(c, phi_x, phi_y, x, y, temperature=0.3, iterations=3), features),
         (lambda x, y: partial_alignment_loss(c, phi_x, phi_y, x, y, temperature=0.3), features),
+        (lambda x, y: transport_loss(x, y, phi_x, phi_y, temperature=0.3, iterations=3), features),
         (lambda x, y: contrastive_loss(x, y, temperature=0.3), features),
     )
     for loss, inputs in losses:

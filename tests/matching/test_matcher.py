@@ -9,7 +9,7 @@ import torch
 
 from homolog.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
-from homolog.matching import Correspondence, Matcher, MatcherSettings, choose_device
+from homolog.matching import Correspondence, MapQuality, Matcher, MatcherSettings, Quality, choose_device
 from homolog.matching import matcher as matcher_module
 from homolog.matching.checks import doubts
 from homolog.network import WeightsInfo
@@ -193,6 +193,18 @@ def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_cou
     assert "doubtful" in doubts(unsure)[0] and "doubtful" in doubts(unsure.swapped())[0]
 
 
+def test_maps_that_tear_are_doubted_however_sure_they_are():
+    side = Quality(coverage=0.98, there_and_back=0.01, dirichlet_energy=2.0, flipped_triangles=0.05, confidence=0.9)
+    sure = Correspondence(np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), route="features")
+    torn = replace(side, dirichlet_energy=20.0)
+    assert doubts(sure) == doubts(replace(sure, quality=MapQuality(side, side))) == ()
+    for quality in (MapQuality(torn, side), MapQuality(side, torn), MapQuality(None, torn)):
+        (warning,) = doubts(replace(sure, quality=quality))
+        assert "tears the shapes (Dirichlet energy" in warning
+    unsure = replace(sure, source_confidence=np.zeros(2), quality=MapQuality(torn, torn))
+    assert len(doubts(unsure)) == 1  # one warning is enough
+
+
 def test_orientation_does_not_matter_to_all_weights(build, blobs, monkeypatch):
     monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
     for method in ("auto", "functional-map", "features"):
@@ -206,7 +218,7 @@ def test_the_axiomatic_route_warns_by_its_own_lights(build, blobs, monkeypatch):
     )
     for matcher in (build("axiomatic", info=WeightsInfo(upright=True)), build("auto", with_network=False)):
         found = matcher.match(blobs.source, blobs.target, target_up="x")
-        assert found.warnings == ("480 turned ('y', 'x')",)
+        assert found.warnings[0] == "480 turned ('y', 'x')"
 
 
 @pytest.mark.parametrize("given", [None, OperatorSettings(n_eigenpairs=50)])

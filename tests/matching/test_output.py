@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from homolog.errors import ArgumentError
-from homolog.matching import Correspondence, matched_colours, position_colours, write_result
+from homolog.errors import ArgumentError, DataError
+from homolog.matching import Correspondence, matched_colours, position_colours, read_result, write_result
 from homolog.shapes import Shape, read_shape
 from homolog.steps import Steps
 
@@ -85,6 +85,55 @@ def test_the_four_files(shapes, found, tmp_path):
         if given.faces is not None:
             np.testing.assert_array_equal(written.faces, given.faces)
     assert json.loads(paths[3].read_text()) == {"answer": 42}
+
+
+def test_a_result_is_read_back(shapes, found, tmp_path):
+    write_result(tmp_path, *shapes, found, {"route": "features", "warnings": ["look!"], "answer": 42})
+    result = read_result(tmp_path)
+    assert result.report["answer"] == 42
+    for name, value in asdict(found).items():
+        np.testing.assert_array_equal(getattr(result.found, name), value)
+    finite = np.isfinite(shapes[1].points).all(axis=1)
+    np.testing.assert_array_equal(result.target.points[finite], shapes[1].points[finite])
+    np.testing.assert_array_equal(result.source.faces, shapes[0].faces)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_folder_that_lacks_a_file_is_no_result(shapes, found, tmp_path, name):
+    write_result(tmp_path, *shapes, found, {"route": "features"})
+    (tmp_path / name).unlink()
+    with pytest.raises(DataError, match=f"has no {name}, so that it is no result"):
+        read_result(tmp_path)
+
+
+def change_maps(folder, **changes):
+    with np.load(folder / "correspondence.npz") as stored:
+        arrays = {**stored, **changes}
+    np.savez(folder / "correspondence.npz", **{name: array for name, array in arrays.items() if array is not None})
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda folder: change_maps(folder, target_to_source=None), "no array 'target_to_source'"),
+        (lambda folder: change_maps(folder, target_to_source=np.zeros(5, int)), r"does not fit target\.ply"),
+        (lambda folder: change_maps(folder, target_to_source=np.full(42, 162)), r"does not fit target\.ply"),
+        (lambda folder: change_maps(folder, source_to_target=np.full(162, -2)), r"does not fit source\.ply"),
+        (lambda folder: change_maps(folder, source_confidence=np.zeros(3)), r"does not fit source\.ply"),
+        (lambda folder: change_maps(folder, source_to_target=np.zeros(162)), "not those of a match"),
+        (lambda folder: change_maps(folder, source_to_target=np.array([{}], object)), "cannot be read as the arrays"),
+        (lambda folder: (folder / "correspondence.npz").write_bytes(b"PK"), "cannot be read as the arrays"),
+        (lambda folder: (folder / "report.json").write_text("{"), "cannot be read as the report"),
+        (lambda folder: (folder / "report.json").write_text("[1]"), "is not the report"),
+        (lambda folder: (folder / "report.json").write_text('{"route": "by hand"}'), "is not the report"),
+    ],
+)
+def test_results_that_are_spoilt_are_one_line(shapes, found, tmp_path, spoil, said):
+    write_result(tmp_path, *shapes, found, {"route": "features"})
+    spoil(tmp_path)
+    with pytest.raises(DataError, match=said) as error:
+        read_result(tmp_path)
+    assert "\n" not in str(error.value) and str(tmp_path) in str(error.value)
 
 
 def test_writing_is_a_step_of_the_report(shapes, found, tmp_path):

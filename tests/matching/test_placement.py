@@ -125,5 +125,48 @@ def test_turned_beginnings_where_the_given_one_leads_nowhere(upper, degrees, axi
         return embedded(places if apart(points, places) < 0.1 else points + 9.0)
 
     assert apart(basis.points, whole[kept]) > 0.15
-    found = {turned: placed(basis, features_of, whole, embedded(whole), turned=turned) for turned in (True, False)}
-    assert apart(found[True], whole[kept]) < 0.1 < apart(found[False], whole[kept])
+    found = {one: placed(basis, features_of, whole, embedded(whole), searched=one) for one in (True, False)}
+    assert apart(found[True].points, whole[kept]) < 0.1 < apart(found[False].points, whole[kept])
+    assert found[True].size == found[False].size == 1
+
+
+@pytest.mark.parametrize("size", [0.5, 1.9])
+def test_a_part_of_a_smaller_or_larger_individual_takes_its_whole_s_size(upper, size):
+    """A network that knows the points of parts of about the right size, and sees of others only where they lie."""
+    body, part, kept = upper
+    whole = torch.from_numpy(unit_frame(body).inside(body.points)).float()
+    basis = compute_operators(Shape(part.points * size, part.faces), length=unit_frame(body).length).basis
+    places = whole[kept][_samples(len(kept), _PART_SAMPLES)]
+
+    def embedded(points):
+        waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
+        return torch.cat([torch.sin(2 * points @ waves), torch.cos(2 * points @ waves)], dim=1)
+
+    def features_of(points, samples):
+        extent = [(one - one.mean(dim=0)).norm(dim=1).mean() for one in (points, places)]
+        area = samples.mass.sum() / basis.sampled(_samples(len(kept), _PART_SAMPLES)).mass.sum()
+        assert abs(area.sqrt() * size / (extent[0] / extent[1]) - 1) < 1e-3  # operators are of the size that is tried
+        return embedded(places if abs(extent[0] / extent[1] - 1) < 0.15 else points + 9.0)
+
+    found = placed(basis, features_of, whole, embedded(whole), searched=True)
+    assert abs(found.size * size - 1) < 0.1
+    middled = [points - points.mean(dim=0) for points in (found.points, whole[kept])]
+    assert (middled[0] - middled[1]).norm(dim=1).mean() < 0.1
+    assert placed(basis, features_of, whole, embedded(whole), searched=False).size == 1
+
+
+def test_what_is_nearly_as_alike_elsewhere_does_not_tempt(upper):
+    """Features that tell nothing are as alike everywhere: the part stays as it is given."""
+    body, part, _ = upper
+    whole = torch.from_numpy(unit_frame(body).inside(body.points)).float()
+    basis = compute_operators(part, length=unit_frame(body).length).basis
+
+    def features_of(points, _):
+        """A hair more alike where the part has another size."""
+        spread = (points - points.mean(dim=0)).norm(dim=1).mean()
+        one = torch.tensor([1.0, 0.5 - 0.005 * (spread < 0.3)])
+        return one.expand(len(points), 2)
+
+    found = placed(basis, features_of, whole, torch.tensor([1.0, 0.0]).expand(len(whole), 2), searched=True)
+    assert found.size == 1
+    assert torch.equal(found.points, basis.points)

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.integrate import trapezoid
 
-# The correct-points curve runs from zero to this geodesic error, in units of sqrt(area).
 PCK_THRESHOLD = 0.1
+"""The correct-points curve runs from zero to this geodesic error, in units of sqrt(area)."""
 _CURVE_POINTS = 101
 
 

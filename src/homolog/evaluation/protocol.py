@@ -4,31 +4,36 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections import defaultdict
-from collections.abc import Callable
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.stats import spearmanr
 
-from homolog.datasets import Counterparts, Pair, ShapeFolder, Split, drawn_pairs
+from homolog.datasets import Counterparts, Pair, ShapeFolder, Split, Truth, drawn_pairs
 from homolog.errors import ArgumentError, DataError, bad_choice, bad_value
 from homolog.evaluation.metrics import PCK_THRESHOLD, Detection, area_under_pck, least_confident_share, pck_curve
 from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
-from homolog.matching import Correspondence, Matcher, Prepared, Side
-from homolog.shapes import Shape, add_noise, repair
+from homolog.matching import MEASURES, Correspondence, MapQuality, Matcher, Prepared, Side
+from homolog.shapes import Modality, Shape, add_noise, repair
 from homolog.steps import Progress, unheard
 
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
+"""What source and target are used as."""
 
 _ROLES: tuple[Side, Side] = ("source", "target")
+# Of fewer pairs, rank correlations mean little.
+_PAIRS_TO_RANK = 10
 # Name, role if that matters, whether it is a cloud, and whose scale it takes if not its own.
 _Variant = tuple[str, str, bool, str]
 
-# Gives the maps of two prepared shapes.
 MatchPair = Callable[[Prepared, Prepared], Correspondence]
+"""Gives the maps of two prepared shapes."""
 
 
 @dataclass(frozen=True)
@@ -82,12 +87,14 @@ class PairErrors:
             straight ones in the files' unit where the set is of clouds.
         confidences: of the map there (p,).
         missing: how well points of the source that a part lacks are found; None where that is not known.
+        quality: what the maps tell of themselves, without the truth; None if whoever made them does not say.
     """
 
     pair: Pair
     errors: Float[np.ndarray, " p"]
     confidences: Float[np.ndarray, " p"]
     missing: Detection | None = None
+    quality: MapQuality | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +127,19 @@ class Evaluation:
         return sum(known[1:], known[0]) if known else None
 
     @property
+    def rank_correlations(self) -> dict[str, float | None]:
+        """Spearman's rank correlation, over pairs, of each figure of ``Quality`` with the mean error; {} of few pairs.
+
+        None for figures that are not known of all pairs, or the same for all.
+        """
+        known = [pair for pair in self.pairs if pair.quality is not None and len(pair.errors)]
+        if len(known) < _PAIRS_TO_RANK:
+            return {}
+        errors = [float(pair.errors.mean()) for pair in known]
+        figures = [pair.quality.mean for pair in known if pair.quality is not None]
+        return {name: _rank_correlation([getattr(each, name) for each in figures], errors) for name in MEASURES}
+
+    @property
     def error_kind(self) -> str:
         """Whether errors are ``"geodesic"`` or ``"straight"``."""
         return "geodesic" if self.straight_unit is None else "straight"
@@ -137,6 +157,7 @@ class Evaluation:
             # JSON has no NaN, which stands for no error at all.
             "least_confident_fifth_error_share": share if np.isfinite(share) else None,
             **({} if missing is None else {"without_counterpart": missing.to_dict()}),
+            **({"quality_rank_correlations": self.rank_correlations} if self.rank_correlations else {}),
             "route": self.route,
             "unmatched_points": self.unmatched_points,
             "pairs": [self._pair(pair) for pair in self.pairs],
@@ -161,7 +182,15 @@ class Evaluation:
             "points": len(pair.errors),
             f"mean_{self.error_kind}_error": self._shown(pair.errors.mean()) if len(pair.errors) else None,
             **({} if pair.missing is None else {"without_counterpart": pair.missing.to_dict()}),
+            **({} if pair.quality is None else {"quality": pair.quality.to_dict()}),
         }
+
+
+def _rank_correlation(figures: list[float | None], errors: list[float]) -> float | None:
+    known = [figure for figure in figures if figure is not None]
+    if len(known) < len(errors) or len(set(known)) < 2 or len(set(errors)) < 2:
+        return None
+    return float(spearmanr(known, errors).statistic)
 
 
 def evaluate(
@@ -201,6 +230,7 @@ class _Queries:
     mapped: Int[np.ndarray, " p"]
     confidences: Float[np.ndarray, " p"]
     missing: Detection | None
+    quality: MapQuality | None
 
 
 class _Run:
@@ -219,32 +249,26 @@ class _Run:
         self.shapes = {name: folder.shape(name) for name in names}
         self.frame = cache(lambda name: unit_frame(repair(self.shapes[name]).shape))  # many parts may share one
         self.truth = folder.ground_truth(self.shapes.__getitem__)
+        self.clouds = {name: folder.cloud(name) for name in names if self._has_cloud(name)}
         for pair in pairs:
-            self.truth.between(*pair)  # what is wrong with any is said before anything is computed
-        self.to_prepare = {self._variant(pair, role): (pair, role) for pair in pairs for role in _ROLES}
-        self.total = len(self.to_prepare) + len(pairs)
+            self._truth(pair)  # what is wrong with any is said before anything is computed
+        self.uses = Counter(self._variant(pair, role) for pair in pairs for role in _ROLES)
+        self.prepared: dict[_Variant, Prepared] = {}
+        self.total = len(self.uses) + len(pairs)
         self.done = 0
+        self.seconds = {"prepare": 0.0, "match": 0.0, "measure": 0.0}
 
     def evaluation(self) -> Evaluation:
-        began = time.perf_counter()
-        prepared = {variant: self._prepare(*key) for variant, key in self.to_prepare.items()}
-        matched = time.perf_counter()
-        queries = [self._match(pair, prepared) for pair in self.pairs]
-        measured = time.perf_counter()
-        errors = self._errors(queries)
+        queries = [self._match(pair) for pair in self.pairs]
+        with self._timed("measure"):
+            errors = self._errors(queries)
         if not any(len(pair.errors) for pair in errors):
             raise DataError(
                 f"{self.folder.root}: no common point of any pair is matched, so there is nothing to score; "
                 "ground truth must name points that the faces use"
             )
-        seconds = {
-            "prepare": matched - began,
-            "match": measured - matched,
-            "measure": time.perf_counter() - measured,
-            "total": time.perf_counter() - began,
-        }
-        source, target = (prepared[self._variant(self.pairs[0], role)] for role in _ROLES)
-        route = self.matcher.route(source.modality, target.modality)
+        seconds = {**self.seconds, "total": sum(self.seconds.values())}
+        route = self.matcher.route(*(self._modality(self.pairs[0], role) for role in _ROLES))
         unmatched = sum(len(query.mapped) - len(pair.errors) for query, pair in zip(queries, errors, strict=True))
         unit = (self.folder.description.unit or "units of the files") if self._straight else None
         return Evaluation(tuple(errors), route, unmatched, seconds, unit)
@@ -254,20 +278,42 @@ class _Run:
         """Whether distances are straight ones: there is no surface that they could run along."""
         return self.folder.description.holds == "clouds"
 
+    def _has_cloud(self, name: str) -> bool:
+        """Whether a shape is used as a cloud with points of its own; complete shapes, which lead the pairs, are not."""
+        return self.protocol.is_cloud("target") and self.folder.has_cloud(name)
+
+    def _truth(self, pair: Pair) -> Truth:
+        cloud = self.clouds.get(pair[1])
+        return self.truth.between(*pair) if cloud is None else self.truth.of_cloud(*pair, cloud)
+
+    def _modality(self, pair: Pair, role: Side) -> Modality:
+        faces = None if self.protocol.is_cloud(role) else self.shapes[_in_role(pair, role)].faces
+        return "cloud" if faces is None else "mesh"
+
     def _variant(self, pair: Pair, role: Side) -> _Variant:
         """What tells preparations apart: noise makes source and target of one name two clouds, scale a part several."""
         cloud, partner = self.protocol.is_cloud(role), self._scaled_by(pair, role)
         name = _in_role(pair, role)
-        return name, role if cloud and self.protocol.noise else "", cloud, "" if partner == name else partner
+        own = cloud and (self.protocol.noise or name in self.clouds)
+        return name, role if own else "", cloud, "" if partner == name else partner
 
     def _scaled_by(self, pair: Pair, role: Side) -> str:
         """Whose scale a shape takes: its own, but a part its complete partner's."""
         return pair[0] if self.protocol.partial else _in_role(pair, role)
 
+    def _take(self, pair: Pair, role: Side) -> Prepared:
+        """A shape made ready, when it is first needed; it is let go of when it is needed no more."""
+        variant = self._variant(pair, role)
+        if variant not in self.prepared:
+            with self._timed("prepare"):
+                self.prepared[variant] = self._prepare(pair, role)
+        self.uses[variant] -= 1
+        return self.prepared[variant] if self.uses[variant] else self.prepared.pop(variant)
+
     def _prepare(self, pair: Pair, role: Side) -> Prepared:
         name, scaled_by, cloud = _in_role(pair, role), self._scaled_by(pair, role), self.protocol.is_cloud(role)
         self._tick(name)
-        shape = self.shapes[name]
+        shape = self.clouds.get(name, self.shapes[name]) if role == "target" else self.shapes[name]
         if scaled_by == name and not (cloud and self.protocol.noise):
             return self.matcher.prepare(shape, as_cloud=cloud)
         frame = self.frame(scaled_by)
@@ -277,14 +323,18 @@ class _Run:
             shape = add_noise(shape, self.protocol.noise * frame.length, seed=seed)
         return self.matcher.prepare(shape, as_cloud=cloud, length=frame.length, centre=centre)
 
-    def _match(self, pair: Pair, prepared: dict[_Variant, Prepared]) -> _Queries:
+    def _match(self, pair: Pair) -> _Queries:
+        source, target = self._take(pair, "source"), self._take(pair, "target")
         self._tick(" - ".join(pair))
-        found = self.match(*(prepared[self._variant(pair, role)] for role in _ROLES))
-        truth = self.truth.between(*pair)
+        with self._timed("match"):
+            found = self.match(source, target)
+        truth = self._truth(pair)
         known = self.truth.counterparts(*pair) if self.protocol.partial else None
         missing = None if known is None else _missing(found, known)
         at = truth.target
-        return _Queries(pair, truth.source, found.target_to_source[at], found.target_confidence[at], missing)
+        return _Queries(
+            pair, truth.source, found.target_to_source[at], found.target_confidence[at], missing, found.quality
+        )
 
     def _errors(self, queries: list[_Queries]) -> list[PairErrors]:
         """Errors, each source shape's distances searched for all its pairs at once."""
@@ -300,7 +350,9 @@ class _Run:
             for number, part in zip(numbers, np.split(distances, cuts), strict=True):
                 query = queries[number]
                 kept = query.mapped >= 0
-                errors[number] = PairErrors(query.pair, part[kept], query.confidences[kept], query.missing)
+                errors[number] = PairErrors(
+                    query.pair, part[kept], query.confidences[kept], query.missing, query.quality
+                )
         return [errors[number] for number in range(len(queries))]
 
     def _distances(
@@ -310,6 +362,12 @@ class _Run:
             return geodesic_errors(shape, truth, mapped)
         distances: np.ndarray = np.linalg.norm(shape.points[truth] - shape.points[mapped], axis=1)
         return distances
+
+    @contextmanager
+    def _timed(self, part: str) -> Iterator[None]:
+        began = time.perf_counter()
+        yield
+        self.seconds[part] += time.perf_counter() - began
 
     def _tick(self, what: str) -> None:
         self.progress(self.done, self.total, what)

@@ -9,6 +9,7 @@ from homolog.maps.functional_map import (
     resolvent_mask,
 )
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
+from homolog.maps.quality import coverage, dirichlet_energy, flipped_triangles, there_and_back
 from homolog.maps.refinement import guided_zoom_out, guided_zoom_out_to_part
 from homolog.maps.rigid import rigid_motion
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
@@ -17,8 +18,11 @@ __all__ = [
     "Nearest",
     "SoftMatches",
     "confidence",
+    "coverage",
     "coverage_density",
     "covered",
+    "dirichlet_energy",
+    "flipped_triangles",
     "functional_map",
     "functional_map_from_point_map",
     "guided_zoom_out",
@@ -32,5 +36,6 @@ __all__ = [
     "rigid_motion",
     "sinkhorn_matches",
     "smoothed_positions",
+    "there_and_back",
     "wave_kernel_signature",
 ]

@@ -13,6 +13,7 @@ from torch import Tensor
 from homolog.arguments import check_indices
 from homolog.arrays import takes_arrays
 from homolog.geometry import Operators
+from homolog.maps.quality import there_and_back
 
 # Neighbours of a point that its match is judged with.
 _NEIGHBOURS = 20
@@ -38,10 +39,8 @@ def confidence(
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
     """
-    check_indices("y_to_x", y_to_x, len(points_x))
-    check_indices("x_to_y", x_to_y, len(points_y))
+    home = there_and_back(points_y, y_to_x, x_to_y)
     near = _neighbourhoods(points_y)
-    home = (points_y - points_y[x_to_y[y_to_x]]).norm(dim=1)
     stretch = local_stretch(points_y, points_x[y_to_x], near)
     return torch.exp(-(home[near].mean(dim=1) + stretch) / _SCALE)
 

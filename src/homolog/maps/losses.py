@@ -77,6 +77,30 @@ def commutativity_loss(
 
 
 @takes_arrays
+def displacement_loss(
+    c_xy: Float[Tensor, "k_y k_x"],
+    positions_x: Float[Tensor, "k_x 3"],
+    positions_y: Float[Tensor, "k_y 3"],
+    eigenvalues_y: Float[Tensor, " k_y"],
+) -> Float[Tensor, ""]:
+    """What a map does to positions is smooth: the Dirichlet energy of the displacement C_xy x - y, as a function on y.
+
+    With Dirichlet energies of functions, which are eigenvalues times squared coefficients, shifts cost nothing, and
+    turns and folds much. For shapes that stand alike and differ by a deformation, such as organs, where many maps keep
+    areas and lengths about as well: M. Eisenberger, Z. Laehner and D. Cremers, "Smooth shells" (CVPR 2020), ask the
+    same of the deformation that aligns two shapes.
+
+    Args:
+        c_xy: takes coefficients of functions on x to those on y.
+        positions_x: coefficients of the positions of x, in units of sqrt(area).
+        positions_y: of those of y.
+        eigenvalues_y: of the functions on y.
+    """
+    displacement = c_xy @ positions_x - positions_y
+    return (eigenvalues_y[:, None] * displacement.square()).sum()
+
+
+@takes_arrays
 def alignment_loss(
     c_xy: Float[Tensor, "k_y k_x"],
     eigenvectors_x: Float[Tensor, "n_x k_x"],
@@ -123,6 +147,36 @@ def partial_alignment_loss(
         raise bad_value("temperature", temperature, "positive")
     carried = _softly_carried(features_y / temperature, features_x, eigenvectors_x)
     return (eigenvectors_y @ c_xy.detach() - carried).square().sum()
+
+
+@takes_arrays
+def transport_loss(
+    features_x: Float[Tensor, "n_x d"],
+    features_y: Float[Tensor, "n_y d"],
+    points_x: Float[Tensor, "n_x 3"],
+    points_y: Float[Tensor, "n_y 3"],
+    *,
+    temperature: float = TEMPERATURE,
+    iterations: int = ITERATIONS,
+) -> Float[Tensor, ""]:
+    """The soft map of the features moves no point farther than it must: the mean of sum_j P_ij |y_i - x_j|^2 over y.
+
+    As the map gives every point of either cloud its share, that is the cost of a transport of one to the other (Cuturi,
+    "Sinkhorn distances", NIPS 2013), whose least is the optimal one; here the features learn it, one function of shapes
+    for all pairs. For shapes that stand alike and differ by a deformation, such as organs.
+
+    Args:
+        features_x: of the points of one cloud.
+        features_y: of those of the other.
+        points_x: their positions.
+        points_y: likewise.
+        temperature: of Sinkhorn's map.
+        iterations: likewise.
+    """
+    squares_x, squares_y = points_x.square().sum(dim=1, keepdim=True), points_y.square().sum(dim=1)
+    functions = torch.cat([points_x, squares_x], dim=1)
+    carried = carried_over(features_y, features_x, functions, temperature=temperature, iterations=iterations)
+    return (squares_y - 2 * (points_y * carried[:, :3]).sum(dim=1) + carried[:, 3]).mean()
 
 
 @takes_arrays

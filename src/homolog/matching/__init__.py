@@ -2,25 +2,38 @@
 
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.matcher import Matcher, OperatorSource
-from homolog.matching.output import RESULT_FILES, matched_colours, position_colours, write_result
+from homolog.matching.output import (
+    RESULT_FILES,
+    MatchResult,
+    matched_colours,
+    position_colours,
+    read_result,
+    write_result,
+)
 from homolog.matching.prepared import PointMaps, Prepared
+from homolog.matching.quality import MEASURES, MapQuality, Quality
 from homolog.matching.settings import AsCloud, Device, MatcherSettings, Method, Side, choose_device
 
 __all__ = [
+    "MEASURES",
     "RESULT_FILES",
     "AsCloud",
     "Correspondence",
     "Device",
+    "MapQuality",
+    "MatchResult",
     "Matcher",
     "MatcherSettings",
     "Method",
     "OperatorSource",
     "PointMaps",
     "Prepared",
+    "Quality",
     "Route",
     "Side",
     "choose_device",
     "matched_colours",
     "position_colours",
+    "read_result",
     "write_result",
 ]

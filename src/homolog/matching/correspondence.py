@@ -5,13 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.files import atomic_path
+from homolog.errors import DataError
+from homolog.files import atomic_path, expanded
+from homolog.matching.quality import MapQuality
 
 Route = Literal["functional-map", "features", "axiomatic"]
+"""How maps were found."""
+
+_ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +31,7 @@ class Correspondence:
         target_confidence: likewise for ``target_to_source``.
         route: how the maps were found.
         warnings: what the user should know, a line each.
+        quality: figures of the maps as a whole; None where they were read from a file.
     """
 
     source_to_target: Int[np.ndarray, " n_source"]
@@ -33,6 +40,7 @@ class Correspondence:
     target_confidence: Float[np.ndarray, " n_target"]
     route: Route
     warnings: tuple[str, ...] = field(default=())
+    quality: MapQuality | None = None
 
     def swapped(self) -> Correspondence:
         """The same maps with source and target exchanged."""
@@ -43,16 +51,32 @@ class Correspondence:
             target_confidence=self.source_confidence,
             route=self.route,
             warnings=self.warnings,
+            quality=None if self.quality is None else self.quality.swapped(),
         )
+
+    @classmethod
+    def load(cls, path: str | Path, *, route: Route, warnings: tuple[str, ...] = ()) -> Correspondence:
+        """Read what ``save`` wrote; route and warnings are in the report beside it.
+
+        Raises:
+            DataError: if the file is not there, is damaged, or holds something else.
+        """
+        try:
+            with np.load(expanded(path), allow_pickle=False) as stored:
+                missing = [name for name in _ARRAYS if name not in stored.files]
+                arrays = {name: stored[name] for name in _ARRAYS if name not in missing}
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
+            raise DataError(f"{path} cannot be read as the arrays of a match ({error}); match again") from None
+        if missing:
+            raise DataError(f"{path} has no array {missing[0]!r}; it must be what homolog match wrote")
+        if any(
+            array.ndim != 1 or array.dtype.kind != kind for array, kind in zip(arrays.values(), "iiff", strict=True)
+        ):
+            raise DataError(f"{path} holds arrays that are not those of a match; match again")
+        return cls(**arrays, route=route, warnings=warnings)
 
     def save(self, path: str | Path) -> None:
         """Write the four arrays as a ``.npz`` file, whole or not at all."""
         # NumPy adds a suffix to a name that has none, but not to a file.
         with atomic_path(path) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(
-                file,
-                source_to_target=self.source_to_target,
-                target_to_source=self.target_to_source,
-                source_confidence=self.source_confidence,
-                target_confidence=self.target_confidence,
-            )
+            np.savez_compressed(file, allow_pickle=False, **{name: getattr(self, name) for name in _ARRAYS})

@@ -44,8 +44,9 @@ from homolog.matching.map_problem import MapProblem
 from homolog.matching.orientation import axiomatic_warnings, orientation_warnings
 from homolog.matching.placement import placed
 from homolog.matching.prepared import PointMaps, Prepared
+from homolog.matching.quality import MapQuality, quality
 from homolog.matching.settings import AsCloud, Device, MatcherSettings, Side, choose_device
-from homolog.network import DiffusionNet, WeightsInfo, load_weights
+from homolog.network import DEFAULT_WEIGHTS, DiffusionNet, WeightsInfo, load_weights
 from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
 from homolog.steps import Steps
 
@@ -56,8 +57,8 @@ _SHARE_WITH_FACES = 0.95
 # Eigenpairs of the functional map to a part, with weights that were trained on complete shapes.
 _PARTIAL_SIZE = 50
 
-# A function like `compute_operators`: the operators of a clean shape, from wherever they come.
 OperatorSource = Callable[..., Operators]
+"""A function like ``compute_operators``: the operators of a clean shape, from wherever they come."""
 
 
 class Matcher:
@@ -112,13 +113,15 @@ class Matcher:
     @classmethod
     def from_weights(
         cls,
-        weights: str | Path,
+        weights: str | Path = DEFAULT_WEIGHTS,
         *,
         settings: MatcherSettings | None = None,
         device: Device | torch.device = "auto",
         operators: OperatorSource = compute_operators,
     ) -> Matcher:
         """A matcher with weights from a file, or with weights that ship with the package, by their name.
+
+        By default it has those for people.
 
         Raises:
             ArgumentError: if something given is of another kind.
@@ -359,6 +362,10 @@ class Matcher:
         back = _debris_following(maps.target_to_source, target.operators)
         x, y = source.operators.points, target.operators.points
         source_confidence, target_confidence = confidence(x, y, forth, back), confidence(y, x, back, forth)
+        figures = MapQuality(
+            None if partial else quality(source, target, forth, back, source_confidence),
+            quality(target, source, back, forth, target_confidence),
+        )
         if partial == "target":
             found = covered(source.operators, target.operators, back)
             forth, source_confidence = torch.where(found, forth, -1), torch.where(found, source_confidence, 0.0)
@@ -368,11 +375,12 @@ class Matcher:
             source_confidence=source.repaired.to_original(source_confidence.cpu().numpy(), fill=0),
             target_confidence=target.repaired.to_original(target_confidence.cpu().numpy(), fill=0),
             route=route,
+            quality=figures,
         )
 
     @torch.inference_mode()
     def placed(self, complete: Prepared, part: Prepared) -> Prepared:
-        """A part turned and shifted to where its features fit the complete shape's best, with its features there.
+        """A part turned, shifted and sized to fit the complete shape's features best, with its features there.
 
         Its operators' points are then no longer where ``centre`` and ``length`` put those of its file.
         As it is given, where there is no network or the settings say so.
@@ -381,10 +389,11 @@ class Matcher:
         if self.network is None or not self.settings.place:
             return part
         whole = complete.operators.points
-        points = placed(part.operators.basis, self.network, whole, complete.features, turned=self.info.partial)
-        if points is part.operators.basis.points:
+        basis = part.operators.basis
+        place = placed(basis, self.network, whole, complete.features, searched=self.info.partial)
+        if place.points is basis.points:
             return part
-        operators = replace(part.operators, points=points)
+        operators = replace(part.operators.scaled(place.size), points=place.points)
         return replace(part, operators=operators, features=self.features(operators))
 
     @torch.inference_mode()

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import json
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from homolog.errors import ArgumentError
-from homolog.files import all_or_nothing, made_folder, write_json
-from homolog.matching.correspondence import Correspondence
-from homolog.shapes import Shape, drawable, write_shape
+from homolog.errors import ArgumentError, DataError
+from homolog.files import all_or_nothing, expanded, made_folder, write_json
+from homolog.matching.correspondence import Correspondence, Route
+from homolog.shapes import Shape, drawable, read_shape, write_shape
 from homolog.steps import Steps
 
 RESULT_FILES = ("correspondence.npz", "source.ply", "target.ply", "report.json")
+"""What a match writes into its folder."""
 
 # What has no counterpart, or cannot be coloured, is grey.
 _NO_COLOUR = (160, 160, 160)
@@ -66,6 +68,71 @@ def write_result(
         told = {} if steps is None else {"steps": [asdict(step) for step in steps.finished]}
         write_json(paths[3], report | told)
     return paths
+
+
+@dataclass(frozen=True, eq=False)
+class MatchResult:
+    """What ``write_result`` left in a folder.
+
+    Args:
+        source: the points as given, and the faces that programs can use.
+        target: likewise.
+        found: the maps between them.
+        report: what ``report.json`` says.
+    """
+
+    source: Shape
+    target: Shape
+    found: Correspondence
+    report: dict[str, Any]
+
+    def swapped(self) -> MatchResult:
+        """The same with source and target exchanged; the report stays as it is."""
+        return MatchResult(self.target, self.source, self.found.swapped(), self.report)
+
+
+def read_result(folder: str | Path) -> MatchResult:
+    """Read a match from the folder that ``write_result`` or ``homolog match`` wrote it to.
+
+    Raises:
+        DataError: if one of its files is missing, damaged, or does not fit the others.
+        ShapeError: if a shape cannot be read.
+    """
+    place = expanded(folder)
+    for name in RESULT_FILES:
+        if not (place / name).is_file():
+            raise DataError(f"{folder} has no {name}, so that it is no result; give a folder that homolog match wrote")
+    report = _read_report(place / "report.json")
+    source, target = read_shape(place / "source.ply"), read_shape(place / "target.ply")
+    found = Correspondence.load(
+        place / "correspondence.npz", route=report["route"], warnings=tuple(report.get("warnings", ()))
+    )
+    _check_fit(place, source, target, found)
+    return MatchResult(source, target, found, report)
+
+
+def _read_report(path: Path) -> dict[str, Any]:
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path} cannot be read as the report of a match ({error}); match again") from None
+    if not isinstance(report, dict) or report.get("route") not in get_args(Route):
+        raise DataError(f"{path} is not the report of a match; match again")
+    return report
+
+
+def _check_fit(place: Path, source: Shape, target: Shape, found: Correspondence) -> None:
+    for name, shape, other, points, confidence in (
+        ("source", source, target, found.source_to_target, found.source_confidence),
+        ("target", target, source, found.target_to_source, found.target_confidence),
+    ):
+        if (
+            len(points) != shape.n_points
+            or len(confidence) != shape.n_points
+            or points.min() < -1
+            or points.max() >= other.n_points
+        ):
+            raise DataError(f"{place}: correspondence.npz does not fit {name}.ply; match again")
 
 
 def matched_colours(

@@ -13,9 +13,13 @@ from homolog.errors import ArgumentError, bad_choice, bad_value
 from homolog.geometry import OperatorSettings
 
 Method = Literal["auto", "functional-map", "features", "axiomatic"]
+"""How maps are found, see ``MatcherSettings``."""
 Side = Literal["source", "target"]
+"""One of the two shapes of a match."""
 AsCloud = Literal["source", "target", "both"]
+"""Whose faces are dropped."""
 Device = Literal["auto", "cpu", "cuda"]
+"""Where to compute; ``"auto"`` takes a GPU where there is one."""
 
 
 _Rule = tuple[Callable[[Any], bool], str]

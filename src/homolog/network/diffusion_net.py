@@ -18,10 +18,12 @@ from homolog.errors import bad_choice, bad_value
 from homolog.geometry import Basis, Operators
 from homolog.network.block import Dropout, Stack, diffusion_block
 
-# How the components of a gradient are multiplied with a complex matrix A = A_re + i A_im:
-# "equivariant": as complex numbers, so that a turn of the tangent frames changes nothing (the paper's equation 8);
-# "published": imaginary part A_re x + A_im y, the order that the authors' released weights were trained with.
 GradientProduct = Literal["equivariant", "published"]
+"""How the components of a gradient are multiplied with a complex matrix A = A_re + i A_im.
+
+``"equivariant"``: as complex numbers, so that a turn of the tangent frames changes nothing (the paper's equation 8);
+``"published"``: imaginary part A_re x + A_im y, the order that the authors' released weights were trained with.
+"""
 
 # Diffusion times cannot become negative: heat does not flow backwards.
 _SHORTEST_TIME = 1e-8

@@ -1,0 +1,116 @@
+"""How good a point map is without any ground truth: figures of a whole map; see ``confidence`` for its points.
+
+All are shares or ratios, or lengths in inner units, so that they do not depend on a file's units.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from homolog.arguments import check_indices
+from homolog.arrays import takes_arrays
+from homolog.geometry import Operators, Surface
+
+# A point is hit if what is hit comes this near, in spacings of the coarser shape: points of a shape that is sampled
+# like the other are hit by two in three, at random.
+_HIT_SPACINGS = 2.0
+# A surface has an outside if its normals nearly cancel, as those of a closed one do, and the flux of the position
+# through it has one sign for the most part.
+_NEARLY_CLOSED = 0.1
+_ONE_SIDED = 0.2
+
+
+@takes_arrays
+def there_and_back(
+    points_y: Float[Tensor, "n_y 3"], y_to_x: Int[Tensor, " n_y"], x_to_y: Int[Tensor, " n_x"]
+) -> Float[Tensor, " n_y"]:
+    """How far from each point of y, in a straight line, the way to x and back ends.
+
+    Raises:
+        ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
+    """
+    check_indices("y_to_x", y_to_x, len(x_to_y))
+    check_indices("x_to_y", x_to_y, len(points_y))
+    misses: Tensor = (points_y - points_y[x_to_y[y_to_x]]).norm(dim=1)
+    return misses
+
+
+def coverage(hit: Operators, hitting: Operators, point_map: Int[Tensor, " n_hitting"]) -> float:
+    """The share of a shape's area that a map from another one hits, between 0 and 1.
+
+    A point counts as hit if it lies within two point spacings of one that is, in a straight line; the spacing is that
+    of the coarser of the two shapes, sqrt(area / points). Entries of -1 hit nothing.
+
+    Raises:
+        ArgumentError: if another index is that of no point.
+    """
+    aims = torch.unique(point_map[point_map >= 0])
+    if not len(aims):
+        return 0.0
+    check_indices("point_map", aims, hit.n_points)
+    radius = _HIT_SPACINGS * max(_spacing(hit), _spacing(hitting))
+    points = hit.points.cpu().numpy()
+    away, _ = KDTree(points[aims.cpu().numpy()]).query(points, distance_upper_bound=radius)
+    return float(np.average(np.isfinite(away), weights=hit.mass.double().cpu().numpy()))
+
+
+def _spacing(operators: Operators) -> float:
+    return float((operators.mass.sum() / operators.n_points).sqrt())
+
+
+def dirichlet_energy(operators_x: Operators, points_y: Float[Tensor, "n_y 3"], x_to_y: Int[Tensor, " n_x"]) -> float:
+    """Dirichlet energy of a map from x to y, relative to that of the identity of x.
+
+    That of the coordinates on y as functions on x, trace(Y^T L Y), where Y = points_y[x_to_y], over that of x's own. An
+    isometry has 1, a constant map 0, a map that tears neighbours apart much more.
+
+    Raises:
+        ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
+    """
+    check_indices("x_to_y", x_to_y, len(points_y))
+    return _energy(operators_x, points_y[x_to_y]) / _energy(operators_x, operators_x.points)
+
+
+def _energy(operators: Operators, functions: Float[Tensor, "n 3"]) -> float:
+    share = operators.mass / operators.mass.sum()
+    centred = functions - (share[:, None] * functions).sum(dim=0)  # or rounding would be of the size of the shift
+    return float((centred * (operators.laplacian @ centred)).sum(dtype=torch.float64))
+
+
+def flipped_triangles(x: Surface, y: Surface, x_to_y: Int[np.ndarray, " n_x"]) -> Bool[np.ndarray, " m_x"]:
+    """Which triangles of x are turned over where a point map draws them on y; those drawn as a line or a point are not.
+
+    A drawn triangle is turned over if its normal looks away from the normals of y at its corners. If both surfaces have
+    an outside, which way their triangles look is known, so that a map that mirrors them turns all over; otherwise most
+    triangles are taken to lie as they should.
+
+    Raises:
+        ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
+    """
+    check_indices("x_to_y", torch.from_numpy(x_to_y), len(y.vertices))
+    corners = x_to_y[x.faces]
+    drawn = Surface(y.vertices, corners)
+    agreement = np.sign(np.einsum("mk,mk->m", drawn.face_vectors, y.vertex_normals[corners].sum(axis=1)))
+    facing = _outward(x) * _outward(y) or np.sign(np.average(agreement, weights=_areas(x)))
+    return np.asarray(agreement * facing < 0)
+
+
+def _outward(surface: Surface) -> int:
+    """1 if triangles look outward, -1 if inward, 0 if the surface has no clear outside, as a part or a sheet has none.
+
+    By the divergence theorem, the flux of the position through a closed surface is three times the volume inside.
+    """
+    middles = surface.vertices[surface.faces].mean(axis=1)
+    middles = middles - np.average(middles, axis=0, weights=_areas(surface))
+    flux = np.einsum("mk,mk->m", middles, surface.face_vectors)
+    closed = np.linalg.norm(surface.face_vectors.sum(axis=0)) < _NEARLY_CLOSED * _areas(surface).sum()
+    clear = abs(flux.sum()) > _ONE_SIDED * np.abs(flux).sum()
+    return int(np.sign(flux.sum())) if closed and clear else 0
+
+
+def _areas(surface: Surface) -> Float[np.ndarray, " m"]:
+    return np.asarray(np.linalg.norm(surface.face_vectors, axis=1))
