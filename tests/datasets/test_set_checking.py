@@ -3,10 +3,12 @@
 import subprocess
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from homolog.datasets import SetDescription, check_set, read_description
 from homolog.shapes import write_shape
+from homolog.synthesis import ViewSettings, write_view_set
 
 
 @pytest.fixture
@@ -146,13 +148,35 @@ def test_parts(parts_set):
 
 def test_clouds(clouds_set):
     root, _ = clouds_set
-    described = replace(read_description("lungs"), n_shapes=3, n_pairs=9, n_points=(50, 50))
+    small = {"split": "test", "n_shapes": 3, "n_train": 0, "n_test": 0, "n_pairs": 9, "n_points": (50, 50)}
+    described = replace(read_description("lungs"), **small)
     assert check_set(root, described).findings == []
     with (root / "landmarksC.csv").open("a") as file:
         file.write("1,2,3\n")
     findings = check_set(root, described).findings
     assert any("A has 50 points and C 51" in finding for finding in findings)
     assert any("50 to 51 points, but those of the set have 50" in finding for finding in findings)
+
+
+def test_clouds_of_views(tmp_path, make):
+    (tmp_path / "in" / "off").mkdir(parents=True)
+    (tmp_path / "in" / "corres").mkdir()
+    for name in "abcde":
+        write_shape(tmp_path / "in" / "off" / f"{name}.off", make.blob())
+        vertices = (str(i + 1) for i in range(make.blob().n_points))
+        (tmp_path / "in" / "corres" / f"{name}.vts").write_text("\n".join(vertices))
+    root, described = tmp_path / "out", read_description("views")
+    write_view_set(tmp_path / "in", root, views=5, seed=0, settings=ViewSettings(pixels=(24, 18)))
+    assert check_set(root, described).findings == []
+    path = root / "truth" / "view_000003.npz"
+    with np.load(path) as arrays:
+        changed = {**arrays, "cloud_to_complete": arrays["cloud_to_complete"] + 10_000}
+    np.savez(path, **changed)
+    (finding,) = check_set(root, described).findings
+    assert finding.startswith(f"{path} names point 1")
+    path.write_bytes(b"no arrays")
+    (finding,) = check_set(root, described).findings
+    assert finding.startswith(f"{path} must hold cloud_to_complete")
 
 
 def test_volumes(tmp_path):
@@ -194,7 +218,7 @@ def test_maps_that_do_not_fit(tmp_path, make):
     [
         ("SMAL_r", "smal_r", 49, 289),
         ("SHREC16", "shrec16_holes", 55, 55),
-        ("LUNGS", "lungs", 48, 2304),
+        ("LUNGS", "lungs", 48, 256),
     ],
 )
 def test_the_real_files(benchmark_set, folder, name, n_shapes, n_pairs):

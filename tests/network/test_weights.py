@@ -14,7 +14,15 @@ from safetensors.torch import load_file, save_file
 
 from homolog.errors import ArgumentError, WeightsError
 from homolog.files import sha256
-from homolog.network import DiffusionNet, NetworkSettings, WeightsInfo, load_weights, save_weights
+from homolog.network import (
+    DEFAULT_WEIGHTS,
+    DiffusionNet,
+    NetworkSettings,
+    WeightsInfo,
+    load_weights,
+    save_weights,
+    shipped_weights,
+)
 
 SMALL = NetworkSettings(in_channels=5, out_channels=4, width=6, blocks=2, dropout=0.25)
 INFO = WeightsInfo(name="bones", licence="CC0-1.0", upright=False, n_eigenpairs=64, map_eigenpairs=30)
@@ -237,3 +245,16 @@ def test_a_file_that_would_run_code_is_refused_and_does_not(writer: str, suffix:
         with path.open("rb") as file:  # by its path, torch would read .safetensors as what it says
             torch.load(file, weights_only=False)["networks"]["feature_extractor"]["last_linear.bias"].close()
         assert trace.exists()
+
+
+# --- what ships
+
+
+def test_weights_that_ship_load_and_say_their_terms() -> None:
+    shipped = shipped_weights()
+    assert DEFAULT_WEIGHTS in shipped
+    for name, file in shipped.items():
+        _, info = load_weights(name)
+        assert (info.name, info.licence) == (name, "CC0-1.0")
+        assert file.stat().st_size < 5_000_000
+        assert file.name in (file.parent / "LICENSE.md").read_text(encoding="utf-8")

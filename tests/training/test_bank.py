@@ -163,6 +163,20 @@ def test_parts_of_a_mesh_are_paired_with_their_own_points(meshes, small, clouds,
     assert not bank_of(meshes, small(clouds=clouds)).shape(Member("ape", 0, 0)).cloud_is_part
 
 
+def test_what_is_seen_of_a_mesh_has_the_point_nearest_to_each_sample(meshes, small):
+    """A depth camera's points lie between the mesh's: interpolated exactly from all, from samples off by an edge."""
+    exact = bank_of(meshes, small(clouds={"seen": [0.0]}, samples={"points": 0})).shape(Member("ape", 1, 0))
+    apart = exact.at_cloud(exact.mesh.points) - exact.cloud.points
+    assert (apart - apart.mean(dim=0)).norm(dim=1).max() < 1e-5
+    sampled = bank_of(meshes, small(clouds={"seen": [0.0]}, samples={"points": 150})).shape(Member("ape", 1, 0))
+    assert sampled.cloud_is_part and 0.2 < sampled.cloud.n_points / 150 < 0.6
+    places = sampled.pairing.to_dense().argmax(dim=1).tolist()
+    assert len(set(places)) == len(places)
+    apart = sampled.mesh.points[places] - sampled.cloud.points
+    edge = torch.cdist(exact.mesh.points, exact.mesh.points).topk(7, largest=False).values[:, -1].max()
+    assert (apart - apart.mean(dim=0)).norm(dim=1).max() < edge
+
+
 def test_prefetched_is_in_order_and_ahead():
     loaded = []
 

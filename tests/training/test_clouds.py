@@ -10,11 +10,12 @@ from homolog.training.recipe import CloudSettings
 
 
 def test_the_clean_cloud_comes_first():
-    found = cloud_variants(CloudSettings(noise=(0.1, 0.2), thinned=(0.5,), resampled=(300,), cut=(0.4,), pierced=(9,)))
-    kinds = ["clean", "noisy", "noisy", "thinned", "resampled", "cut", "pierced"]
+    settings = CloudSettings((0.1, 0.2), thinned=(0.5,), resampled=(300,), cut=(0.4,), pierced=(9,), seen=(0.0,))
+    found = cloud_variants(settings)
+    kinds = ["clean", "noisy", "noisy", "thinned", "resampled", "cut", "pierced", "seen"]
     assert [variant.kind for variant in found] == kinds
-    assert [variant.amount for variant in found[1:]] == [0.1, 0.2, 0.5, 300, 0.4, 9]
-    assert [variant.is_part for variant in found] == [False] * 5 + [True] * 2
+    assert [variant.amount for variant in found[1:]] == [0.1, 0.2, 0.5, 300, 0.4, 9, 0.0]
+    assert [variant.is_part for variant in found] == [False] * 5 + [True] * 3
 
 
 def test_clean_and_noisy_clouds_keep_the_points(make):
@@ -53,6 +54,22 @@ def test_parts_are_some_of_the_points_of_one_piece(make, variant):
         assert 0.5 < area < 0.98
 
 
+def test_seen_clouds_lie_on_one_side_of_the_surface(make):
+    """The inner side of a convex shape's surface is hidden: what is seen has a plane of its own that parts it off."""
+    ball = make.sphere(3)
+    cloud = make_cloud(ball, CloudVariant("seen", 0.0), seed=1)
+    assert cloud.shape.faces is None and cloud.shape.n_points > ball.n_points
+    np.testing.assert_allclose(cloud.weights @ ball.points, cloud.shape.points)
+    np.testing.assert_allclose(cloud.weights.sum(axis=1), 1)
+    assert cloud.weights.min() >= 0 and np.diff(cloud.weights.indptr).max() <= 3
+    outwards = cloud.shape.points / np.linalg.norm(cloud.shape.points, axis=1, keepdims=True)
+    camera = cloud.shape.points.mean(axis=0) / np.linalg.norm(cloud.shape.points.mean(axis=0))
+    assert (outwards @ camera).min() > 0.2  # the camera is at least two radii away, so that it sees less than half
+    noisy = make_cloud(ball, CloudVariant("seen", 0.01), seed=1)
+    moved = np.linalg.norm(noisy.shape.points - noisy.weights @ ball.points, axis=1)
+    assert abs(np.sqrt((moved**2).mean()) / (0.01 * np.sqrt(face_areas(ball.points, ball.faces).sum())) - 1) < 0.05
+
+
 def test_resampled_clouds_lie_on_the_surface(make):
     blob = make.blob(2)
     cloud = make_cloud(blob, CloudVariant("resampled", 5000), seed=1)
@@ -81,7 +98,8 @@ def test_resampled_clouds_are_even(make):
 
 def test_seeds(make):
     blob = make.blob(2)
-    for variant in (CloudVariant("noisy", 0.1), CloudVariant("thinned", 0.5), CloudVariant("resampled", 200)):
+    variants = [CloudVariant("noisy", 0.1), CloudVariant("thinned", 0.5), CloudVariant("resampled", 200)]
+    for variant in (*variants, CloudVariant("cut", 0.5), CloudVariant("seen", 0.01)):
         first, again, other = (make_cloud(blob, variant, seed=seed).shape.points for seed in (0, 0, 1))
         assert np.array_equal(first, again)
         assert not np.array_equal(first, other)

@@ -20,7 +20,7 @@ from homolog.training import Losses, LossSettings, TrainingShape, pair_losses
 
 SMALL = NetworkSettings(width=16, out_channels=12, blocks=2, dropout=0.5)
 FEW = LossSettings(map_eigenpairs=15)
-NAMES = ("bijectivity", "orthogonality", "alignment", "contrast", "commutativity")
+NAMES = ("bijectivity", "orthogonality", "alignment", "contrast", "commutativity", "displacement", "transport")
 
 
 def network_of(seed: int = 0) -> DiffusionNet:
@@ -92,6 +92,7 @@ def slow_losses(network: DiffusionNet, x: TrainingShape, y: TrainingShape, setti
     logits = unit["Y"] @ unit["X"].T / settings.soft_temperature
     for _ in range(settings.soft_iterations):
         logits = torch.log_softmax(torch.log_softmax(logits, dim=0), dim=1)
+    positions = {s: phi[s].T @ (mass[s].double()[:, None] * bases[s].points) for s in "xy"}
     stretch = max(values["x"].max(), values["y"].max())
     crossed = (there * values["x"] - values["y"][:, None] * there, back * values["y"] - values["x"][:, None] * back)
     return {
@@ -105,6 +106,11 @@ def slow_losses(network: DiffusionNet, x: TrainingShape, y: TrainingShape, setti
             for s in "xy"
         ),
         "commutativity": sum((c**2).sum() for c in crossed) / stretch**2,
+        "displacement": sum(
+            (values[s][:, None] * (c @ positions[o] - positions[s]) ** 2).sum()
+            for c, o, s in ((there, "x", "y"), (back, "y", "x"))
+        ),
+        "transport": (logits.exp() * torch.cdist(y.cloud.points, x.cloud.points).square()).sum(dim=1).mean(),
     }
 
 
@@ -117,6 +123,8 @@ def test_a_complete_pair_s_losses_and_gradients_are_the_paper_s(pair) -> None:
         alignment=0.01,
         contrast=3.0,
         commutativity=500.0,
+        displacement=2.0,
+        transport=20.0,
         soft_temperature=0.15,
         soft_iterations=1,
         contrast_temperature=0.1,
@@ -133,7 +141,7 @@ def test_a_complete_pair_s_losses_and_gradients_are_the_paper_s(pair) -> None:
 
 
 def test_the_total_is_the_sum_and_weights_weigh(pair) -> None:
-    network, full = network_of(), replace(FEW, commutativity=1.0)
+    network, full = network_of(), replace(FEW, commutativity=1.0, displacement=1.0, transport=1.0)
     losses = pair_losses(network, *pair, settings=full).as_dict()
     assert list(losses) == [*NAMES, "total"]
     assert losses["total"] == pytest.approx(sum(losses[name] for name in NAMES))
@@ -146,10 +154,10 @@ def test_the_total_is_the_sum_and_weights_weigh(pair) -> None:
 
 
 def test_swapping_the_shapes_of_a_complete_pair_changes_its_alignment_alone(pair) -> None:
-    network, settings = network_of(), replace(FEW, commutativity=1.0)
+    network, settings = network_of(), replace(FEW, commutativity=1.0, displacement=1.0)
     there = pair_losses(network, *pair, settings=settings).as_dict()
     back = pair_losses(network, *reversed(pair), settings=settings).as_dict()
-    for name in ("bijectivity", "orthogonality", "contrast", "commutativity"):
+    for name in ("bijectivity", "orthogonality", "contrast", "commutativity", "displacement"):
         assert back[name] == pytest.approx(there[name], rel=1e-4)
     assert back["alignment"] != pytest.approx(there["alignment"], rel=1e-2)
 
@@ -355,7 +363,7 @@ def test_losses_of_a_pair_are_those_of_the_published_code(published, faust) -> N
     theirs = ("l_bij", "l_orth", "l_align", "l_nce")
     for name, their in zip((*NAMES[:4], "total"), (*theirs, "l_total"), strict=True):
         assert found[name] == pytest.approx(float(faust[their]), rel=1e-4), name
-    assert found["commutativity"] == 0
+    assert found["commutativity"] == found["displacement"] == found["transport"] == 0
 
 
 @pytest.mark.reference
@@ -370,12 +378,13 @@ def test_gradients_of_a_pair_are_those_of_the_published_code(published, faust) -
 
 def test_what_a_part_lacks_is_not_carried_over_from_it(pair) -> None:
     """With a part as the first shape's cloud there is no alignment; with one as the second's, no Sinkhorn."""
-    network, (x, y) = network_of(), pair
-    whole = pair_losses(network, x, y, settings=FEW)
-    first = pair_losses(network, replace(x, cloud_is_part=True), y, settings=FEW)
-    assert first.alignment == 0 and whole.alignment > 0
+    network, (x, y), settings = network_of(), pair, replace(FEW, transport=1.0)
+    whole = pair_losses(network, x, y, settings=settings)
+    first = pair_losses(network, replace(x, cloud_is_part=True), y, settings=settings)
+    assert first.alignment == first.transport == 0 and whole.alignment > 0 and whole.transport > 0
     assert first.contrast == whole.contrast and first.bijectivity == whole.bijectivity
-    second = pair_losses(network, x, replace(y, cloud_is_part=True), settings=FEW)
-    softly = pair_losses(network, x, y, settings=FEW, partial=True)
+    second = pair_losses(network, x, replace(y, cloud_is_part=True), settings=settings)
+    softly = pair_losses(network, x, y, settings=settings, partial=True)
+    assert second.transport == softly.transport == 0
     assert second.alignment.item() == pytest.approx(softly.alignment.item(), rel=1e-5)
     assert second.alignment.item() != pytest.approx(whole.alignment.item(), rel=1e-3)

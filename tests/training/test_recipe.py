@@ -65,6 +65,7 @@ MISTAKES = {
     "[clouds]\nnoise = [0.01, 'x']": ["[clouds] noise", "a list, each of them a number"],
     "[clouds]\ncut = [0.05]": ["[clouds] cut is 0.05", "from 0.1 to below 1"],
     "[clouds]\npierced = [0]": ["[clouds] pierced is 0", "at least 1 each"],
+    "[clouds]\nseen = [-0.1]": ["[clouds] seen is -0.1", "at least 0"],
     "[clouds]\nthinned = [1.5]": ["[clouds] thinned is 1.5", "between 0 and 1"],
     "[augmentation]\nturn = 'sideways'": ["[augmentation] turn is 'sideways'", "vertical"],
     "[validation]\nshapes = 1": ["[validation] shapes is 1", "at least 2"],

@@ -12,7 +12,7 @@ from homolog.cli.progress import progress_bar
 from homolog.datasets import read_description
 from homolog.errors import HomologError
 from homolog.files import expanded
-from homolog.training import WEIGHTS, is_first_process, read_recipe
+from homolog.training import WEIGHTS, is_first_process, is_started_by_another, read_recipe
 from homolog.training import train as train_network
 
 
@@ -79,7 +79,8 @@ def train(
     except HomologError:
         if first:
             raise
-        raise typer.Exit(2) from None  # the first process says it
+        # The first process says it. It must have the time: one that sees those it started fail ends at once, killed.
+        raise typer.Exit(0 if is_started_by_another() else 2) from None
     if first and not quiet:
         typer.echo(f"Trained {state.step} steps in {state.seconds / 60:.1f} minutes.", err=True)
         typer.echo(expanded(out) / WEIGHTS)

@@ -213,7 +213,10 @@ class _Reader:
         """What is to be read, and a function that reads it."""
         steps = [(name, partial(self._read, name)) for name in (*self.folder.complete, *self.folder.names)]
         maps = self.folder.pairs("all") if self.description.pairs == "maps" else ()
-        return [*steps, *((f"map of {pair[0]} - {pair[1]}", partial(self._compare, *pair)) for pair in maps)]
+        steps += [(f"map of {pair[0]} - {pair[1]}", partial(self._compare, *pair)) for pair in maps]
+        clouds = [name for name in self.folder.names if self.folder.has_cloud(name)]
+        partners = {target: source for source, target in self.folder.pairs("all")} if clouds else {}
+        return [*steps, *((f"cloud of {name}", partial(self._read_cloud, partners.get(name), name)) for name in clouds)]
 
     def _read(self, name: str) -> None:
         shape = self.folder.shape(name)
@@ -235,6 +238,15 @@ class _Reader:
         finally:
             if name not in self._first.values():
                 del self._shapes[name]
+
+    def _read_cloud(self, source: str | None, name: str) -> None:
+        """Read a cloud with points of its own, and its truth, if it is in a pair."""
+        cloud = self.folder.cloud(name)
+        if source is not None:
+            if source not in self._shapes:
+                self._shapes.clear()
+                self._shapes[source] = self.folder.shape(source)
+            self._truth.of_cloud(source, name, cloud)
 
     def _compare(self, source: str, target: str) -> None:
         self.n_truth.append(len(self._truth.between(source, target).target))

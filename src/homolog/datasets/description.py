@@ -41,6 +41,8 @@ class SetDescription:
         up: which axis of the files points up.
         shapes: the files of the shapes or, where parts lie apart, of the parts.
         complete: where parts lie apart, the files of the complete shapes, each with parts whose names contain its own.
+        clouds: the files of clouds with points of their own, of those shapes that have one: what a depth camera saw of
+            a view, say. Where shapes are used as clouds, these are, and their truth is in ``cloud_truth``.
         partial: whether the second shape of each pair is a part of one like the first.
         in_place: whether parts lie in the coordinates of their complete shapes, about where they belong.
         shuffled: whether the rows of every file are put in an order of its own before anything sees them, since the
@@ -51,6 +53,8 @@ class SetDescription:
             the same point in every shape. ``"pair-maps"``: a file ``SOURCE_TARGET`` for a pair, with a line for each
             vertex of the source, the vertex of the target there, counted from 1, or -1 for none. Or ``"none"``.
         truth_files: where it lies.
+        cloud_truth: for each shape that has such a cloud an NPZ file, where ``cloud_to_complete`` holds for each point
+            of the cloud the point of the complete shape that it is paired with, counted from 0, or -1 if not known.
         split: ``"found"``: as ``train.txt`` and ``test.txt`` say, else the last 20 shapes in the order of names are for
             testing, or all of them where ``pairs.txt`` lists the pairs. ``"listed"``: as these two files say.
             ``"last"``: the last ``n_test`` in the order of names are for testing. ``"test"``, ``"train"``: all shapes
@@ -84,11 +88,13 @@ class SetDescription:
     up: Up = "y"
     shapes: str = "off/*.off"
     complete: str = ""
+    clouds: str = ""
     partial: bool = False
     in_place: bool = False
     shuffled: bool = False
     truth: TruthKind = "common-points"
     truth_files: str = "corres/*.vts"
+    cloud_truth: str = ""
     split: SplitRule = "found"
     pairs: PairRule = "found"
     pairs_file: str = "pairs.txt"
@@ -108,8 +114,9 @@ class SetDescription:
         for name, words in _WORDS.items():
             if getattr(self, name) not in get_args(words):
                 raise bad_choice(name, getattr(self, name), get_args(words))
-        for name in ("shapes", "truth_files", *(["complete"] if self.complete else [])):
-            if getattr(self, name).count("*") != 1:
+        for name in ("shapes", "truth_files", "complete", "clouds", "cloud_truth"):
+            needed = name in ("shapes", "truth_files")
+            if (needed or getattr(self, name)) and getattr(self, name).count("*") != 1:
                 raise ArgumentError(f"{name} is {getattr(self, name)!r}, but must have one star, for a shape's name")
         for key, value in _NEEDS.items():
             if getattr(self, key[0]) == key[1] and getattr(self, value[0]) not in value[1]:
@@ -118,6 +125,8 @@ class SetDescription:
             raise ArgumentError(f"n_test is {self.n_test}, but split = 'last' needs at least 1")
         if bool(self.complete) != (self.pairs == "parts"):
             raise ArgumentError("complete and pairs = 'parts' belong together; give both, or neither")
+        if bool(self.clouds) != bool(self.cloud_truth):
+            raise ArgumentError("clouds and cloud_truth belong together; give both, or neither")
 
     @property
     def expected_names(self) -> tuple[str, ...]:

@@ -24,7 +24,9 @@ from homolog.shapes import Shape, Up, read_shape, stand_upright
 _log = logging.getLogger(__name__)
 
 Split = Literal["train", "test", "all"]
+"""Which shapes of a set."""
 Pair = tuple[str, str]
+"""Names of source and target."""
 
 # Without a list of its own, a set keeps its last shapes in name order for testing, as FAUST_r and SCAPE_r do.
 _TEST_SHAPES = 20
@@ -121,6 +123,17 @@ class ShapeFolder:
         """Read one shape, and stand it upright: +y up. Its points are shuffled if the set asks for it."""
         shape = stand_upright(read_shape(self.file(name)), self.up)
         return _reordered(shape, self._order(name, shape.n_points)) if self.description.shuffled else shape
+
+    def has_cloud(self, name: str) -> bool:
+        """Whether there is a cloud of this shape with points of its own."""
+        return bool(self.description.clouds) and self._cloud_file(name).is_file()
+
+    def cloud(self, name: str) -> Shape:
+        """Read the cloud of a shape that has points of its own, and stand it upright."""
+        return stand_upright(read_shape(self._cloud_file(name)), self.up)
+
+    def _cloud_file(self, name: str) -> Path:
+        return place(self.root, self.description.clouds, name)
 
     def missing_truth(self) -> dict[str, Path]:
         """The files of ground truth that are not there, by the shape or part that each belongs to."""

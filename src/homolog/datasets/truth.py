@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -14,10 +15,12 @@ from scipy.spatial import KDTree
 
 from homolog.datasets.description import SetDescription
 from homolog.errors import DataError
+from homolog.files import expanded
 from homolog.shapes import Shape
 
 # How far the sum of a point's three weights may be from one, and each weight below zero.
 _TOLERANCE = 1e-2
+_CLOUD_MAP = "cloud_to_complete"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +96,21 @@ class GroundTruth:
             raise DataError(f"{self._root}: this set has no ground truth, so that nothing can be scored; use another")
         return ways[kind](source, target)
 
+    def of_cloud(self, source: str, target: str, cloud: Shape) -> Truth:
+        """What is known of a pair whose target is used as a cloud with points of its own.
+
+        Raises:
+            DataError: if the file of its truth is missing or malformed, or does not fit the shapes.
+        """
+        path = self._file(target, self._description.cloud_truth)
+        found = _read_cloud_map(path)
+        if len(found) != cloud.n_points:
+            raise DataError(f"{path}: {len(found)} numbers, but the cloud of {target} has {cloud.n_points} points")
+        if found.max() >= self._shape_of(source).n_points:
+            raise DataError(f"{path} names point {found.max()}, but {source} has {self._shape_of(source).n_points}")
+        there = np.flatnonzero(found >= 0)
+        return Truth(there, found[there])
+
     def counterparts(self, source: str, target: str) -> Counterparts | None:
         """Which points of a complete shape a part has, or None where the truth does not tell.
 
@@ -114,9 +132,7 @@ class GroundTruth:
     # ---- common points
 
     def _by_common_points(self, source: str, target: str) -> Truth:
-        ours, theirs = self._both_common_points(source, target)
-        both = (ours >= 0) & (theirs >= 0)
-        return Truth(theirs[both], ours[both])
+        return _shared(*self._both_common_points(source, target))
 
     def _both_common_points(self, source: str, target: str) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
         ours, theirs = self._common_points(source), self._common_points(target)
@@ -188,8 +204,8 @@ class GroundTruth:
             )
         return places
 
-    def _file(self, name: str) -> Path:
-        return self._root / self._description.truth_files.replace("*", name)
+    def _file(self, name: str, pattern: str = "") -> Path:
+        return self._root / (pattern or self._description.truth_files).replace("*", name)
 
 
 def read_vertices(path: Path) -> Int[np.ndarray, " p"]:
@@ -202,6 +218,51 @@ def read_vertices(path: Path) -> Int[np.ndarray, " p"]:
     if rows.ndim != 1 or rows.size == 0 or np.any((rows < 1) & (rows != -1)):
         raise DataError(f"{path} must hold a vertex number a line, counted from 1, or -1 for none")
     return np.where(rows < 0, -1, rows - 1)
+
+
+def read_truth(files: tuple[Path, Path], shapes: tuple[Shape, Shape]) -> Truth:
+    """What two files of common points, as a set has them in ``corres/``, say of a source and a target.
+
+    Args:
+        files: of the source and of the target; line i is the vertex of the i-th common point, from 1, or -1.
+        shapes: the two.
+
+    Raises:
+        DataError: if a file is missing or malformed, does not fit its shape, or they differ in length.
+    """
+    found = []
+    for file, shape in zip(map(expanded, files), shapes, strict=True):
+        points = read_vertices(file)
+        _check_vertices(file, points, shape, "leave that line out of both files")
+        found.append(points)
+    if len(found[0]) != len(found[1]):
+        raise DataError(
+            f"{files[0]} has {len(found[0])} lines and {files[1]} {len(found[1])}; "
+            "line i must be the same point in both"
+        )
+    truth = _shared(*found)
+    if not len(truth.source):
+        raise DataError(f"{files[0]} and {files[1]} have no point in common; give the files of these two shapes")
+    return truth
+
+
+def _shared(source: Int[np.ndarray, " p"], target: Int[np.ndarray, " p"]) -> Truth:
+    """The common points that both shapes have."""
+    both = (source >= 0) & (target >= 0)
+    return Truth(target[both], source[both])
+
+
+def _read_cloud_map(path: Path) -> Int[np.ndarray, " n"]:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            found: np.ndarray = arrays[_CLOUD_MAP]
+    except KeyError:
+        raise DataError(f"{path} has no {_CLOUD_MAP}: its set was made of shapes without common points") from None
+    except (OSError, ValueError, BadZipFile) as error:
+        raise DataError(f"{path} must hold {_CLOUD_MAP} ({error})") from None
+    if found.ndim != 1 or found.dtype.kind != "i" or found.size == 0 or found.min() < -1:
+        raise DataError(f"{path}: {_CLOUD_MAP} must hold a point's number for each point of the cloud, or -1")
+    return found
 
 
 def _read_places(path: Path) -> _Places:

@@ -24,6 +24,9 @@ from homolog.network.diffusion_net import DiffusionNet, NetworkSettings
 _FORMAT = "homolog-weights-1"
 _SHIPPED = Path(__file__).parent / "shipped"
 
+DEFAULT_WEIGHTS = "people"
+"""The name of the weights that are used where none are given."""
+
 
 @dataclass(frozen=True)
 class WeightsInfo:

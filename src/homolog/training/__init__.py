@@ -6,6 +6,7 @@ from homolog.training.objective import Losses, LossSettings, TrainingShape, pair
 from homolog.training.recipe import Recipe, find_recipe, read_recipe, shipped_recipes
 from homolog.training.run_folder import WEIGHTS
 from homolog.training.state import TrainingState
+from homolog.training.together import is_started_by_another
 
 __all__ = [
     "WEIGHTS",
@@ -18,6 +19,7 @@ __all__ = [
     "adapt_to_pair",
     "find_recipe",
     "is_first_process",
+    "is_started_by_another",
     "pair_losses",
     "read_recipe",
     "shipped_recipes",

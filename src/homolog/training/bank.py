@@ -199,8 +199,7 @@ class ShapeBank:
         meshes: tuple[Basis, ...] = ()
         if is_part:
             near = self._samples(name, _MESH).kept
-            places = weights.argmax(axis=1)  # a part's points are points of its mesh
-            kept = tuple(np.flatnonzero(np.isin(places, subset)) for subset in near)
+            kept = tuple(_nearest_rows(weights, subset) for subset in near)
         else:
             kept = subsets(cloud.basis, self.recipe.samples)
             near = tuple(self._near(weights[subset]) for subset in kept)
@@ -244,6 +243,15 @@ class ShapeBank:
     def _at_all(self, basis: Basis, subsets: Sequence[Int[np.ndarray, " s"]]) -> tuple[Basis, ...]:
         """A basis at each of several subsets of its points."""
         return tuple(at_points(basis, kept).to(self.device) for kept in subsets)
+
+
+def _nearest_rows(weights: sparse.csr_array, subset: Int[np.ndarray, " s"]) -> Int[np.ndarray, " r"]:
+    """For each of these points of a mesh the point of a part that lies nearest, if any is nearer to no other point."""
+    places, largest = weights.argmax(axis=1), weights.max(axis=1).toarray().ravel()
+    order = np.lexsort((-largest, places))
+    _, first = np.unique(places[order], return_index=True)
+    rows: np.ndarray = np.sort(order[first])
+    return rows[np.isin(places[rows], subset)]
 
 
 def _pairing(weights: sparse.csr_array) -> Tensor:

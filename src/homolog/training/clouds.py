@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sparse
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from homolog.shapes import Shape, add_noise, face_areas
-from homolog.synthesis import Part, cut, pierce
+from homolog.synthesis import Part, ViewSettings, cut, pierce, view
 from homolog.training.recipe import CloudSettings
 
 
@@ -19,12 +19,12 @@ class CloudVariant:
     """One way to make a cloud of a mesh.
 
     Args:
-        kind: ``"clean"`` for the mesh's own points, ``"noisy"``, ``"thinned"``, ``"resampled"``, ``"cut"`` or
-            ``"pierced"``.
+        kind: ``"clean"`` for the mesh's own points, ``"noisy"``, ``"thinned"``, ``"resampled"``, ``"cut"``,
+            ``"pierced"`` or ``"seen"``.
         amount: of noise, the share that is kept, or the number of points or holes.
     """
 
-    kind: Literal["clean", "noisy", "thinned", "resampled", "cut", "pierced"] = "clean"
+    kind: Literal["clean", "noisy", "thinned", "resampled", "cut", "pierced", "seen"] = "clean"
     amount: float = 0.0
 
     def __str__(self) -> str:
@@ -33,7 +33,7 @@ class CloudVariant:
     @property
     def is_part(self) -> bool:
         """Whether it lacks a piece of the surface."""
-        return self.kind in ("cut", "pierced")
+        return self.kind in ("cut", "pierced", "seen")
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +59,7 @@ def cloud_variants(settings: CloudSettings) -> tuple[CloudVariant, ...]:
         *(CloudVariant("resampled", number) for number in settings.resampled),
         *(CloudVariant("cut", share) for share in settings.cut),
         *(CloudVariant("pierced", number) for number in settings.pierced),
+        *(CloudVariant("seen", sigma) for sigma in settings.seen),
     )
 
 
@@ -75,6 +76,8 @@ def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
         return _part(mesh, cut(mesh, removed=1 - variant.amount, seed=seed))
     if variant.kind == "pierced":
         return _part(mesh, pierce(mesh, holes=round(variant.amount), seed=seed))
+    if variant.kind == "seen":
+        return _seen(mesh, view(mesh, ViewSettings(noise=variant.amount), seed=seed).cloud)
     return Cloud(mesh.as_cloud(), None)
 
 
@@ -86,6 +89,12 @@ def _part(mesh: Shape, part: Part) -> Cloud:
     return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[part.complete_index])
 
 
+def _seen(mesh: Shape, cloud: Part) -> Cloud:
+    """What a depth camera took: its points lie within triangles, or, with noise, before and behind them."""
+    assert mesh.faces is not None and cloud.triangles is not None and cloud.weights is not None
+    return Cloud(cloud.shape, _interpolation(mesh, cloud.triangles, cloud.weights))
+
+
 def _thinned(n_points: int, share: float, random: np.random.Generator) -> sparse.csr_array:
     kept = np.sort(random.permutation(n_points)[: max(round(share * n_points), 1)])
     return sparse.eye_array(n_points, format="csr")[kept]
@@ -94,10 +103,17 @@ def _thinned(n_points: int, share: float, random: np.random.Generator) -> sparse
 def _resampled(mesh: Shape, number: int, random: np.random.Generator) -> sparse.csr_array:
     """Barycentric weights (number, n) of points drawn evenly from the surface."""
     areas = face_areas(mesh.points, mesh.faces)  # type: ignore[arg-type]
-    faces = mesh.faces[random.choice(len(areas), size=number, p=areas / areas.sum())]  # type: ignore[index]
-    rows = np.repeat(np.arange(number), 3)
-    weights = _barycentric(number, random)
-    return sparse.csr_array((weights.ravel(), (rows, faces.ravel())), shape=(number, mesh.n_points))
+    triangles = random.choice(len(areas), size=number, p=areas / areas.sum())
+    return _interpolation(mesh, triangles, _barycentric(number, random))
+
+
+def _interpolation(
+    mesh: Shape, triangles: Int[np.ndarray, " number"], weights: Float[np.ndarray, "number 3"]
+) -> sparse.csr_array:
+    """Barycentric weights at the corners of triangles as weights at all points of the mesh (number, n)."""
+    corners = mesh.faces[triangles]  # type: ignore[index]
+    rows = np.repeat(np.arange(len(triangles)), 3)
+    return sparse.csr_array((weights.ravel(), (rows, corners.ravel())), shape=(len(triangles), mesh.n_points))
 
 
 def _barycentric(number: int, random: np.random.Generator) -> Float[np.ndarray, "number 3"]:

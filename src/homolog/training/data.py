@@ -82,7 +82,10 @@ class TrainingSet:
         """
         shape = read_shape(self.files[name])
         if shape.faces is None:
-            raise DataError(f"{self.files[name]} has no faces, but training is on meshes; leave it out")
+            raise DataError(
+                f"{self.files[name]} has no faces, but training is on meshes; make surfaces of clouds "
+                "with homolog reconstruct"
+            )
         return stand_upright(shape, self.up)
 
     @property

@@ -33,7 +33,7 @@ from homolog.training.recipe import Recipe
 from homolog.training.run_folder import RunFolder, weights_info
 from homolog.training.schedule import learning_rate
 from homolog.training.state import Record, TrainingState
-from homolog.training.together import failing_together
+from homolog.training.together import failing_together, leaving_together
 from homolog.training.validation import scores, validation_losses
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def train(
             folder.make(resume=resume)
             until_the_end.enter_context(folder.held())
         fabric.launch()
+        until_the_end.enter_context(leaving_together())
         report = progress if progress is not None and fabric.is_global_zero else unheard
         bank = ShapeBank(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
         with failing_together():

@@ -17,11 +17,13 @@ from homolog.maps.losses import (
     bijectivity_loss,
     commutativity_loss,
     contrastive_loss,
+    displacement_loss,
     orthogonality_loss,
     partial_alignment_loss,
     partial_bijectivity_loss,
     partial_orthogonality_loss,
     partial_rank,
+    transport_loss,
 )
 from homolog.network import AugmentationSettings, DiffusionNet, augmented
 
@@ -40,6 +42,10 @@ class LossSettings:
             if there were 5,000 of them.
         contrast: weight of a cloud's features resembling those of its own mesh.
         commutativity: weight of functional maps commuting with the Laplacians.
+        displacement: weight of what functional maps do to positions being smooth; for organs and the like, which stand
+            alike and keep neither lengths nor areas.
+        transport: weight of the soft map of the clouds moving points no farther than it must; for the same shapes,
+            and not for parts, which lack what would have to go somewhere.
         map_eigenpairs: size of the functional maps.
         regularisation: of the functional maps.
         soft_temperature: of the soft map.
@@ -53,6 +59,8 @@ class LossSettings:
     alignment: float = 1e-3
     contrast: float = 10.0
     commutativity: float = 0.0
+    displacement: float = 0.0
+    transport: float = 0.0
     map_eigenpairs: int = 80
     regularisation: float = 100.0
     soft_temperature: float = 0.1
@@ -61,7 +69,7 @@ class LossSettings:
     contrast_temperature: float = CONTRAST_TEMPERATURE
 
     def __post_init__(self) -> None:
-        for name in ("bijectivity", "orthogonality", "alignment", "contrast", "commutativity", "regularisation"):
+        for name in (*(f.name for f in fields(Losses)), "regularisation"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise bad_value(name, getattr(self, name), "a finite number of at least 0")
         for name in ("soft_temperature", "contrast_temperature"):
@@ -105,11 +113,14 @@ class Losses:
     alignment: Float[Tensor, ""]
     contrast: Float[Tensor, ""]
     commutativity: Float[Tensor, ""]
+    displacement: Float[Tensor, ""]
+    transport: Float[Tensor, ""]
 
     @property
     def total(self) -> Float[Tensor, ""]:
         """The sum of all, what is minimised."""
-        return self.bijectivity + self.orthogonality + self.alignment + self.contrast + self.commutativity
+        known = self.bijectivity + self.orthogonality + self.alignment + self.contrast
+        return known + self.commutativity + self.displacement + self.transport
 
     def as_dict(self) -> dict[str, float]:
         """All of them as numbers, ``total`` included."""
@@ -161,6 +172,7 @@ class _Side:
         k = settings.map_eigenpairs
         self.shape, self.features = shape, features
         self.coefficients = shape.mesh.analysis[:k] @ features
+        self.positions = shape.mesh.analysis[:k] @ shape.mesh.points
         self.eigenvalues = shape.mesh.eigenvalues[:k]
         self.eigenvectors = shape.at_cloud(shape.mesh.eigenvectors[:, :k].contiguous())
 
@@ -179,6 +191,7 @@ def _losses(
     partial: bool,
 ) -> Losses:
     c_xy, c_yx = _functional_maps(x, y, settings)
+    compared = (cloud_x, cloud_y) if settings.raw_products else (normalised(cloud_x), normalised(cloud_y))
     if partial:
         rank = partial_rank(x.eigenvalues, y.eigenvalues)
         bijectivity = partial_bijectivity_loss(c_xy, c_yx, rank=rank)
@@ -190,12 +203,20 @@ def _losses(
         if settings.commutativity
         else torch.zeros_like(bijectivity)
     )
+    displacement = (
+        displacement_loss(c_xy, x.positions, y.positions, y.eigenvalues)
+        + displacement_loss(c_yx, y.positions, x.positions, x.eigenvalues)
+        if settings.displacement
+        else torch.zeros_like(bijectivity)
+    )
     return Losses(
         bijectivity=settings.bijectivity * bijectivity,
         orthogonality=settings.orthogonality * orthogonality,
-        alignment=settings.alignment * _alignment(c_xy, x, y, cloud_x, cloud_y, settings, partial=partial),
+        alignment=settings.alignment * _alignment(c_xy, x, y, *compared, settings, partial=partial),
         contrast=settings.contrast * (x.contrast(cloud_x, settings) + y.contrast(cloud_y, settings)),
         commutativity=settings.commutativity * commutativity,
+        displacement=settings.displacement * displacement,
+        transport=settings.transport * _transport(x, y, *compared, settings, partial=partial),
     )
 
 
@@ -227,8 +248,6 @@ def _alignment(
 ) -> Float[Tensor, ""]:
     if x.shape.cloud_is_part:
         return torch.zeros_like(c_xy.sum())  # what it lacks cannot be carried over from it
-    if not settings.raw_products:
-        cloud_x, cloud_y = normalised(cloud_x), normalised(cloud_y)
     shapes = c_xy, x.eigenvectors, y.eigenvectors, cloud_x, cloud_y
     # The paper sums over the points of full meshes: with fewer samples each stands for more of them.
     share = _USUAL_POINTS / len(cloud_y)
@@ -236,3 +255,19 @@ def _alignment(
         return share * partial_alignment_loss(*shapes, temperature=settings.soft_temperature)
     temperature, iterations = settings.soft_temperature, settings.soft_iterations
     return share * alignment_loss(*shapes, temperature=temperature, iterations=iterations)
+
+
+def _transport(
+    x: _Side,
+    y: _Side,
+    cloud_x: Float[Tensor, "n_x d"],
+    cloud_y: Float[Tensor, "n_y d"],
+    settings: LossSettings,
+    *,
+    partial: bool,
+) -> Float[Tensor, ""]:
+    if not settings.transport or partial or x.shape.cloud_is_part or y.shape.cloud_is_part:
+        return torch.zeros_like(cloud_x.sum())
+    temperature, iterations = settings.soft_temperature, settings.soft_iterations
+    points = x.shape.cloud.points, y.shape.cloud.points
+    return transport_loss(cloud_x, cloud_y, *points, temperature=temperature, iterations=iterations)

@@ -86,6 +86,8 @@ class CloudSettings:
         cut: shares of the surface that are left where a plane cuts the rest away. A part looks like its whole where
             both are, which needs no correspondence to be known: that teaches what parts are parts of.
         pierced: numbers of holes eaten into the surface, likewise.
+        seen: what a depth camera sees of the shape from somewhere around, likewise: standard deviations of the noise
+            of its depths, in units of sqrt(area); 0 for none.
     """
 
     noise: tuple[float, ...] = ()
@@ -93,6 +95,7 @@ class CloudSettings:
     resampled: tuple[int, ...] = ()
     cut: tuple[float, ...] = ()
     pierced: tuple[int, ...] = ()
+    seen: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for value in self.noise:
@@ -105,6 +108,8 @@ class CloudSettings:
             _require("cut", value, lambda share: 0.1 <= share < 1, "a list of shares from 0.1 to below 1")
         for value in self.pierced:
             _require("pierced", value, _positive, "a list of numbers of holes, at least 1 each")
+        for value in self.seen:
+            _require("seen", value, _not_negative, "a list of numbers that are at least 0, in units of sqrt(area)")
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from homolog.training.recipe import Recipe
 from homolog.training.state import TrainingState
 from homolog.versions import versions
 
-# The weights to use: those with the lowest validation loss, or the latest where nothing is validated.
 WEIGHTS = "weights.safetensors"
+"""The weights to use: those with the lowest validation loss, or the latest where nothing is validated."""
 _LOCK = ".lock"
 
 

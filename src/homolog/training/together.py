@@ -1,13 +1,32 @@
-"""Errors of several processes: where one fails, all do, and say the same."""
+"""Several processes: where one fails, all do and say the same, and all leave in good order."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import torch.distributed as processes
 
 from homolog.errors import HomologError, TrainingError
+
+
+def is_started_by_another() -> bool:
+    """Whether another process of this machine started this one, and waits for it."""
+    return os.environ.get("LOCAL_RANK", "0") != "0"
+
+
+@contextmanager
+def leaving_together() -> Iterator[None]:
+    """Take apart what connects the processes when this block ends, however it does.
+
+    Its threads would otherwise be at work while the interpreter is taken down around them, which may abort a process.
+    """
+    try:
+        yield
+    finally:
+        if processes.is_available() and processes.is_initialized():
+            processes.destroy_process_group()
 
 
 @contextmanager
