@@ -1,0 +1,123 @@
+"""``homolog view``: a result in the browser, served or as one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homolog.cli.browsing import Host, NoOpen, Port, announce, interrupt_ends
+from homolog.cli.match import counted
+from homolog.cli.options import (
+    PICTURE_WIDTH,
+    Lines,
+    Page,
+    Picture,
+    PictureWidth,
+    Quiet,
+    build_matcher,
+    check_file,
+    check_picture_file,
+)
+from homolog.cli.progress import progress_bar
+from homolog.datasets import read_truth
+from homolog.matching import MatchResult, read_result
+from homolog.steps import Steps
+from homolog.viewing import (
+    Layer,
+    LiveView,
+    Scene,
+    error_layer,
+    feature_layer,
+    map_errors,
+    pair_features,
+    scene_of,
+    write_page,
+    write_picture,
+)
+
+# repair, operators and features for each shape
+_STEPS = 6
+
+
+def view(
+    result: Annotated[
+        Path, typer.Argument(metavar="OUT", help="A folder that homolog match wrote.", show_default=False)
+    ],
+    page: Page = None,
+    picture: Picture = None,
+    lines: Lines = 0,
+    picture_width: PictureWidth = PICTURE_WIDTH,
+    truth: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="SOURCE.vts TARGET.vts",
+            help="Ground truth, to colour by error: line i of each file is the vertex of the i-th common point.",
+        ),
+    ] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE", help="Weights, to colour by their features; computed anew, in the time of a match."
+        ),
+    ] = None,
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
+    no_open: NoOpen = False,
+    quiet: Quiet = False,
+) -> None:
+    """Look at a match in the browser: both shapes side by side, the same colours on the same points.
+
+    Click a point to mark its counterpart. Colours show the correspondence, the confidence, with --truth the error, and
+    with --weights the features. Sliders choose how confident points must be, and how many are drawn. Prints the address
+    and serves until Ctrl-C; that needs the extra `view`, which --html and --picture do not; --picture needs the extra
+    `picture`.
+
+    Examples:
+      homolog view result
+
+      homolog view result --html result.html
+
+      homolog view result --picture result.png --lines 20
+
+      homolog view result --truth cat.vts lion.vts --weights animals.safetensors
+
+    On a remote machine: run it there, run `ssh -L 8080:127.0.0.1:8080 MACHINE` here, and open the address here.
+    """
+    if page is not None:
+        check_file(page)
+    check_picture_file(picture, lines, picture_width)
+    found = read_result(result)
+    scene = scene_of(found, _layers(found, truth, weights, quiet=quiet))
+    if picture is not None:
+        write_picture(picture, scene, width=picture_width, lines=lines)
+        typer.echo(picture)
+    if page is None and picture is None:
+        _serve(scene, host, port, open_browser=not no_open, quiet=quiet)
+    if page is not None:
+        write_page(page, scene)
+        typer.echo(page)
+
+
+def _layers(result: MatchResult, truth: tuple[Path, Path] | None, weights: str | None, *, quiet: bool) -> list[Layer]:
+    """What can be coloured by besides what is in the result."""
+    layers = []
+    if truth is not None:
+        layers.append(error_layer(*map_errors(result, read_truth(truth, (result.source, result.target)))))
+    if weights is not None:
+        with progress_bar(quiet=quiet) as progress:
+            steps = Steps(listener=counted(progress, _STEPS))
+            matcher = build_matcher(weights, "auto", "auto", no_cache=False)
+            layers.append(feature_layer(*pair_features(result, matcher, steps=steps)))
+    return layers
+
+
+def _serve(scene: Scene, host: str, port: int, *, open_browser: bool, quiet: bool) -> None:
+    live = LiveView(scene, host, port)
+    try:
+        announce(live.address, open_browser=open_browser, quiet=quiet)
+        with interrupt_ends(live.end):
+            live.serve()
+    finally:
+        live.stop()

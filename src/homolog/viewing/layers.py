@@ -1,0 +1,72 @@
+"""What colours can mean in a view: one layer at a time is seen on both shapes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from homolog.matching import MatchResult, Side, matched_colours
+from homolog.viewing.colours import GOOD_TO_BAD, LOW_TO_HIGH, Ramp, principal_colours
+
+_ERROR_SHARE = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """Colours of both shapes, and what they mean.
+
+    Args:
+        name: a word or two, for a choice among layers.
+        note: a sentence for the legend.
+        colours: per point of each shape (n, 3).
+        ramp: how numbers became colours; None where there are no numbers.
+        values: those numbers, per point of each shape (n,); NaN where there is none.
+    """
+
+    name: str
+    note: str
+    colours: dict[Side, UInt8[np.ndarray, "n 3"]]
+    ramp: Ramp | None = None
+    values: dict[Side, Float[np.ndarray, " n"]] | None = None
+
+
+def matched_layer(result: MatchResult) -> Layer:
+    """The colours that a result's files have: the same one on points that were matched."""
+    source, target = matched_colours(result.source, result.found)
+    note = "The same colour marks the same point. Grey: no counterpart."
+    return Layer("Correspondence", note, {"source": source, "target": target})
+
+
+def confidence_layer(result: MatchResult) -> Layer:
+    """How far each point's match can be trusted; grey where it has none."""
+    found = result.found
+    values: dict[Side, np.ndarray] = {
+        "source": np.where(found.source_to_target >= 0, found.source_confidence, np.nan),
+        "target": np.where(found.target_to_source >= 0, found.target_confidence, np.nan),
+    }
+    note = "How far each point's match can be trusted. Grey: no counterpart."
+    return _of_values("Confidence", note, values, Ramp(LOW_TO_HIGH, 0.0, 1.0))
+
+
+def error_layer(errors: dict[Side, Float[np.ndarray, " n"]], unit: str) -> Layer:
+    """How far from the truth each point is matched; see ``map_errors``.
+
+    The ramp ends where one error in twenty is larger.
+    """
+    known = np.concatenate([values[np.isfinite(values)] for values in errors.values()])
+    high = float(np.quantile(known, _ERROR_SHARE)) if len(known) else 0.0
+    note = "How far from the truth each point is matched. Grey: not matched, or not known."
+    return _of_values("Error", note, errors, Ramp(GOOD_TO_BAD, 0.0, high or 1.0, unit))
+
+
+def feature_layer(source: Float[np.ndarray, "n_source d"], target: Float[np.ndarray, "n_target d"]) -> Layer:
+    """The features that points are compared by; see ``principal_colours``."""
+    colours = principal_colours(source, target)
+    note = "Like colours mark like features: their three principal components. Grey: left out of the match."
+    return Layer("Features", note, {"source": colours[0], "target": colours[1]})
+
+
+def _of_values(name: str, note: str, values: dict[Side, Float[np.ndarray, " n"]], ramp: Ramp) -> Layer:
+    return Layer(name, note, {side: ramp.colours(numbers) for side, numbers in values.items()}, ramp, values)

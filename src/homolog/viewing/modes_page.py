@@ -1,0 +1,79 @@
+"""One self-contained page of a shape model, with a slider for each mode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+from scipy.spatial import KDTree
+
+from homolog.viewing.page import PackedArrays, assembled
+
+# Standard deviations of a mode that colours reach to.
+_REACH = 3.0
+# Standard deviations of any one mode that the picture has room for.
+_ROOM = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ModesScene:
+    """A shape model to look at.
+
+    Args:
+        title: of the page.
+        summary: a sentence on it.
+        mean: upright (+y up), in the shapes' unit (n, 3).
+        faces: triangles, or None for a cloud.
+        colours: of the points (n, 3).
+        offsets: what a standard deviation of each mode adds to the mean; at least one mode (k, n, 3).
+        shares: of the variance, per mode (k,).
+        names: of the shapes that the model was made of.
+        coefficients: of these shapes, in standard deviations (s, k).
+    """
+
+    title: str
+    summary: str
+    mean: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"] | None
+    colours: UInt8[np.ndarray, "n 3"]
+    offsets: Float[np.ndarray, "k n 3"]
+    shares: Float[np.ndarray, " k"]
+    names: Sequence[str]
+    coefficients: Float[np.ndarray, "s k"]
+
+
+def modes_page_of(scene: ModesScene) -> str:
+    """The page as text: it opens from disk, and its policy forbids the browser to load anything."""
+    arrays = PackedArrays()
+    centred = scene.mean - (scene.mean.min(axis=0) + scene.mean.max(axis=0)) / 2
+    bent = np.stack([centred, *(centred + way * offset for offset in scene.offsets for way in (-_ROOM, _ROOM))])
+    unit = float(np.linalg.norm(bent, axis=2).max())
+    points, offsets = centred / unit, scene.offsets / unit
+    body = {
+        "title": f"{len(scene.names):,} shapes, {len(points):,} points",
+        "spacing": float(np.median(KDTree(points).query(points, k=2)[0][:, 1])),
+        "points": arrays.add(points, "float32"),
+        "faces": None if scene.faces is None else arrays.add(scene.faces, "uint32"),
+        "colours": arrays.add(scene.colours, "uint8"),
+    }
+    described = {
+        "summary": scene.summary,
+        "unit": unit,
+        "reach": _REACH * float(np.linalg.norm(offsets, axis=2).max()),
+        "room": {
+            "width": float(np.hypot(bent[:, :, 0], bent[:, :, 2]).max()) / unit,
+            "height": float(np.abs(bent[:, :, 1]).max()) / unit,
+        },
+        "bodies": [body],
+        "modes": [
+            {"share": float(share), "offsets": arrays.add(offset, "float32")}
+            for share, offset in zip(scene.shares, offsets, strict=True)
+        ],
+        "subjects": [
+            {"name": name, "coefficients": np.round(row, 4).tolist()}
+            for name, row in zip(scene.names, scene.coefficients, strict=True)
+        ],
+    }
+    return assembled("modes", scene.title, described, arrays)

@@ -1,0 +1,167 @@
+"""``homolog view``: the page, what colours it has, the server, and what is refused."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+
+import numpy as np
+import pytest
+
+from homolog.cli import browsing
+
+
+@pytest.fixture
+def result(homolog, files, tmp_path):
+    """What a match of a mesh and a cloud wrote."""
+    assert homolog("match", files.mesh, files.other, "-o", tmp_path / "result").code == 0
+    return tmp_path / "result"
+
+
+@pytest.fixture
+def truth(files, tmp_path):
+    """The true common points of the two files, in two files."""
+    paths = tmp_path / "source.vts", tmp_path / "target.vts"
+    for path, vertices in zip(paths, (files.order, np.arange(162)), strict=True):
+        path.write_text("".join(f"{vertex + 1}\n" for vertex in vertices))
+    return paths
+
+
+def layers_of(page):
+    scene = re.search(r'id="scene">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
+    return {layer["name"]: layer for layer in json.loads(scene.group(1))["layers"]}
+
+
+def test_page(homolog, result, tmp_path):
+    page = tmp_path / "page.html"
+    ended = homolog("view", result, "--html", page)
+    assert (ended.code, ended.out, ended.err) == (0, f"{page}\n", "")
+    assert "<title>mesh.off → other.obj</title>" in page.read_text(encoding="utf-8")
+    assert list(layers_of(page)) == ["Correspondence", "Confidence"]
+
+
+def test_match_writes_the_same_page(homolog, result, files, tmp_path):
+    of_view, of_match = tmp_path / "view.html", tmp_path / "match.html"
+    assert homolog("view", result, "--html", of_view).code == 0
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "again", "--html", of_match)
+    assert ended.code == 0 and ended.out.splitlines()[-1] == str(of_match)
+    assert of_match.read_bytes() == of_view.read_bytes()
+    ended = homolog(
+        "match", files.mesh, files.other, "-o", tmp_path / "no", "--html", tmp_path / "absent" / "page.html"
+    )
+    assert ended.is_one_line_of_complaint()
+    assert not (tmp_path / "no").exists()
+
+
+def test_page_with_all_layers(homolog, result, truth, files, tmp_path):
+    page = tmp_path / "page.html"
+    ended = homolog("view", result, "--html", page, "--truth", *truth, "--weights", files.weights, "-q")
+    assert (ended.code, ended.err) == (0, "")
+    layers = layers_of(page)
+    assert list(layers) == ["Correspondence", "Confidence", "Error", "Features"]
+    assert layers["Error"]["ramp"]["unit"] == "% of √area"
+
+
+def test_page_needs_no_extra(homolog, result, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert homolog("view", result, "--html", tmp_path / "page.html").code == 0
+    ended = homolog("view", result)
+    assert ended.is_one_line_of_complaint()
+    assert "viser" in ended.err and "homolog[view]" in ended.err
+
+
+def test_what_is_refused(homolog, result, truth, files, tmp_path):
+    page = tmp_path / "page.html"
+    short = tmp_path / "short.vts"
+    short.write_text("1\n2\n")
+    beyond = tmp_path / "beyond.vts"
+    beyond.write_text("1\n" * 161 + "163\n")
+    nothing = tmp_path / "nothing.vts"
+    nothing.write_text("-1\n" * 162)
+    for arguments, said in (
+        ([tmp_path], "no correspondence.npz"),
+        ([tmp_path / "absent"], "no correspondence.npz"),
+        ([result, "--truth", short, truth[1]], "line i must be the same point"),
+        ([result, "--truth", truth[0], beyond], "names vertex 163, but the shape has 162"),
+        ([result, "--truth", truth[0], nothing], "no point in common"),
+        ([result, "--truth", truth[0], tmp_path / "absent.vts"], "absent.vts"),
+        ([result, "--weights", files.rubbish], "rubbish.ply"),
+    ):
+        ended = homolog("view", *arguments, "--html", page)
+        assert ended.is_one_line_of_complaint(), ended.err
+        assert said in ended.err
+        assert not page.exists()
+    ended = homolog("view", result, "--html", tmp_path / "absent" / "page.html")
+    assert ended.is_one_line_of_complaint()
+    assert "create it first" in ended.err
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--host", "no such host"), ("--host", "203.0.113.7"), ("--port", "70000")]
+)
+def test_addresses_that_cannot_be_listened_on(homolog, result, option, value):
+    pytest.importorskip("viser", reason="viser is missing; pip install 'homolog[view]'")
+    ended = homolog("view", result, option, value)
+    assert ended.is_one_line_of_complaint()
+    assert option.strip("-") in ended.err
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
+def test_the_server_prints_its_address_and_ends_by_ctrl_c(result):
+    pytest.importorskip("viser", reason="viser is missing; pip install 'homolog[view]'")
+    command = [sys.executable, "-m", "homolog", "view", str(result), "--port", "0", "--no-open"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            address = process.stdout.readline().strip()
+            assert re.fullmatch(r"http://127\.0\.0\.1:\d+", address)
+            with urllib.request.urlopen(address, timeout=30) as answer:
+                assert b"<html" in answer.read()
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert (process.returncode, out, err) == (0, "", "Serving until Ctrl-C.\n")
+
+
+def test_a_browser_is_opened_only_where_it_is_seen(monkeypatch):
+    for name in ("SSH_CONNECTION", "DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(browsing.sys, "platform", "linux")
+    assert not browsing._has_screen()
+    monkeypatch.setitem(os.environ, "DISPLAY", ":0")
+    assert browsing._has_screen()
+    monkeypatch.setitem(os.environ, "SSH_CONNECTION", "here there")
+    assert not browsing._has_screen()
+
+
+def test_a_result_without_its_original_files_is_shown(homolog, result, files, tmp_path):
+    """The folder alone is enough, wherever it was moved."""
+    moved = tmp_path / "moved"
+    shutil.move(result, moved)
+    assert homolog("view", moved, "--html", tmp_path / "page.html").code == 0
+
+
+def test_picture(homolog, result, files, tmp_path):
+    picture = tmp_path / "both.png"
+    ended = homolog("view", result, "--picture", picture, "--picture-width", 200, "--lines", 3)
+    assert (ended.code, ended.out, ended.err) == (0, f"{picture}\n", "")
+    of_match = tmp_path / "match.png"
+    ended = homolog(
+        "match", files.mesh, files.other, "-o", tmp_path / "again", "--picture", of_match, "--picture-width", 200,
+        "--lines", 3,
+    )  # fmt: skip
+    assert ended.code == 0 and str(of_match) in ended.out
+    assert of_match.read_bytes() == picture.read_bytes()
+    assert homolog("view", result, "--picture", tmp_path / "both.jpg").is_one_line_of_complaint()
+
+
+@pytest.mark.parametrize("option", ["--lines", "--picture-width"])
+def test_how_to_draw_a_picture_that_is_not_wanted_is_refused(homolog, result, files, tmp_path, option):
+    for command in (("view", result), ("match", files.mesh, files.other, "-o", tmp_path / "none")):
+        ended = homolog(*command, option, 300)
+        assert ended.is_one_line_of_complaint() and option in ended.err and "--picture FILE.png" in ended.err
+    assert not (tmp_path / "none").exists()

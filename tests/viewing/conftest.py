@@ -1,0 +1,31 @@
+"""Matches whose maps are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from homolog.matching import Correspondence, MatchResult
+from homolog.shapes import Shape
+
+
+@pytest.fixture
+def known(make):
+    """A blob matched to a relabelled and stretched copy, rightly but for two points that have no counterpart."""
+    blob = make.blob(2)
+    order = np.random.default_rng(0).permutation(blob.n_points)
+    other = make.relabelled(blob, order)
+    other = Shape(other.points * [1, 1.2, 1], other.faces)
+    forth, back = np.argsort(order), order.copy()
+    confidence = np.linspace(0.2, 1, blob.n_points)
+    forth[[3, 5]] = -1
+    confidence[[3, 5]] = 0
+    found = Correspondence(forth, back, confidence, np.full(blob.n_points, 0.5), "axiomatic")
+    report = {"inputs": {"source": {"file": "/data/a blob.off"}, "target": {"file": "other.off"}}}
+    return MatchResult(blob, other, found, report)
+
+
+@pytest.fixture
+def known_clouds(known):
+    """The same without faces."""
+    return replace(known, source=known.source.as_cloud(), target=known.target.as_cloud())

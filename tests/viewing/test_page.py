@@ -1,0 +1,111 @@
+"""The self-contained page: what it holds, and that it asks for nothing."""
+
+import base64
+import json
+import re
+import zlib
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from homolog.viewing import page_of, scene_of
+from homolog.viewing.page import PackedArrays
+
+
+class Parts(HTMLParser):
+    """Every element with its attributes, and the text of scripts by their ids."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.elements, self.scripts, self.title, self._inside = [], {}, "", None
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        self._inside = dict(attributes).get("id", tag) if tag in ("script", "title") else None
+
+    def handle_endtag(self, tag):
+        self._inside = None
+
+    def handle_data(self, data):
+        if self._inside == "title":
+            self.title += data
+        elif self._inside:
+            self.scripts[self._inside] = self.scripts.get(self._inside, "") + data
+
+
+def arrays_of(parts):
+    block = zlib.decompress(base64.b64decode(parts.scripts["arrays"]))
+
+    def read(place):
+        return np.frombuffer(block, dtype=place["kind"], count=place["length"], offset=place["begin"])
+
+    return json.loads(parts.scripts["scene"]), read
+
+
+def test_it_holds_the_scene(known):
+    scene = scene_of(known)
+    parts = Parts(page_of(scene))
+    told, read = arrays_of(parts)
+    assert parts.title == scene.title
+    assert told["route"] == "axiomatic"
+    for side, written in zip(("source", "target"), told["bodies"], strict=True):
+        body = scene.bodies[side]
+        assert written["title"] == body.title
+        np.testing.assert_allclose(read(written["points"]).reshape(-1, 3), body.points, atol=1e-6)
+        np.testing.assert_array_equal(read(written["faces"]).reshape(-1, 3), body.faces)
+        np.testing.assert_array_equal(read(written["counterpart"]), body.counterpart)
+        np.testing.assert_array_equal(read(written["rank"]), body.rank)
+        np.testing.assert_allclose(read(written["confidence"]), body.confidence, atol=1e-6)
+    assert [layer["name"] for layer in told["layers"]] == ["Correspondence", "Confidence"]
+    for layer, written in zip(scene.layers, told["layers"], strict=True):
+        for number, side in enumerate(("source", "target")):
+            np.testing.assert_array_equal(read(written["colours"][number]).reshape(-1, 3), layer.colours[side])
+    assert told["layers"][0]["ramp"] is None and told["layers"][0]["values"] is None
+    np.testing.assert_allclose(read(told["layers"][1]["values"][1]), 0.5)
+
+
+def test_a_cloud_has_no_faces(known_clouds):
+    told, _ = arrays_of(Parts(page_of(scene_of(known_clouds))))
+    assert [body["faces"] for body in told["bodies"]] == [None, None]
+
+
+def test_it_refers_to_nothing(known):
+    page = page_of(scene_of(known))
+    parts = Parts(page)
+    for tag, attributes in parts.elements:
+        assert not {"src", "href", "srcset", "action", "data"} & attributes.keys(), tag
+        assert tag not in ("link", "iframe", "object", "embed", "img", "base")
+    assert re.findall(r"(?:https?:)?//[\w-]+\.\w+|@import|url\(|\bfetch\(|XMLHttpRequest|\bimport\(", page) == []
+    policies = [a["content"] for _, a in parts.elements if a.get("http-equiv") == "Content-Security-Policy"]
+    assert len(policies) == 1 and policies[0].startswith("default-src 'none';")
+
+
+@pytest.mark.parametrize(
+    "name", ["</script><script>alert(1)</script>", "<!--<script>.off", "@arrays@ & <b>.off", "\N{SNOWMAN}.ply"]
+)
+def test_names_of_files_stay_names(known, name):
+    """Whatever they hold, also what looks like a place to be filled in."""
+    known.report["inputs"]["source"]["file"] = name.replace("/", "\N{DIVISION SLASH}")
+    parts = Parts(page_of(scene_of(known)))
+    assert len([tag for tag, _ in parts.elements if tag == "script"]) == 3
+    assert "<" not in parts.scripts["scene"]  # neither ends the script nor begins a comment in it
+    told, _ = arrays_of(parts)
+    assert told["bodies"][0]["title"] == name.replace("/", "\N{DIVISION SLASH}")
+    assert parts.title.startswith(told["bodies"][0]["title"])
+
+
+def test_arrays_begin_where_a_browser_can_read_them():
+    """A view of four-byte numbers must begin at a multiple of four, or the browser refuses to make it."""
+    arrays = PackedArrays()
+    arrays.add(np.arange(3), "uint8")
+    place = arrays.add(np.array([0.5, 2.0]), "float32")
+    block = zlib.decompress(base64.b64decode(arrays.packed()))
+    assert place["begin"] % 4 == 0
+    assert np.frombuffer(block, "<f4", 2, place["begin"]).tolist() == [0.5, 2.0]
+
+
+def test_the_same_match_gives_the_same_bytes(known):
+    assert page_of(scene_of(known)) == page_of(scene_of(known))
