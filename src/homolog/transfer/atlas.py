@@ -1,0 +1,158 @@
+"""A texture of its own for a mesh: unwrapping it, and what its texels show.
+
+Copying the source's texture coordinates to the target's vertices would smear: where the corners of a triangle lie in
+different pieces of the source's atlas, everything between these would be drawn in it. So the target gets an atlas of
+its own, and each of its texels the colour of its place on the source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+from scipy.ndimage import distance_transform_edt
+
+from homolog.errors import needs_extra
+from homolog.geometry.grouping import runs
+from homolog.transfer.appearance import NO_COLOUR
+from homolog.transfer.places import PlaceFinder, ShapePlaces
+
+TEXTURE_SIZE = 1024
+"""Texels along an image's width, by default."""
+
+# Texels between pieces, so that filtering does not mix them.
+_PADDING = 4
+# Texels are coloured so many at a time.
+_AT_ONCE = 200_000
+
+
+@dataclass(frozen=True, eq=False)
+class Atlas:
+    """A mesh cut into flat pieces, side by side in an image.
+
+    Args:
+        point_of: the mesh's point that each vertex of the cut mesh is (v,), as an index of the shape as given.
+        faces: triangles of the cut mesh (m, 3).
+        face_of: the face of the shape as given that each of them is (m,).
+        places: of each vertex in the image, (0, 0) its upper left corner and (1, 1) its lower right one (v, 2).
+        shape: rows and columns of texels that the image is to have.
+    """
+
+    point_of: Int[np.ndarray, " v"]
+    faces: Int[np.ndarray, "m 3"]
+    face_of: Int[np.ndarray, " m"]
+    places: Float[np.ndarray, "v 2"]
+    shape: tuple[int, int]
+
+
+def unwrapped(finder: PlaceFinder, *, size: int = TEXTURE_SIZE) -> Atlas:
+    """Cut a mesh into pieces and lay them out in an image.
+
+    Args:
+        finder: a mesh; of its faces, those that repair keeps.
+        size: the image's width in texels; its height follows.
+
+    Raises:
+        MissingExtraError: if xatlas is not installed.
+    """
+    with needs_extra("making a texture", "transfer"):
+        import xatlas
+    shape = finder.shape
+    assert shape.faces is not None
+    atlas = xatlas.Atlas()
+    # Around the origin and of one size, as it works in single precision.
+    points = (shape.points - shape.points.mean(axis=0)) / finder.unit
+    atlas.add_mesh(points.astype(np.float32), shape.faces.astype(np.uint32))
+    packing = xatlas.PackOptions()
+    packing.resolution, packing.padding, packing.bilinear = size, _PADDING, True
+    atlas.generate(pack_options=packing)
+    point_of, faces, places = atlas[0]
+    height = max(1, round(size * atlas.height / max(atlas.width, 1)))
+    return Atlas(
+        finder.repaired.kept[point_of.astype(np.int64)],
+        faces.astype(np.int64),
+        finder.given_faces,
+        places.astype(np.float64),
+        (height, size),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Texels:
+    """The texels of an image that lie in some triangle.
+
+    Args:
+        rows: their rows (t,).
+        columns: their columns (t,).
+        triangles: the triangle that each lies in (t,).
+        weights: its barycentric weights there (t, 3).
+    """
+
+    rows: Int[np.ndarray, " t"]
+    columns: Int[np.ndarray, " t"]
+    triangles: Int[np.ndarray, " t"]
+    weights: Float[np.ndarray, "t 3"]
+
+
+def texels(atlas: Atlas) -> Texels:
+    """All texels whose middles lie in a triangle of the atlas."""
+    height, width = atlas.shape
+    corners = atlas.places[atlas.faces] * [width, height] - 0.5
+    low, high = np.ceil(corners.min(axis=1)).astype(int), np.floor(corners.max(axis=1)).astype(int)
+    low, high = np.maximum(low, 0), np.minimum(high, [width - 1, height - 1])
+    spans = np.maximum(high - low + 1, 0)
+    triangle, number = runs(spans.prod(axis=1))
+    column, row = low[triangle, 0] + number % spans[triangle, 0], low[triangle, 1] + number // spans[triangle, 0]
+    weights, inside = _barycentric(corners[triangle], np.stack([column, row], axis=1))
+    return Texels(row[inside], column[inside], triangle[inside], weights[inside])
+
+
+def _barycentric(
+    triangles: Float[np.ndarray, "t 3 2"], points: Int[np.ndarray, "t 2"]
+) -> tuple[Float[np.ndarray, "t 3"], Bool[np.ndarray, " t"]]:
+    """The weights of points in flat triangles, and which points lie within them."""
+    spans = triangles - points[:, None]
+    areas = np.stack([_cross(spans[:, (c + 1) % 3], spans[:, (c + 2) % 3]) for c in range(3)], axis=1)
+    doubled = areas.sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = areas / doubled[:, None]
+    return weights, np.asarray((weights >= 0).all(axis=1) & (doubled != 0))
+
+
+def _cross(a: Float[np.ndarray, "t 2"], b: Float[np.ndarray, "t 2"]) -> Float[np.ndarray, " t"]:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def painted(
+    atlas: Atlas, finder: PlaceFinder, colours: Callable[[ShapePlaces], UInt8[np.ndarray, "p 3"]]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The image of an atlas in which every place has its colour.
+
+    Texels outside all pieces have the colour of the nearest one inside, so that what a viewer averages at the rims
+    is of the same colour.
+
+    Args:
+        atlas: of the finder's mesh.
+        finder: the mesh.
+        colours: the colour at each of some places on it.
+    """
+    image = np.full((*atlas.shape, 3), NO_COLOUR, dtype=np.uint8)
+    inside = texels(atlas)
+    assert finder.given.faces is not None
+    for start in range(0, len(inside.rows), _AT_ONCE):
+        some = slice(start, start + _AT_ONCE)
+        of_shape = atlas.face_of[inside.triangles[some]]
+        places = ShapePlaces(finder.given.faces[of_shape], inside.weights[some], of_shape)
+        image[inside.rows[some], inside.columns[some]] = colours(places)
+    return _spread(image, inside)
+
+
+def _spread(image: UInt8[np.ndarray, "h w 3"], inside: Texels) -> UInt8[np.ndarray, "h w 3"]:
+    empty = np.ones(image.shape[:2], dtype=bool)
+    empty[inside.rows, inside.columns] = False
+    if empty.all():
+        return image
+    rows, columns = distance_transform_edt(empty, return_distances=False, return_indices=True)
+    return np.asarray(image[rows, columns])

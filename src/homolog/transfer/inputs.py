@@ -1,0 +1,112 @@
+"""What a transfer reads beside the match: the file that is carried from, and arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int, Num
+
+from homolog.errors import DataError
+from homolog.files import expanded, sha256
+from homolog.matching import MatchResult, Side
+from homolog.shapes import Shape, files_of_shape, read_shape
+from homolog.transfer.appearance import Appearance, read_appearance
+from homolog.transfer.skin import Skin, read_skin
+
+
+@dataclass(frozen=True, eq=False)
+class Original:
+    """A file that was matched, which may hold more than points and faces.
+
+    Args:
+        path: where it is.
+        shape: what ``read_shape`` reads from it.
+    """
+
+    path: Path
+    shape: Shape
+
+    @cached_property
+    def appearance(self) -> Appearance:
+        """Its texture and colours; see ``read_appearance``."""
+        return read_appearance(self.path, self.shape)
+
+    @cached_property
+    def skin(self) -> Skin | None:
+        """Its skeleton and weights; see ``read_skin``."""
+        return read_skin(self.path, self.shape)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All the files that its shape is read from."""
+        return files_of_shape(self.path)
+
+
+def read_original(result: MatchResult, side: Side, path: Path | None = None) -> Original:
+    """Read one of the files that a match was made of.
+
+    Args:
+        result: the match, with ``side`` for its source.
+        side: which of the two files, as the report calls it.
+        path: where it is now, if it was moved since.
+
+    Raises:
+        DataError: if it is not there, or is not what it was.
+        ShapeError: if it cannot be read.
+    """
+    told = result.report.get("inputs", {}).get(side, {})
+    if path is None and "file" not in told:
+        raise DataError(f"the report of this match does not name its {side}; give the file with --from")
+    place = expanded(told["file"] if path is None else path)
+    if not place.is_file():
+        raise DataError(f"{place}, the {side} of this match, is not there; say with --from FILE where it is now")
+    shape = read_shape(place)
+    if told.get("sha256", (digest := sha256(*files_of_shape(place)))) != digest or not _alike(shape, result.source):
+        raise DataError(f"{place} is not the file that was matched, or was changed since; match it again")
+    return Original(place, shape)
+
+
+def _alike(shape: Shape, drawn: Shape) -> bool:
+    """Whether a shape is the one of which a result holds a drawable form."""
+    finite = np.isfinite(shape.points).all(axis=1)
+    return shape.n_points == drawn.n_points and np.array_equal(shape.points[finite], drawn.points[finite])
+
+
+def read_array(path: Path, shape: Shape) -> Num[np.ndarray, "n ..."]:
+    """Read an NPY file with one row of real numbers per point of a shape.
+
+    Raises:
+        DataError: if it is missing, damaged, holds something else, or has another number of rows.
+    """
+    try:
+        array = np.load(expanded(path), allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        said = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise DataError(f"{path} cannot be read as an NPY array: {said}") from None
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
+        raise DataError(f"{path} holds {getattr(array, 'dtype', 'several arrays')}, but must be one array of numbers")
+    if array.ndim < 1 or len(array) != shape.n_points:
+        raise DataError(
+            f"{path} has shape {array.shape}, but must have one row for each of the {shape.n_points} points "
+            f"of {shape.name}"
+        )
+    return array
+
+
+def read_labels(path: Path, shape: Shape) -> Int[np.ndarray, " n"]:
+    """Read an NPY file with one whole number per point of a shape, as ``read_array`` does.
+
+    Raises:
+        DataError: as ``read_array`` does, or if its numbers are not whole, or too large.
+    """
+    array = read_array(path, shape)
+    if array.ndim > 1:
+        raise DataError(f"{path} has shape {array.shape}, but labels must have shape ({shape.n_points},)")
+    with np.errstate(invalid="ignore"):
+        labels = array.astype(np.int64)
+    if not np.array_equal(labels, array):
+        raise DataError(f"{path} holds numbers that are not whole, but labels must be; carry them with --array")
+    return labels

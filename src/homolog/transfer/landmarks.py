@@ -1,0 +1,199 @@
+"""Landmarks in files: tables with x, y and z, and 3D Slicer's .mrk.json and .fcsv, each written back as it was read."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from homolog.errors import DataError
+from homolog.files import atomic_path, expanded
+from homolog.shapes.parsing import UnreadableError, number_rows, shorten
+from homolog.shapes.point_formats import read_table_lines
+
+System = Literal["LPS", "RAS"]
+"""Which way a scan's axes point: to the patient's left, back and head, or to the right, front and head."""
+
+LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
+"""The suffixes of the files that ``read_landmarks`` reads."""
+
+_HALF_TURN = np.array([-1.0, -1.0, 1.0])  # from each to the other
+# Older .fcsv files have numbers for the systems.
+_SYSTEMS: dict[str, System] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
+
+
+@dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Points that a file names.
+
+    Args:
+        points: their positions in the file's coordinates; NaN for one that the file leaves undefined (p, 3).
+        system: the coordinates that the file says it has; None if it does not say.
+        write: writes the same file with other positions; a point that is NaN has none.
+    """
+
+    points: Float[np.ndarray, "p 3"]
+    system: System | None
+    write: Callable[[Path, Float[np.ndarray, "p 3"]], None]
+
+    def points_in(self, system: System) -> Float[np.ndarray, "p 3"]:
+        """Their positions in a system; in the file's own where it does not say which that is."""
+        return self.points if self.system in (None, system) else self.points * _HALF_TURN
+
+    def write_from(self, path: Path, points: Float[np.ndarray, "p 3"], system: System) -> None:
+        """Write the same file with positions that are given in a system."""
+        self.write(path, points if self.system in (None, system) else points * _HALF_TURN)
+
+
+def read_landmarks(path: str | Path) -> Landmarks:
+    """Read landmarks; the suffix says in which format.
+
+    Raises:
+        DataError: if the file is missing, damaged, or in coordinates of a volume's voxels.
+    """
+    file = expanded(path)
+    reader = next((reader for suffix, reader in _READERS.items() if file.name.lower().endswith(suffix)), None)
+    if reader is None:
+        allowed = ", ".join(LANDMARK_SUFFIXES)
+        raise DataError(f"{path} has the suffix {file.suffix!r}, but landmarks must have one of {allowed}")
+    try:
+        return reader(file)
+    except (OSError, UnreadableError, UnicodeDecodeError) as error:
+        said = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise DataError(f"{path} cannot be read as landmarks: {said}") from None
+
+
+def _read_markups(path: Path) -> Landmarks:
+    content = _markups_content(path)
+    # Of what the file defines, the points of all lists, one after the other.
+    points = np.array([_position(point) for point in _control_points(content)]).reshape(-1, 3)
+    systems = {str(markup.get("coordinateSystem", "LPS")) for markup in content["markups"]}
+    if len(systems) > 1 or not systems <= _SYSTEMS.keys():
+        raise UnreadableError(f"its coordinate systems are {', '.join(sorted(systems))}; save it in LPS or in RAS")
+
+    def write(place: Path, points: Float[np.ndarray, "p 3"]) -> None:
+        changed = deepcopy(content)
+        for markup in changed["markups"]:
+            markup.pop("measurements", None)  # lengths and areas on the other shape
+        for point, position in zip(_control_points(changed), points.tolist(), strict=True):
+            exists = bool(np.isfinite(position).all())
+            point["position"] = position if exists else [0.0, 0.0, 0.0]
+            point["positionStatus"] = point.get("positionStatus", "defined") if exists else "undefined"
+        with atomic_path(place) as temporary:
+            temporary.write_text(json.dumps(changed, indent=4) + "\n", encoding="utf-8", newline="\n")
+
+    return Landmarks(points, _SYSTEMS[systems.pop()] if systems else "LPS", write)
+
+
+def _markups_content(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8-sig"))
+    except ValueError as error:
+        raise UnreadableError(f"it is no valid JSON ({error}); save it again") from None
+    markups = content.get("markups") if isinstance(content, dict) else None
+    if not isinstance(markups, list) or not markups or not all(isinstance(markup, dict) for markup in markups):
+        raise UnreadableError("it has no list 'markups', as Slicer writes it; save it again")
+    return dict(content)
+
+
+def _control_points(content: dict[str, Any]) -> list[dict[str, Any]]:
+    points = [point for markup in content["markups"] for point in markup.get("controlPoints", [])]
+    if not points or not all(isinstance(point, dict) for point in points):
+        raise UnreadableError("it has no control points")
+    return points
+
+
+def _position(point: dict[str, Any]) -> list[float]:
+    position = point.get("position")
+    if point.get("positionStatus", "defined") == "undefined" or position is None:
+        return [np.nan] * 3
+    if not isinstance(position, list) or len(position) != 3 or not all(isinstance(x, int | float) for x in position):
+        raise UnreadableError(f"the position {shorten(position)} should be three numbers; save it again")
+    return [float(x) for x in position]
+
+
+def _read_fcsv(path: Path) -> Landmarks:
+    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    rows = [number for number, line in enumerate(lines) if line.strip() and not line.startswith("#")]
+    if not rows:
+        raise UnreadableError("it holds no landmarks")
+    points = number_rows([lines[number] for number in rows], (1, 2, 3), delimiter=",")
+    system = _fcsv_system(lines)
+
+    def write(place: Path, points: Float[np.ndarray, "p 3"]) -> None:
+        changed = dict(zip(rows, points, strict=True))
+        kept = [
+            _fcsv_row(line, changed[number]) if number in changed else line
+            for number, line in enumerate(lines)
+            if number not in changed or np.isfinite(changed[number]).all()
+        ]
+        with atomic_path(place) as temporary:
+            temporary.write_text("\n".join(kept) + "\n", encoding="utf-8", newline="\n")
+
+    return Landmarks(points, system, write)
+
+
+def _fcsv_system(lines: list[str]) -> System:
+    """The system that the header names; files without a word of it are in RAS, as the first ones were."""
+    header = "\n".join(line for line in lines if line.startswith("#"))
+    found = re.search(r"^#\s*CoordinateSystem\s*=\s*(\S+)", header, re.MULTILINE)
+    name = found[1].upper() if found else "RAS"
+    if name not in _SYSTEMS:
+        raise UnreadableError(f"its coordinate system is {name}; save it in LPS or in RAS")
+    return _SYSTEMS[name]
+
+
+def _fcsv_row(line: str, position: Float[np.ndarray, " 3"]) -> str:
+    cells = line.split(",", 4)
+    return ",".join([cells[0], *(repr(float(x)) for x in position), *cells[4:]])
+
+
+def _read_table(path: Path) -> Landmarks:
+    # Slicer's own tables name their columns by the system.
+    table = read_table_lines(path, other_axes=("lps", "ras"))
+    points = number_rows(table.lines, table.columns, delimiter=table.delimiter)
+    if not len(points):
+        raise UnreadableError("it holds no landmarks")
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+
+    def write(place: Path, points: Float[np.ndarray, "p 3"]) -> None:
+        rows = iter(points)
+        left = list(table.lines)
+        lines = list[str]()
+        for line in text.splitlines():
+            # Rows come in order; what lies between them are names, comments and empty lines.
+            is_row = bool(left) and line.partition("#")[0].strip() == left[0]
+            lines.append(_table_row(left.pop(0), next(rows), table.columns, table.delimiter) if is_row else line)
+        with atomic_path(place) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+    return Landmarks(points, _SYSTEMS.get(table.axes.upper()), write)
+
+
+def _table_row(line: str, position: Float[np.ndarray, " 3"], columns: list[int], delimiter: str | None) -> str:
+    cells = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    for column, value in zip(columns, position, strict=True):
+        cells[column] = repr(float(value))
+    if delimiter is None:
+        return " ".join(cells)
+    written = io.StringIO()
+    csv.writer(written, delimiter=delimiter, lineterminator="").writerow(cells)
+    return written.getvalue()
+
+
+_READERS: dict[str, Callable[[Path], Landmarks]] = {
+    ".mrk.json": _read_markups,
+    ".fcsv": _read_fcsv,
+    ".csv": _read_table,
+    ".txt": _read_table,
+    ".xyz": _read_table,
+}

@@ -1,0 +1,192 @@
+"""``homolog transfer``: what a result's source has, on its target."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import trimesh
+
+from homolog.files import sha256
+from homolog.matching import Correspondence, write_result
+from homolog.shapes import Shape, read_shape, write_shape
+from homolog.transfer import PlaceFinder, Skin, painted, png, unwrapped, write_glb
+
+pytest.importorskip("xatlas")
+pytest.importorskip("PIL")
+
+
+@pytest.fixture
+def result(make, tmp_path):
+    """A match of a blob, whose file has texture and skin, with a larger copy, whose cap has no counterpart."""
+    shape = make.blob(2)
+    finder = PlaceFinder(shape)
+    atlas = unwrapped(finder, size=64)
+    image = png(painted(atlas, finder, lambda places: np.full((len(places.faces), 3), [10, 200, 90], np.uint8)))
+    frames = np.stack([np.eye(4), np.eye(4)])
+    frames[1, 1, 3] = 0.5
+    weights = np.stack([shape.points[:, 1] < 0, shape.points[:, 1] >= 0], axis=1).astype(float)
+    skin = Skin(("hip", "head"), np.array([-1, 0]), frames, weights)
+    write_glb(tmp_path / "source.glb", finder, texture=(atlas, image), skin=skin)
+    source = read_shape(tmp_path / "source.glb")
+    point_of = np.linalg.norm(source.points[:, None] - shape.points, axis=2).argmin(axis=1)
+    target = Shape(2 * shape.points, shape.faces)
+    write_shape(tmp_path / "target.ply", target, colours=np.full((shape.n_points, 3), 77, np.uint8))
+    lost = shape.points[:, 1] > 1.0
+    back = np.array([np.flatnonzero(point_of == point)[0] for point in range(shape.n_points)])
+    there = np.where(lost[point_of], -1, point_of)
+    back = np.where(lost, -1, back)
+    found = Correspondence(there, back, (there >= 0) * 1.0, (back >= 0) * 1.0, "features")
+    files = {"source": tmp_path / "source.glb", "target": tmp_path / "target.ply"}
+    inputs = {side: {"file": str(file), "sha256": sha256(file)} for side, file in files.items()}
+    report = {"route": "features", "inputs": inputs}
+    write_result(tmp_path / "result", source, read_shape(tmp_path / "target.ply"), found, report)
+    return tmp_path / "result"
+
+
+@pytest.fixture
+def rows(result):
+    """How many points the source has."""
+    return read_shape(result / "source.ply").n_points
+
+
+def test_everything_that_the_file_has(homolog, result, tmp_path):
+    before = sha256(tmp_path / "source.glb", tmp_path / "target.ply", result / "source.ply")
+    ended = homolog("transfer", result, "-o", tmp_path / "out", "--texture-size", 64)
+    assert (ended.code, ended.err) == (0, "")
+    names = ["textured.obj", "textured.mtl", "textured.png", "carried.glb", "transfer.json"]
+    assert ended.out.split() == [str(tmp_path / "out" / name) for name in names]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(names)
+    written = read_shape(tmp_path / "out" / "textured.obj")
+    np.testing.assert_array_equal(written.points, read_shape(tmp_path / "target.ply").points)
+    mesh = trimesh.load(tmp_path / "out" / "carried.glb", force="mesh")
+    colours = mesh.visual.to_color().vertex_colors[:, :3]
+    low = mesh.vertices[:, 1] < 1.0
+    np.testing.assert_allclose(colours[low], np.tile([10, 200, 90], (low.sum(), 1)), atol=2)
+    assert (colours[mesh.vertices[:, 1] > 2.5] == 160).all()
+    report = json.loads((tmp_path / "out" / "transfer.json").read_text())
+    assert report["files"]["carried.glb"]["holds"] == ["skin", "texture"]
+    lost = int((written.points[:, 1] > 2.0).sum())
+    assert report["target"] == {"points": 162, "without_counterpart": lost}
+    assert sha256(tmp_path / "source.glb", tmp_path / "target.ply", result / "source.ply") == before
+
+
+def test_arrays_labels_and_landmarks(homolog, result, rows, tmp_path):
+    points = read_shape(result / "source.ply").points
+    np.save(tmp_path / "height.npy", points[:, 1].astype(np.float32))
+    np.save(tmp_path / "sides.npy", np.where(points[:, 0] > 0, 7, 3).astype(np.uint8))
+    (tmp_path / "marks.csv").write_text("name,x,y,z\nlow,%r,%r,%r\n" % tuple(map(float, points[points[:, 1].argmin()])))  # noqa: UP031
+    ended = homolog(
+        "transfer", result, "--array", tmp_path / "height.npy", "--labels", tmp_path / "sides.npy",
+        "--landmarks", tmp_path / "marks.csv", "-o", tmp_path / "out", "-q",
+    )  # fmt: skip
+    assert (ended.code, ended.out, ended.err) == (0, "", "")
+    target = read_shape(tmp_path / "target.ply").points
+    height, sides = np.load(tmp_path / "out" / "height.npy"), np.load(tmp_path / "out" / "sides.npy")
+    lost = target[:, 1] > 2.0
+    assert height.dtype == np.float32 and set(sides.tolist()) == {3, 7, -1}
+    np.testing.assert_array_equal(np.isnan(height), lost)
+    np.testing.assert_array_equal(sides == -1, lost)
+    np.testing.assert_allclose(height[~lost], target[~lost, 1] / 2, atol=1e-3)
+    np.testing.assert_array_equal(sides[~lost] == 7, target[~lost, 0] > 0)
+    lines = (tmp_path / "out" / "marks.csv").read_text().splitlines()
+    carried = np.loadtxt(lines[1:], delimiter=",", usecols=(1, 2, 3))
+    np.testing.assert_allclose(carried, target[target[:, 1].argmin()], atol=1e-3)
+    assert not (tmp_path / "out" / "carried.glb").exists()
+
+
+def test_the_other_way(homolog, result, tmp_path):
+    ended = homolog("transfer", result, "--reverse", "-o", tmp_path / "out")
+    assert (ended.code, ended.err) == (0, "")
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["carried.glb", "coloured.ply", "transfer.json"]
+    colours = trimesh.load(tmp_path / "out" / "coloured.ply", process=False).visual.vertex_colors[:, 0]
+    assert set(colours.tolist()) == {77, 160}
+
+
+def test_a_checkerboard(homolog, result, tmp_path):
+    ended = homolog("transfer", result, "--checker", "--texture-size", 64, "-o", tmp_path / "out")
+    assert (ended.code, ended.err) == (0, "")
+    for name in ("checkered.glb", "carried.glb", "textured.obj"):
+        assert trimesh.load(tmp_path / "out" / name, force="mesh").visual.kind == "texture"
+
+
+def test_a_moved_file_is_told(homolog, result, tmp_path):
+    (tmp_path / "source.glb").rename(tmp_path / "moved.glb")
+    ended = homolog("transfer", result, "--skin", "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint() and "is not there" in ended.err and "--from" in ended.err
+    ended = homolog("transfer", result, "--skin", "--from", tmp_path / "moved.glb", "-o", tmp_path / "out")
+    assert (ended.code, ended.err) == (0, "")
+
+
+def test_landmarks_far_away_are_told_of(homolog, result, tmp_path):
+    (tmp_path / "marks.csv").write_text("x,y,z\n0,-900,0\n")
+    ended = homolog("transfer", result, "--landmarks", tmp_path / "marks.csv", "-o", tmp_path / "out")
+    assert ended.code == 0 and "Warning: a landmark of marks.csv is 89" in ended.err
+
+
+def test_mistakes_are_one_line(homolog, result, rows, tmp_path):
+    np.save(tmp_path / "short.npy", np.zeros(3))
+    np.save(tmp_path / "half.npy", np.full(rows, 0.5))
+    np.save(tmp_path / "words.npy", np.full(rows, "a"))
+    np.save(tmp_path / "wide.npy", np.zeros((rows, 2), int))
+    np.save(tmp_path / "textured.obj", np.zeros(rows))
+    (tmp_path / "textured.obj.npy").rename(tmp_path / "textured.obj")
+    (tmp_path / "rubbish.npy").write_bytes(b"rubbish")
+    (tmp_path / "other").mkdir()
+    np.save(tmp_path / "other" / "half.npy", np.full(rows, 0.5))
+    (tmp_path / "file").write_text("")
+    half = tmp_path / "half.npy"
+    for arguments, told in (
+        (["--array", tmp_path / "short.npy"], "one row for each of the"),
+        (["--array", tmp_path / "words.npy"], "must be one array of numbers"),
+        (["--array", tmp_path / "rubbish.npy"], "cannot be read as an NPY array"),
+        (["--array", tmp_path / "none.npy"], "No such file"),
+        (["--labels", half], "not whole"),
+        (["--labels", tmp_path / "wide.npy"], "labels must have shape"),
+        (["--array", half, "--array", tmp_path / "other" / "half.npy"], "another file named half.npy"),
+        (["--array", tmp_path / "textured.obj"], "another file named textured.obj"),
+        (["--array", half, "-o", tmp_path], "would be replaced"),
+        (["--array", half, "-o", tmp_path / "file"], "is a file"),
+        (["--colours", "--reverse", "--skin"], "holds no skin"),
+        (["--reverse", "--texture"], "holds no texture"),
+        (["--checker", "--texture"], "one at a time"),
+        (["--landmarks", half], "landmarks must have one of"),
+        (["--from", tmp_path / "target.ply"], "is not the file that was matched"),
+        (["--axes", "XYZ"], "XYZ"),
+        (["--texture-size", 3], "texture-size"),
+    ):
+        place = [] if "-o" in arguments else ["-o", tmp_path / "out"]
+        ended = homolog("transfer", result, *arguments, *place)
+        assert ended.is_one_line_of_complaint() and told in ended.err, ended.err
+    ended = homolog("transfer", tmp_path / "other", "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint() and "is no result" in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_to_carry(homolog, files, result, tmp_path):
+    report = json.loads((result / "report.json").read_text())
+    report["inputs"]["target"] = {"file": str(tmp_path / "plain.off")}
+    (result / "report.json").write_text(json.dumps(report))
+    write_shape(tmp_path / "plain.off", read_shape(tmp_path / "target.ply"))
+    ended = homolog("transfer", result, "--reverse", "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint() and "holds nothing that could be carried" in ended.err
+
+
+def test_another_file_in_place_of_the_one_that_was_matched(homolog, result, make, tmp_path):
+    """Even if the report tells no hash."""
+    report = json.loads((result / "report.json").read_text())
+    del report["inputs"]["target"]["sha256"]
+    (result / "report.json").write_text(json.dumps(report))
+    moved = Shape(make.blob(2).points + 1, make.blob(2).faces)
+    write_shape(tmp_path / "target.ply", moved, colours=np.zeros((moved.n_points, 3), np.uint8))
+    ended = homolog("transfer", result, "--reverse", "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint() and "is not the file that was matched" in ended.err
+
+
+def test_a_texture_needs_its_extra_and_nothing_is_half_written(homolog, result, rows, monkeypatch, tmp_path):
+    np.save(tmp_path / "ones.npy", np.ones(rows))
+    monkeypatch.setitem(sys.modules, "xatlas", None)
+    ended = homolog("transfer", result, "--texture", "--array", tmp_path / "ones.npy", "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint() and "pip install 'homolog[transfer]'" in ended.err
+    assert not list((tmp_path / "out").glob("*"))

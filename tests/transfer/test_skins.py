@@ -1,0 +1,181 @@
+"""Skins: read from glTF as its rules have them, carried, and written so that they move the target."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from homolog.errors import ArgumentError, DataError
+from homolog.matching import MatchResult
+from homolog.shapes import Shape, read_shape
+from homolog.transfer import Carrier, PlaceFinder, Skin, read_skin, write_glb
+from homolog.transfer.gltf import GltfReader
+
+
+def rigid(turn, position):
+    frame = np.eye(4)
+    frame[:3, :3], frame[:3, 3] = turn, position
+    return frame
+
+
+@pytest.fixture
+def skinned(make):
+    """A blob with a spine of three joints along y, and two loose ones; five in all, so that one is too many."""
+    shape = make.blob(3)
+    heights = np.array([-1.05, 0.03, 0.97, 0.45, -0.33])
+    frames = np.stack([rigid(make.rotation(number), [0.05 * number, y, 0.0]) for number, y in enumerate(heights)])
+    weights = np.exp(-4 * (shape.points[:, 1, None] - heights) ** 2)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return shape, Skin(("hip", "spine", "head", "left", "right"), np.array([-1, 0, 1, 1, 1]), frames, weights)
+
+
+def largest_four(weights):
+    kept = weights * (weights.argsort(axis=1).argsort(axis=1) >= weights.shape[1] - 4)
+    return kept / kept.sum(axis=1, keepdims=True)
+
+
+def test_a_file_goes_round(skinned, tmp_path):
+    shape, skin = skinned
+    write_glb(tmp_path / "a.glb", PlaceFinder(shape), skin=skin)
+    found = read_skin(tmp_path / "a.glb", read_shape(tmp_path / "a.glb"))
+    assert found.names == skin.names
+    np.testing.assert_array_equal(found.parents, skin.parents)
+    np.testing.assert_allclose(found.frames, skin.frames, atol=1e-5)
+    np.testing.assert_allclose(found.weights, largest_four(skin.weights), atol=1e-6)
+    assert len(trimesh.load(tmp_path / "a.glb", force="mesh").vertices) == shape.n_points
+
+
+def test_a_written_skin_leaves_the_mesh_as_it_is(skinned, tmp_path):
+    """By glTF's rules: each vertex is moved by its joints' places in the scene times their inverse binds."""
+    shape, skin = skinned
+    write_glb(tmp_path / "a.glb", PlaceFinder(shape), skin=skin)
+    file = GltfReader(tmp_path / "a.glb")
+    (entry,) = file.header["skins"]
+    binds = file.accessor(entry["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+    moves = np.stack([file.world(joint) for joint in entry["joints"]]) @ binds
+    np.testing.assert_allclose(moves, np.tile(np.eye(4), (5, 1, 1)), atol=1e-5)
+    attributes = file.header["meshes"][0]["primitives"][0]["attributes"]
+    weights, joints = file.accessor(attributes["WEIGHTS_0"]), file.accessor(attributes["JOINTS_0"])
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-6)
+    assert weights.shape == joints.shape == (shape.n_points, 4) and joints.max() < 5
+    assert sorted(file.header["scenes"][0]["nodes"]) == [0, 5]
+
+
+def test_a_skin_goes_along(skinned, make, matched, tmp_path):
+    """To a copy that is turned and twice as large: joints are where they were in it."""
+    shape, skin = skinned
+    turn = make.rotation(9)
+    other = Shape(2.0 * shape.points @ turn.T + [1.0, 2.0, 3.0], shape.faces)
+    same = np.arange(shape.n_points)
+    carried = Carrier(MatchResult(shape, other, matched(same, same), {})).skin(skin)
+    np.testing.assert_allclose(carried.weights, largest_four(skin.weights), atol=1e-4)
+    np.testing.assert_allclose(carried.frames[:, :3, :3], turn @ skin.frames[:, :3, :3], atol=1e-4)
+    expected = 2.0 * skin.frames[:, :3, 3] @ turn.T + [1.0, 2.0, 3.0]
+    np.testing.assert_allclose(carried.frames[:, :3, 3], expected, atol=1e-3)
+    assert carried.names == skin.names
+
+
+def test_every_point_moves_with_the_body(skinned, make, matched):
+    shape, skin = skinned
+    same = np.arange(shape.n_points)
+    lost = np.where(shape.points[:, 1] > 0.9, -1, same)
+    carried = Carrier(MatchResult(shape, shape, matched(lost, lost), {})).skin(skin)
+    np.testing.assert_allclose(carried.weights.sum(axis=1), 1.0)
+    assert ((carried.weights > 0).sum(axis=1) <= 4).all()
+    cloud = Carrier(MatchResult(shape, shape.as_cloud(), matched(same, same), {}))
+    with pytest.raises(ArgumentError, match="no faces"):
+        cloud.skin(skin)
+    with pytest.raises(DataError, match="dozen"):
+        few = np.where(same < 8, same, -1)
+        Carrier(MatchResult(shape, shape, matched(few, few), {})).skin(skin)
+
+
+def by_hand(folder, **changes):
+    """A square under a node that is turned and scaled; weights as whole numbers, and a node between two joints."""
+    parts = [
+        np.array([[0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 50]], "<f4"),
+        np.array([0, 1, 2, 0, 2, 3], "<u2"),
+        np.array([[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 0], [1, 0, 0, 0]], "u1"),
+        np.array([[51, 204, 0, 0], [255, 0, 0, 0], [255, 0, 0, 0], [0, 255, 0, 0]], "u1"),
+        # In columns: the mesh in centimetres to joints at (0, 0, 0) and at 100 centimetres along x.
+        np.array([np.eye(4).T.ravel(), rigid(np.eye(3), [-100, 0, 0]).T.ravel()], "<f4"),
+    ]
+    buffer, views = b"", []
+    for part in parts:
+        views.append({"buffer": 0, "byteOffset": len(buffer), "byteLength": part.nbytes})
+        buffer += part.tobytes() + bytes(-part.nbytes % 4)
+    kinds = [(5126, 4, "VEC3"), (5123, 6, "SCALAR"), (5121, 4, "VEC4"), (5121, 4, "VEC4"), (5126, 2, "MAT4")]
+    accessors = [
+        {"bufferView": number, "componentType": code, "count": count, "type": type_}
+        for number, (code, count, type_) in enumerate(kinds)
+    ]
+    accessors[0] |= {"min": [0, 0, 0], "max": [100, 100, 50]}
+    accessors[3]["normalized"] = True
+    attributes = {"POSITION": 0, "JOINTS_0": 2, "WEIGHTS_0": 3}
+    uri = "data:application/octet-stream;base64," + base64.b64encode(buffer).decode()
+    content = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(buffer), "uri": uri}],
+        "bufferViews": views,
+        "accessors": accessors,
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 1}]}],
+        "skins": [{"joints": [2, 4], "inverseBindMatrices": 4}],
+        "nodes": [
+            {"children": [1, 2], "scale": [0.01, 0.01, 0.01], "rotation": [0, 0, np.sqrt(0.5), np.sqrt(0.5)]},
+            {"mesh": 0, "skin": 0},
+            {"name": "root", "children": [3]},
+            {"name": "between", "children": [4]},
+            {"translation": [7, 7, 7]},
+        ],
+        "scenes": [{"nodes": [0]}],
+        "scene": 0,
+    }
+    (folder / "hand.gltf").write_text(json.dumps(content | changes))
+    return folder / "hand.gltf"
+
+
+def test_a_file_made_by_hand(tmp_path):
+    path = by_hand(tmp_path)
+    shape = read_shape(path)
+    np.testing.assert_allclose(shape.points[1], [0, 1, 0], atol=1e-6)
+    skin = read_skin(path, shape)
+    assert skin.names == ("root", "joint 4")
+    np.testing.assert_array_equal(skin.parents, [-1, 0])
+    np.testing.assert_allclose(skin.frames[:, :3, 3], [[0, 0, 0], [0, 1, 0]], atol=1e-6)
+    np.testing.assert_allclose(skin.frames[0, :3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-6)
+    np.testing.assert_allclose(skin.weights, [[0.2, 0.8], [0, 1], [1, 0], [1, 0]], atol=1e-6)
+
+
+def test_files_without_a_skin(tmp_path, make):
+    path = by_hand(tmp_path, skins=[], nodes=[{"mesh": 0}])
+    assert read_skin(path, read_shape(path)) is None
+    assert read_skin(tmp_path / "a.obj", make.blob(1)) is None
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"skins": []},
+        {"skins": [{"joints": [2, 99], "inverseBindMatrices": 4}]},
+        {"skins": [{"joints": [2], "inverseBindMatrices": 4}]},
+        {"skins": [{"joints": [2, 4], "inverseBindMatrices": 77}]},
+    ],
+)
+def test_damaged_skins(tmp_path, changes):
+    path = by_hand(tmp_path, **changes)
+    shape = read_shape(path)
+    with pytest.raises(DataError, match="export it again") as raised:
+        read_skin(path, shape)
+    assert "\n" not in str(raised.value)
+
+
+def test_nodes_in_a_circle(tmp_path):
+    path = by_hand(tmp_path)
+    shape = read_shape(path)
+    content = json.loads(path.read_text())
+    content["nodes"][4]["children"] = [2]
+    path.write_text(json.dumps(content))
+    with pytest.raises(DataError, match="no tree"):
+        read_skin(path, shape)
