@@ -1,0 +1,85 @@
+"""``homolog serve``: a page that matches two files that are dropped on it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homolog.cli.browsing import Host, NoOpen, Port, announce, interrupt_ends
+from homolog.cli.match import STEPS
+from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher
+from homolog.errors import needs_extra
+from homolog.files import expanded
+from homolog.matching import Method
+from homolog.network import DEFAULT_WEIGHTS, shipped_weights
+from homolog.serving import Limits, MatchCommand
+
+_AT_ONCE = min(2, os.cpu_count() or 1)
+
+
+def serve(
+    host: Host = "127.0.0.1",
+    port: Port = 8080,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="A name that browsers may call this server by, such as that of a proxy before it; can be repeated.",
+            show_default=False,
+        ),
+    ] = None,
+    max_mb: Annotated[float, typer.Option(help="The largest file, in MB.", min=0.001)] = 100.0,
+    jobs: Annotated[int, typer.Option(help="Matches at once; they share the cores.", min=1)] = _AT_ONCE,
+    queue: Annotated[int, typer.Option(help="Matches that may wait for their turn.", min=0)] = 8,
+    minutes: Annotated[float, typer.Option(help="How long a match may take.", min=0.01)] = 15.0,
+    memory_gb: Annotated[float, typer.Option(help="Memory that a match may take, in GB.", min=0.1)] = 4.0,
+    weights: Weights = None,
+    method: MethodOption = "auto",
+    device: DeviceOption = "auto",
+    no_open: NoOpen = False,
+    quiet: Quiet = False,
+) -> None:
+    """Serve a page that matches shapes: drop a source and a target, watch the steps, see the map, download the result.
+
+    Each match runs in a process of its own, bounded in time and memory, and ends when its page is closed. Nothing is
+    written outside a temporary folder, which is removed; nothing that was uploaded is kept. Prints the address and
+    serves until Ctrl-C. Needs the extra `serve`.
+
+    Examples:
+      homolog serve
+
+      homolog serve --port 9000 --jobs 4 --minutes 5 --memory-gb 8
+
+      homolog serve --weights animals.safetensors --no-open
+
+      homolog serve --host 0.0.0.0 --name shapes.example.org --max-mb 20
+
+    On a remote machine: run it there, run `ssh -L 8080:127.0.0.1:8080 MACHINE` here, and open the address here.
+    """
+    with needs_extra("homolog serve", "serve"):
+        from homolog.serving.server import MatchServer
+    build_matcher(weights, method, device, no_cache=True)  # says now what would be wrong with each match
+    command = MatchCommand(_options(weights, method, device), n_steps=STEPS)
+    limits = Limits(max_mb=max_mb, jobs=jobs, queue=queue, minutes=minutes, memory_gb=memory_gb)
+    server = MatchServer(command, limits, host=host, port=port, names=name or (), made_with=_made_with(weights, method))
+    announce(server.address, open_browser=not no_open, quiet=quiet)
+    with interrupt_ends(server.end):
+        server.serve()
+
+
+def _options(weights: str | None, method: Method, device: str) -> tuple[str, ...]:
+    """What every match is told; its process runs elsewhere."""
+    given = (f"--method={method}", f"--device={device}")
+    if weights is None:
+        return given
+    place = weights if weights in shipped_weights() else str(expanded(weights).resolve())
+    return (*given, f"--weights={place}")
+
+
+def _made_with(weights: str | None, method: Method) -> str:
+    if weights is None and method == "axiomatic":
+        return "axiomatic"
+    return f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"

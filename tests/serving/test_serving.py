@@ -1,0 +1,422 @@
+"""The server without a browser: the whole road, what is refused, what is bounded, and what is left behind."""
+
+import json
+import os
+import socket
+import sys
+import zipfile
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from serving_tools import TRIANGLE, Listener, gone, pids, program, until
+
+from homolog.errors import ArgumentError
+from homolog.matching import RESULT_FILES, read_result
+from homolog.serving import Limits, MatchCommand
+
+pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
+
+AXIOMATIC = MatchCommand(("--method=axiomatic",))
+JOB = "/jobs/0123456789"
+
+
+def uploads(paths):
+    return [(path.name, path.read_bytes()) for path in paths]
+
+
+def failure(listener):
+    kind, told = listener.until("failed", "done")
+    assert kind == "failed"
+    assert "\n" not in told["error"]
+    return told["error"]
+
+
+# ---- the whole road
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other homes")
+def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
+    for place in ("home", "cwd", "tmp"):
+        (tmp_path / place).mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.chdir(tmp_path / "cwd")
+    server = serve(AXIOMATIC)
+    user = client(server)
+    path, listener = user.match(*uploads(blobs), source_up="y")
+    news = []
+    for kind, told, number in listener:
+        assert number == len(news)
+        news.append((kind, told))
+        if kind in ("done", "failed"):
+            break
+    assert news[-1] == ("done", {"archive": "one to other.zip", "warnings": news[-1][1]["warnings"]})
+    steps = [told for kind, told in news if kind == "step"]
+    assert [step["done"] for step in steps] == list(range(len(steps)))
+    assert {step["of"] for step in steps} == {AXIOMATIC.n_steps}
+    assert steps[0]["name"] == "read source" and steps[-1]["name"] == "write"
+    status, headers, page = user.ask("GET", f"{path}/view.html")
+    assert status == 200 and headers["Content-Security-Policy"].startswith("sandbox allow-scripts;")
+    assert "<title>one.off → other.ply</title>" in page.decode()
+    status, _, packed = user.ask("GET", f"{path}/result.zip")
+    with zipfile.ZipFile(BytesIO(packed)) as archive:
+        assert archive.testzip() is None
+        archive.extractall(tmp_path / "got")
+    got = tmp_path / "got" / "homolog-result"
+    assert {file.name for file in got.iterdir()} == {*RESULT_FILES, "view.html"}
+    assert (got / "view.html").read_bytes() == page
+    result = read_result(got)
+    order = result.source.points[:, 0].argsort()
+    assert np.mean(result.found.target_to_source == order) > 0.9
+    assert result.report["inputs"]["source"]["file"] == str(Path("source", "one.off"))
+    # What the page has, the server forgets; and it has written nothing anywhere else.
+    assert user.ask("DELETE", path)[0] == 204
+    until(lambda: not any(server.folder.iterdir()))
+    assert user.ask("GET", f"{path}/result.zip")[0] == 404
+    assert user.ask("DELETE", path)[0] == 204
+    assert list((tmp_path / "tmp").iterdir()) == [server.folder]
+    assert not any((tmp_path / "home").iterdir()) and not any((tmp_path / "cwd").iterdir())
+
+
+def test_wishes_become_options():
+    from homolog.serving.command import Wishes
+
+    wishes = Wishes.of({"source_up": "z", "partial": "target"})
+    line = MatchCommand(("--method=auto",), program=("homolog",)).line({"source": "a.off", "target": "b.off"}, wishes)
+    files = [str(Path("source", "a.off")), str(Path("target", "b.off"))]
+    assert line[:2] == ["homolog", "match"] and line[-3:] == ["--", *files]
+    assert {"--no-cache", "--method=auto", "--source-up=z", "--target-up=y", "--partial=target"} <= {*line}
+
+
+@pytest.mark.parametrize(
+    "body", ["", "[]", "{", '{"weights": "x"}', '{"partial": "both"}', '{"source_up": ["y"]}', "[" * 4000]
+)
+def test_other_wishes_are_refused(serve, client, stuck, body):
+    status, _, said = client(serve(stuck)).ask("POST", "/jobs", body)
+    assert status == 400 and len(json.loads(said)["error"]) < 120
+
+
+# ---- files that are no shapes
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("claims.ply", b"ply\nformat ascii 1.0\nelement vertex 1000000000\nproperty float x\nproperty float y\n"
+         b"property float z\nend_header\n0 0 0\n", "1000000000 elements vertex"),
+        ("outside.gltf", b'{"asset":{"version":"2.0"},"buffers":[{"uri":"../target/one.off","byteLength":9}]}',
+         "outside its own folder"),
+        ("<img src=x onerror=alert(1)>.off", b"\0" * 99, "binary data"),
+    ],
+)  # fmt: skip
+def test_a_bad_file_is_one_clear_message(serve, client, blobs, name, content, said):
+    server = serve(AXIOMATIC)
+    _, listener = client(server).match((name, content), uploads(blobs)[0])
+    error = failure(listener)
+    shown = name.translate(dict.fromkeys(map(ord, "<>"), "_"))
+    assert error.startswith(f"{shown} ") and said in error
+    assert str(server.folder) not in error and "source" not in error
+    assert os.sep not in error.replace("../", "")  # which the file says
+    until(lambda: not any(server.folder.iterdir()))
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("virus.exe", "suffix '.exe'"), ("no", "no suffix"), ("scan.nii.gz", "is a volume"), ("a.off\0.sh", "suffix"),
+     ("../../etc/passwd", "passwd has no suffix"), ("", "no suffix"), (".off", "no suffix")],
+)  # fmt: skip
+def test_a_name_of_no_shape(serve, client, stuck, name, said):
+    server = serve(stuck)
+    user = client(server)
+    path, listener = user.begin()
+    status, error = user.send(path, "source", name, TRIANGLE)
+    assert status == 415 and said in error
+    assert failure(listener) == error
+    until(lambda: not any(server.folder.iterdir()))
+
+
+@pytest.mark.parametrize(
+    ("name", "stored"),
+    [
+        ("../../../../tmp/evil.off", "evil.off"),
+        ("/etc/cron.d/evil.off", "evil.off"),
+        ("C:\\Windows\\evil.off", "evil.off"),
+        ("~root/x.ply", "x.ply"),
+        ("--weights=x.off", "--weights=x.off"),
+        ("\N{SNOWMAN} a b.OFF", "\N{SNOWMAN} a b.OFF"),
+        ("x\0y\n\u202ez.off", "x_y__z.off"),
+        ("\N{PILE OF POO}" * 5000 + ".off", "\N{PILE OF POO}" * 56 + ".off"),
+        ("a:b|c?.off", "a_b_c_.off"),
+    ],
+)
+def test_a_hostile_name_stays_in_its_folder(serve, client, stuck, name, stored):
+    server = serve(stuck)
+    user = client(server)
+    path, _ = user.begin()
+    assert user.send(path, "source", name, TRIANGLE) == (204, None)
+    files = [file.relative_to(server.folder).parts[1:] for file in server.folder.rglob("*") if file.is_file()]
+    assert files == [("source", stored)]
+
+
+def test_no_path_of_the_server_is_told(tmp_path):
+    from homolog.serving.command import complaint_of
+
+    names = {"source": "a b.off", "target": "a.off"}
+    for line, said in (
+        (f"Error: {tmp_path.resolve()}/source/a b.off is empty", "a b.off is empty"),
+        ("Error: target/a.off could not be read as OFF", "a.off could not be read as OFF"),
+        ("Error: /home/me/lions.safetensors is damaged (/opt/lib/x.so)", "lions.safetensors is damaged (x.so)"),
+        ("Error: C:\\Users\\me\\x.pth is damaged", "x.pth is damaged"),
+        ("Error: it does not end with </VTKFile>; 3 km/h", "it does not end with </VTKFile>; 3 km/h"),
+        ("Warning: /home/me", None),
+    ):
+        assert complaint_of(line, tmp_path, names) == said
+    alike = {"source": "a.off", "target": "a.off"}
+    assert complaint_of("Error: target/a.off is empty", tmp_path, alike) == "the target a.off is empty"
+
+
+# ---- sizes
+
+
+def test_a_file_that_says_that_it_is_too_large(serve, client, stuck):
+    server = serve(stuck, max_mb=0.01)
+    user = client(server)
+    path, listener = user.begin()
+    status, error = user.send(path, "source", "large.off", bytes(20_000))
+    assert (status, error) == (413, "large.off is larger than 0.01 MB, the limit here; reduce it")
+    assert failure(listener) == error
+    until(lambda: not any(server.folder.iterdir()))
+
+
+def test_a_file_that_does_not_say_how_large_it_is(serve, client, stuck):
+    """It is stopped on the way: the answer is there though the file has no end."""
+    server = serve(stuck, max_mb=0.01)
+    user = client(server)
+    path, listener = user.begin()
+    connection = user.connection()
+    connection.putrequest("PUT", f"{path}/source?name=endless.off")
+    connection.putheader("Transfer-Encoding", "chunked")
+    connection.endheaders()
+    connection.send(b"5000\r\n" + bytes(0x5000) + b"\r\n")
+    answer = connection.getresponse()
+    assert answer.status == 413 and b"larger than 0.01 MB" in answer.read()
+    connection.close()
+    assert "larger than 0.01 MB" in failure(listener)
+    until(lambda: not any(server.folder.iterdir()))
+
+
+def test_a_second_source_is_refused(serve, client, stuck):
+    user = client(serve(stuck))
+    path, _ = user.begin()
+    assert user.send(path, "source", "a.off", TRIANGLE)[0] == 204
+    assert user.send(path, "source", "b.off", TRIANGLE) == (409, "this match has its source already")
+    assert user.send(path, "middle", "b.off", TRIANGLE)[0] == 404
+
+
+def test_limits_are_positive_numbers():
+    for wrong in ({"max_mb": 0}, {"minutes": float("nan")}, {"memory_gb": float("inf")}, {"jobs": 0}, {"queue": -1}):
+        with pytest.raises(ArgumentError, match=next(iter(wrong))):
+            Limits(**wrong)
+    assert Limits(jobs=2, queue=0).places == 2
+
+
+# ---- bounds on number, time and memory
+
+
+def test_only_so_many_at_once(serve, client, stuck):
+    server = serve(stuck, jobs=1, queue=1)
+    first, second, third = client(server), client(server), client(server)
+    shapes = ("a.off", TRIANGLE), ("b.off", TRIANGLE)
+    running, told = first.match(*shapes)
+    assert told.until("step")[1]["name"] == "read source"
+    _, told = second.match(*shapes)
+    assert told.until("waiting", "step") == ("waiting", {"before": 0})
+    status, _, body = third.ask("POST", "/jobs", "{}")
+    assert status == 503 and "2 matches are under way" in json.loads(body)["error"]
+    first_pids = until(lambda: pids(server))
+    assert len(first_pids) == 2
+    first.ask("DELETE", running)
+    assert told.until("step", "failed")[0] == "step"  # its turn has come
+    until(lambda: gone(first_pids))
+    assert third.ask("POST", "/jobs", "{}")[0] == 201
+
+
+def test_a_match_that_takes_too_long(serve, client, stuck):
+    server = serve(stuck, minutes=0.05)
+    _, listener = client(server).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
+    started = until(lambda: pids(server))
+    assert (
+        failure(listener)
+        == "the match took longer than 0.05 minutes, the limit here, and was stopped; use smaller shapes"
+    )
+    until(lambda: gone(started))
+
+
+def test_files_that_do_not_come(serve, client, stuck):
+    _, listener = client(serve(stuck, minutes=0.01)).begin()
+    assert "did not arrive within 0.01 minutes" in failure(listener)
+
+
+def test_a_match_that_no_one_listens_to_is_forgotten(serve, client, stuck, monkeypatch):
+    monkeypatch.setattr("homolog.serving.jobs._GRACE_SECONDS", 0.1)
+    server = serve(stuck)
+    user = client(server)
+    assert user.ask("POST", "/jobs", "{}")[0] == 201
+    until(lambda: not any(server.folder.iterdir()))
+
+
+GREEDY = """
+import sys
+hold = []
+while True:
+    hold.append(b"x" * 2**20)
+"""
+REFUSED = """
+import sys
+try:
+    bytearray(2**30)
+except MemoryError:
+    print("Error: not enough memory", file=sys.stderr)
+    sys.exit(2)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such limit")
+def test_the_system_keeps_a_match_to_its_memory(serve, client):
+    _, listener = client(serve(program(REFUSED), memory_gb=0.25)).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
+    assert failure(listener) == "not enough memory"
+
+
+def test_where_the_system_does_not_the_server_does(serve, client, monkeypatch):
+    monkeypatch.setattr("homolog.serving.process._limited", lambda command, limits: list(command))
+    _, listener = client(serve(program(GREEDY), memory_gb=0.25)).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
+    assert "needed more than 0.25 GB of memory" in failure(listener)
+
+
+@pytest.mark.parametrize(
+    ("ending", "said"),
+    [("raise RuntimeError('/secret/place')", "for a reason that is not known"), ("os.abort()", "the match broke off")],
+)
+def test_an_end_that_no_one_foresaw(serve, client, ending, said, caplog):
+    command = program(f"import os, sys; print('x' * 10**6, file=sys.stderr, flush=True); {ending}")
+    _, listener = client(serve(command)).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
+    error = failure(listener)
+    assert said in error and "secret" not in error
+    assert "a match ended with code" in caplog.text  # whoever runs the server is told more
+
+
+# ---- pages that are closed, and a server that ends
+
+
+def test_a_page_that_closes_ends_its_match(serve, client, stuck, monkeypatch):
+    monkeypatch.setattr("homolog.serving.jobs._GRACE_SECONDS", 0.1)
+    server = serve(stuck)
+    _, listener = client(server).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
+    started = until(lambda: pids(server))
+    listener.close()
+    until(lambda: gone(started) and not any(server.folder.iterdir()))
+
+
+def test_a_connection_that_comes_back_keeps_the_match(serve, client, stuck):
+    server = serve(stuck)
+    user = client(server)
+    path, listener = user.match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
+    *_, last = next(news for news in listener if news[0] == "step")
+    listener.close()
+    again = Listener(user, f"{path}/events", {"Last-Event-ID": str(last - 1)})
+    assert next(iter(again))[0] == "step"
+    again.close()
+
+
+def test_an_upload_that_breaks_off_ends_its_match(serve, client, stuck):
+    server = serve(stuck)
+    user = client(server)
+    path, _ = user.begin()
+    with socket.create_connection((user.place.hostname, user.place.port)) as raw:
+        head = f"PUT {path}/source?name=a.off HTTP/1.1\r\nHost: {user.place.netloc}\r\nContent-Length: 1000\r\n\r\n"
+        raw.sendall(head.encode() + b"OFF")
+        until(lambda: list(server.folder.glob("*/source/a.off")))
+    until(lambda: not any(server.folder.iterdir()))
+
+
+def test_the_end_of_the_server_ends_its_matches(serve, client, stuck):
+    server = serve(stuck)
+    _, listener = client(server).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
+    started = until(lambda: pids(server))
+    server.end()
+    assert [kind for kind, *_ in listener][-1:] in (["step"], ["waiting"])  # what is told comes to an end
+    until(lambda: gone(started) and not server.folder.exists())
+
+
+# ---- other sites, and other users
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "127.0.0.1"}, 201),
+        ({"Host": "localhost:99"}, 201),
+        ({"Host": "[::1]:8080"}, 201),
+        ({"Host": "192.168.1.7"}, 201),
+        ({"Host": "Shapes.example.org."}, 201),
+        ({"Host": "evil.example"}, 403),
+        ({"Host": "localhost.evil.example"}, 403),
+        ({"Host": "127.0.0.1.evil.example"}, 403),
+        ({"Host": "127.0.0.1@evil.example"}, 403),
+        ({"Host": "["}, 403),
+        ({"Host": ""}, 403),
+        ({"Host": "localhost", "Origin": "http://localhost"}, 201),
+        ({"Host": "shapes.example.org", "Origin": "https://shapes.example.org"}, 201),
+        ({"Host": "localhost", "Origin": "http://evil.example"}, 403),
+        ({"Host": "localhost", "Origin": "http://localhost:3000"}, 403),
+        ({"Host": "localhost", "Origin": "null"}, 403),
+        ({"Host": "localhost", "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}, 403),
+        ({"Host": "localhost", "Sec-Fetch-Site": "same-origin"}, 201),
+    ],
+)
+def test_who_may_ask(serve, client, stuck, headers, status):
+    user = client(serve(stuck, names=["shapes.example.org"]))
+    connection = user.connection()
+    connection.putrequest("POST", "/jobs", skip_host=True)
+    for name, value in (headers | {"Content-Length": "2"}).items():
+        connection.putheader(name, value)
+    connection.endheaders(b"{}")
+    assert connection.getresponse().status == status
+    connection.close()
+
+
+def test_every_answer_binds_the_browser(serve, client, stuck):
+    user = client(serve(stuck))
+    for method, path, status in (
+        ("GET", "/", 200), ("GET", "/absent", 404), ("PUT", "/", 405), ("GET", f"{JOB}/events", 404),
+        ("GET", f"{JOB}/view.html", 404), ("GET", f"{JOB}/result.zip", 404), ("DELETE", f"{JOB}/events", 405),
+        ("PUT", f"{JOB}/source?name=a.off", 404), ("GET", "/jobs/../../etc/passwd", 404),
+        ("GET", "/jobs/%2e%2e%2f%2e%2e%2fetc/view.html", 404),
+    ):  # fmt: skip
+        answer, headers, body = user.ask(method, path)
+        assert answer == status, path
+        assert "default-src 'none'" in headers["Content-Security-Policy"]
+        assert headers["X-Content-Type-Options"] == "nosniff" and headers["Referrer-Policy"] == "no-referrer"
+        assert headers["Cache-Control"] == "no-store" and headers["Server"] is None
+        assert path == "/" or list(json.loads(body)) == ["error"]
+
+
+def test_a_result_that_is_not_there_yet(serve, client, stuck):
+    user = client(serve(stuck))
+    path, _ = user.begin()
+    for name in ("view.html", "result.zip"):
+        status, _, body = user.ask("GET", f"{path}/{name}")
+        assert status == 404 and "not done" in json.loads(body)["error"]
+
+
+def test_the_word_of_a_match_cannot_be_guessed(serve, client, stuck):
+    """Of 32 signs each, no two alike; nor is it the name of the match's folder."""
+    server = serve(stuck)
+    words = {client(server).begin()[0].removeprefix("/jobs/") for _ in range(5)}
+    assert len(words) == 5 and all(len(word) == 32 for word in words)
+    assert not words & {folder.name for folder in server.folder.iterdir()}
+    if os.name == "posix":
+        assert server.folder.stat().st_mode & 0o077 == 0

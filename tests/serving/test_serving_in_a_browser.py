@@ -1,0 +1,152 @@
+"""The page in Chromium: two users at once, a hostile upload between them, pages that are closed."""
+
+import zipfile
+
+import numpy as np
+import pytest
+from serving_tools import gone, pids, until
+
+from homolog.matching import read_result
+from homolog.serving import MatchCommand
+
+pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture
+def user(tab):
+    """``user(server)`` is a tab of its own, with the page open."""
+
+    def new(server):
+        one = tab(1000, 640)
+        one.page.goto(server.address)
+        return one.page, one
+
+    return new
+
+
+def choose(page, side, *files):
+    page.set_input_files(f"[data-side={side}] input", files)
+
+
+def drop(page, side, name, content):
+    """Drop a file on a zone, as a mouse does."""
+    data = page.evaluate_handle(
+        """([name, content]) => {
+          const data = new DataTransfer();
+          data.items.add(new File([content], name));
+          return data;
+        }""",
+        [name, content],
+    )
+    page.dispatch_event(f"[data-side={side}]", "drop", {"dataTransfer": data})
+
+
+def download(page, folder):
+    """The result as the user gets it."""
+    with page.expect_download() as waited:
+        page.click("#download")
+    waited.value.save_as(folder / "got.zip")
+    with zipfile.ZipFile(folder / "got.zip") as archive:
+        archive.extractall(folder)
+    return waited.value.suggested_filename, read_result(folder / "homolog-result")
+
+
+def seen(page):
+    """What the map says of itself, once it is drawn."""
+    page.wait_for_selector("body.result")
+    frame = page.frame_locator("#map")
+    frame.locator("body[data-ready]").wait_for()
+    return frame.locator("h1").inner_text()
+
+
+def complaint(page):
+    page.wait_for_selector("#complaint:not([hidden])")
+    return page.inner_text("#complaint")
+
+
+def test_two_users_and_a_hostile_one(serve, user, blobs, demo_folder, demo, tmp_path):
+    """Both get their own maps at once, while a third gets one message; and nothing of it stays on the server."""
+    server = serve(MatchCommand(), jobs=2)
+    (ann, of_ann), (ben, of_ben), (eve, of_eve) = (user(server) for _ in range(3))
+    bodies = [demo_folder / "off" / f"{name}.off" for name in ("amber", "boris")]
+    for side, body, blob in zip(("source", "target"), bodies, blobs, strict=True):
+        choose(ann, side, body)
+        choose(ben, side, blob)
+    drop(eve, "source", "<img src=x onerror=alert(1)>.off", "OFF\n1000000000 1 0\n")
+    drop(eve, "target", "b.off", "OFF\n")
+    ann.wait_for_selector("#steps li")
+    said = complaint(eve)
+    assert said.startswith("_img src=x onerror=alert(1)_.off could not be read as OFF: ")
+    assert "1000000000 points" in said and str(server.folder) not in said
+    assert eve.inner_text("[data-side=source] .name") == "<img src=x onerror=alert(1)>.off"
+    assert eve.query_selector("img") is None
+    assert seen(ben) == "one.off → other.ply" and seen(ann) == "amber.off → boris.off"
+    for page, name in ((ann, "amber to boris.zip"), (ben, "one to other.zip")):
+        (tmp_path / name).mkdir()
+        got, result = download(page, tmp_path / name)
+        assert got == name
+        if page is ann:  # the truth is known
+            near = np.linalg.norm(demo.amber.points[result.found.target_to_source[demo.boris_points]]
+                                  - demo.amber.points[demo.amber_points], axis=1)  # fmt: skip
+            assert np.median(near) < 0.05 * np.ptp(demo.amber.points[:, 1])
+        else:
+            assert result.source.n_points == 162
+    # The pages have their results and told so: the server keeps nothing, though both are open.
+    until(lambda: not any(server.folder.iterdir()))
+    for one in (of_ann, of_ben, of_eve):
+        assert one.complaints == []
+        assert all(url.startswith((server.address, f"blob:{server.address}", "data:")) for url in one.requests)
+
+
+def test_a_page_that_closes_ends_its_match(serve, user, stuck, blobs):
+    server = serve(stuck)
+    page, _ = user(server)
+    for side, blob in zip(("source", "target"), blobs, strict=True):
+        choose(page, side, blob)
+    page.wait_for_selector("#steps li:has-text('read source')")
+    started = until(lambda: pids(server))
+    page.close()
+    until(lambda: gone(started) and not any(server.folder.iterdir()))
+
+
+def test_cancelling_and_beginning_anew(serve, user, stuck, blobs):
+    server = serve(stuck)
+    page, one = user(server)
+    choose(page, "source", *blobs)  # both at once
+    started = until(lambda: pids(server))
+    page.click("#cancel")
+    until(lambda: gone(started) and not any(server.folder.iterdir()))
+    assert page.is_hidden("#work") and page.is_enabled("#match")
+    page.select_option("#partial", "source")
+    page.click("#match")
+    page.wait_for_selector("#steps li")
+    assert until(lambda: pids(server)) != started
+    assert one.complaints == []
+
+
+def test_what_the_page_refuses_by_itself(serve, user, stuck, tmp_path):
+    page, one = user(serve(stuck, max_mb=0.01))
+    (tmp_path / "large.off").write_bytes(bytes(20_000))
+    (tmp_path / "empty.off").touch()
+    (tmp_path / "notes.docx").write_bytes(b"x")
+    for name, said in (
+        ("large.off", "larger than 0.01 MB"),
+        ("empty.off", "is empty"),
+        ("notes.docx", "suffix '.docx'"),
+    ):
+        choose(page, "target", tmp_path / name)
+        assert complaint(page).startswith(name) and said in complaint(page)
+        assert page.is_disabled("#match")
+    assert not any("/jobs" in url for url in one.requests)
+    assert one.complaints == []
+
+
+def test_a_server_that_goes_away(serve, user, stuck, blobs):
+    server = serve(stuck)
+    page, _ = user(server)
+    choose(page, "source", *blobs)
+    page.wait_for_selector("#steps li")
+    server.end()
+    assert "connection to the server is lost" in complaint(page)
+    assert page.is_enabled("#match")
