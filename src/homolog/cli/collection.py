@@ -1,0 +1,147 @@
+"""``homolog collection``: many shapes with the points and faces of one template, and their statistics."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from homolog.cli.options import (
+    ONE_PER_CORE,
+    DeviceOption,
+    MethodOption,
+    NoCache,
+    Processes,
+    Quiet,
+    Verbose,
+    Weights,
+    build_matcher,
+    check_folder,
+    check_outside,
+    described,
+    set_verbosity,
+)
+from homolog.cli.progress import progress_bar, say
+from homolog.collecting import (
+    CollectionFolder,
+    CollectionSettings,
+    ModelSettings,
+    Outcome,
+    check_extra,
+    check_template,
+    collect,
+    deliver,
+    making,
+    subjects_of,
+)
+from homolog.shapes import Up, read_hashed_shape
+from homolog.versions import versions
+
+Collected = Literal["template", "shapes", "both"]
+
+
+def collection(
+    template: Annotated[
+        Path, typer.Argument(help="The shape whose points and faces all others get.", show_default=False)
+    ],
+    shapes: Annotated[
+        list[Path], typer.Argument(metavar="SHAPES...", help="Meshes or clouds in any format.", show_default=False)
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to go on with.")
+    ] = Path("collection"),
+    weights: Weights = None,
+    method: MethodOption = "auto",
+    as_cloud: Annotated[Collected | None, typer.Option(help="Match by points alone; faces are still written.")] = None,
+    up: Annotated[Up, typer.Option(help="The axis that points up in all files.")] = "y",
+    template_up: Annotated[
+        Up | None, typer.Option(help="The axis that points up in the template, if it differs.")
+    ] = None,
+    scale: Annotated[
+        bool, typer.Option("--scale", help="Bring shapes to one size before their modes are found, too.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Of the random shapes that measure specificity.", min=0)] = 0,
+    processes: Processes = ONE_PER_CORE,
+    device: DeviceOption = "auto",
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse shapes with anything to repair or to warn of.")
+    ] = False,
+    no_cache: NoCache = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Match shapes to one template, and give each the template's points and faces; then find how they vary.
+
+    Needs the extra `collection`. Writes DIR/shapes/NAME.ply (the template's points, placed smoothly on each shape's
+    surface, in its own coordinates), DIR/points.npy (shapes, points, 3), DIR/quality.csv (a row per shape),
+    DIR/contact_sheet.png (the worst first), DIR/model (the mean, the principal modes, curves, and modes.html to drag
+    through), DIR/shapeworks and DIR/scalismo (for these programs), and DIR/report.json.
+
+    The same command goes on where it was stopped, and does anew what changed; more shapes can be given then. A shape
+    that cannot be matched is one line on stderr and in quality.csv; the others are still written, and the exit code
+    is 2.
+
+    Examples:
+      homolog collection template.ply scans/*.ply -o people
+
+      homolog collection femur.stl femurs/*.stl -o femurs_model --weights femurs.safetensors --up z
+
+      homolog collection lung.csv lungs/*.csv -o lungs_model --method axiomatic --up z --scale
+    """
+    set_verbosity(quiet=quiet, verbose=verbose)
+    check_extra()
+    subjects = subjects_of(shapes)
+    check_folder(output, names=())
+    check_outside(output, inputs=(template, *shapes))
+    base, digest = read_hashed_shape(template)
+    check_template(base)
+    settings = CollectionSettings(
+        template_up=template_up or up,
+        shapes_up=up,
+        template_as_cloud=as_cloud in ("template", "both"),
+        shapes_as_cloud=as_cloud in ("shapes", "both"),
+        strict=strict,
+    )
+    model = ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
+    make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
+    matcher = make_matcher()
+    folder = CollectionFolder.prepare(output, making(digest, matcher, settings))
+    with progress_bar(quiet=quiet) as progress:
+        outcomes = collect(
+            template, subjects, folder, make_matcher, settings, processes=processes, progress=progress, told=_tell
+        )
+        progress(len(subjects), len(subjects), "mean and modes")
+        report = {
+            "command": ["homolog", *sys.argv[1:]],
+            "inputs": {"template": str(template), "sha256": digest},
+            **described(matcher, weights),
+            "versions": versions(),
+        }
+        files = deliver(folder, base, outcomes, model, told=report)
+    if not quiet:
+        _summary(folder, outcomes, files)
+    if any(outcome.error for outcome in outcomes):
+        raise typer.Exit(2)
+
+
+def _tell(outcome: Outcome) -> None:
+    if outcome.error:
+        say(f"Error: {outcome.error}")
+
+
+def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path]) -> None:
+    placed = [outcome for outcome in outcomes if not outcome.error]
+    doubtful = [outcome for outcome in placed if outcome.warnings]
+    for outcome in doubtful:
+        for warning in outcome.warnings:
+            say(f"Warning: {outcome.subject.name}: {warning}")
+    others = folder.others([outcome.subject for outcome in outcomes])
+    if others:
+        say(f"{len(others)} shapes in {folder.root / 'shapes'} were not given this time, and do not count.")
+    failed = len(outcomes) - len(placed)
+    say(f"Placed {len(placed)} of {len(outcomes)} shapes: {failed} failed, {len(doubtful)} doubtful.")
+    for path in files:
+        typer.echo(path)

@@ -1,0 +1,16 @@
+"""Statistics of shapes whose points correspond: alignment, mean and modes, and how good a model they make."""
+
+from homolog.statistics.alignment import Aligned, generalised_procrustes
+from homolog.statistics.curves import Curve, compactness, generalisation, specificity
+from homolog.statistics.model import ShapeModel, principal_modes
+
+__all__ = [
+    "Aligned",
+    "Curve",
+    "ShapeModel",
+    "compactness",
+    "generalisation",
+    "generalised_procrustes",
+    "principal_modes",
+    "specificity",
+]

@@ -1,0 +1,62 @@
+"""The mean of shapes and the principal modes in which they vary: a point distribution model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from homolog.errors import ArgumentError
+
+# Of the largest singular value: what is below is rounding.
+_RANK = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeModel:
+    """A mean shape and its principal modes (Cootes et al., "Active shape models", CVIU 61, 1995).
+
+    Args:
+        mean: of the shapes (n, 3).
+        modes: directions of unit length, orthogonal as vectors of 3n numbers; the entry of largest size is positive
+            (k, n, 3).
+        variances: of the shapes along them, in the shapes' unit squared, descending; by s - 1 of s shapes (k,).
+    """
+
+    mean: Float[np.ndarray, "n 3"]
+    modes: Float[np.ndarray, "k n 3"]
+    variances: Float[np.ndarray, " k"]
+
+    @property
+    def deviations(self) -> Float[np.ndarray, " k"]:
+        """Standard deviations along the modes."""
+        return np.asarray(np.sqrt(self.variances))
+
+    def coefficients(self, points: Float[np.ndarray, "s n 3"]) -> Float[np.ndarray, "s k"]:
+        """How far aligned shapes lie along each mode, in standard deviations."""
+        flat = (points - self.mean).reshape(len(points), -1)
+        return np.asarray(flat @ self.modes.reshape(-1, self.mean.size).T / self.deviations)
+
+    def shapes(self, coefficients: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "s n 3"]:
+        """The shapes of coefficients in standard deviations, of the first modes or of all."""
+        count = coefficients.shape[1]
+        offsets = np.tensordot(coefficients * self.deviations[:count], self.modes[:count], axes=1)
+        return np.asarray(self.mean + offsets)
+
+
+def principal_modes(points: Float[np.ndarray, "s n 3"]) -> ShapeModel:
+    """The mean and all modes of aligned shapes, by a singular value decomposition.
+
+    Raises:
+        ArgumentError: if there are fewer than two shapes.
+    """
+    if points.ndim != 3 or len(points) < 2:
+        raise ArgumentError(f"points has shape {points.shape}, but must hold two shapes or more, (shapes, points, 3)")
+    mean = points.mean(axis=0)
+    _, sizes, rows = np.linalg.svd((points - mean).reshape(len(points), -1), full_matrices=False)
+    rank = int((sizes > _RANK * max(sizes[0], np.abs(mean).max())).sum())
+    rows, sizes = rows[:rank], sizes[:rank]
+    largest = np.take_along_axis(rows, np.abs(rows).argmax(axis=1, keepdims=True), axis=1)
+    modes = (rows * np.sign(largest)).reshape(rank, *mean.shape)
+    return ShapeModel(mean, modes, sizes**2 / (len(points) - 1))

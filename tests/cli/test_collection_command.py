@@ -1,0 +1,156 @@
+"""``homolog collection``: files to a folder, its lines and exit codes, and what it does when it is stopped."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from homolog.shapes import Shape, read_shape, write_shape
+
+pytest.importorskip("h5py")
+pytest.importorskip("matplotlib")
+pytest.importorskip("PIL")
+LOOKED_AT = [
+    "shapes",
+    "points.npy",
+    "quality.csv",
+    "contact_sheet.png",
+    "report.json",
+    "model",
+    "shapeworks",
+    "scalismo",
+]
+OPTIONS = ("--method", "axiomatic", "--processes", 1)
+
+# A collection that stops in its second shape, says so, and waits to be interrupted.
+STUCK = """
+import time
+from homolog.collecting import Template
+
+placed_on, calls = Template.placed_on, []
+
+def slow(self, *args, **kwargs):
+    calls.append(1)
+    if len(calls) > 1:
+        print("working", flush=True)
+        time.sleep(120)
+    return placed_on(self, *args, **kwargs)
+
+Template.placed_on = slow
+from homolog.cli.main import main
+main()
+"""
+
+
+@pytest.fixture(scope="module")
+def shapes(tmp_path_factory, make):
+    """A template and two shapes like it."""
+    root, blob = tmp_path_factory.mktemp("shapes"), make.blob(2)
+    write_shape(root / "template.off", blob)
+    for number in (1, 2):
+        order = np.random.default_rng(number).permutation(blob.n_points)
+        other = make.relabelled(blob, order)
+        write_shape(root / f"{number}.ply", Shape(other.points * [1, 1 + number / 10, 1], other.faces))
+    return root / "template.off", root / "1.ply", root / "2.ply"
+
+
+def test_files_to_a_folder_and_on(homolog, shapes, tmp_path):
+    out = tmp_path / "new" / "out"
+    ended = homolog("collection", *shapes, "-o", out, *OPTIONS)
+    assert ended.code == 0, ended.err
+    assert ended.out.splitlines() == [str(out / name) for name in LOOKED_AT]
+    assert ended.err == "Placed 2 of 2 shapes: 0 failed, 0 doubtful.\n"
+    points = np.load(out / "points.npy")
+    np.testing.assert_array_equal(read_shape(out / "shapes" / "2.ply").points, points[1])
+    report = json.loads((out / "report.json").read_text())
+    assert report["shapes"] == ["1", "2"] and report["command"][:2] == ["homolog", "collection"]
+    assert report["inputs"]["template"] == str(shapes[0])
+    written = (out / "shapes" / "1.ply").stat().st_mtime_ns
+    ended = homolog("collection", *shapes[:2], "-o", out, *OPTIONS, "--scale")
+    assert ended.code == 0 and (out / "shapes" / "1.ply").stat().st_mtime_ns == written
+    assert "1 shapes in" in ended.err and "were not given this time" in ended.err
+    assert np.load(out / "points.npy").shape[0] == 1
+    assert homolog("collection", *shapes, "-o", out, *OPTIONS, "-q").err == ""
+
+
+def test_a_bad_shape_is_a_line_and_the_exit_code(homolog, shapes, files, tmp_path):
+    out = tmp_path / "out"
+    ended = homolog("collection", *shapes, files.rubbish, "-o", out, *OPTIONS)
+    assert ended.code == 2
+    first, last = ended.err.splitlines()
+    assert first.startswith("Error: ") and str(files.rubbish) in first
+    assert last == "Placed 2 of 3 shapes: 1 failed, 0 doubtful."
+    assert len(ended.out.splitlines()) == len(LOOKED_AT)
+    assert list(json.loads((out / "report.json").read_text())["not_placed"]) == ["rubbish"]
+    only = homolog("collection", shapes[0], files.rubbish, "-o", tmp_path / "none", *OPTIONS)
+    assert only.code == 2 and only.err.count("\n") == 2 and "none of the 1 shapes could be placed" in only.err
+
+
+def test_mistakes_are_one_line(homolog, shapes, files, tmp_path):
+    template, one, two = shapes
+    out = tmp_path / "out"
+    for arguments, told in (
+        ([template], "missing argument"),
+        ([template, tmp_path / "none.ply"], "does not exist"),
+        ([template, one, one], "would both be called '1'"),
+        ([tmp_path / "none.ply", one], "does not exist"),
+        ([files.rubbish, one], "could not be read"),
+        ([files.dirty, one], "points that can have no place"),
+        ([template, one, "--weights", tmp_path / "none.safetensors"], "there are no weights"),
+        ([template, one, "--method", "magic"], "magic"),
+        ([template, one, "--as-cloud", "source"], "source"),
+        ([template, one, "--processes", 0], "processes"),
+    ):
+        ended = homolog("collection", *arguments, "-o", out)
+        assert ended.is_one_line_of_complaint() and told in ended.err.lower().replace(str(tmp_path).lower(), ""), (
+            ended.err
+        )
+        assert not out.exists()
+    ended = homolog("collection", template, two, "-o", template)
+    assert ended.is_one_line_of_complaint() and "is a file" in ended.err
+    ended = homolog("collection", template, two, "-o", template.parent)
+    assert ended.is_one_line_of_complaint() and "lies in" in ended.err
+    (tmp_path / "others").mkdir()
+    (tmp_path / "others" / "thing.txt").write_text("")
+    ended = homolog("collection", template, two, "-o", tmp_path / "others")
+    assert ended.is_one_line_of_complaint() and "holds other things" in ended.err
+
+
+def test_shapes_in_the_folder_of_the_result_are_refused_and_stay(homolog, shapes, tmp_path):
+    output = tmp_path / "out"
+    (output / "shapes").mkdir(parents=True)
+    inside = output / "shapes" / "mine.ply"
+    inside.write_bytes(b"broken, but the user's own")
+    ended = homolog("collection", shapes[0], inside, shapes[1], "-o", output)
+    assert ended.is_one_line_of_complaint() and "mine.ply lies in" in ended.err
+    assert inside.read_bytes() == b"broken, but the user's own"
+
+
+def test_without_its_extra(homolog, shapes, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    ended = homolog("collection", *shapes, "-o", tmp_path / "out", *OPTIONS)
+    assert ended.is_one_line_of_complaint() and "homolog[collection]" in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
+def test_an_interrupt_keeps_what_is_done(homolog, shapes, tmp_path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-c", STUCK, "collection", *map(str, shapes), "-o", str(out), *map(str, OPTIONS)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout.readline() == "working\n"
+            process.send_signal(signal.SIGINT)
+            shown, complaint = process.communicate(timeout=120)
+        finally:
+            process.kill()
+    assert (process.returncode, shown) == (130, "")
+    assert complaint == "Interrupted; nothing was left half-written.\n"
+    files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+    assert files == ["manifest.json", "records/1.json", "shapes/1.ply"]
+    written = (out / "shapes" / "1.ply").stat().st_mtime_ns
+    assert homolog("collection", *shapes, "-o", out, *OPTIONS).code == 0
+    assert (out / "shapes" / "1.ply").stat().st_mtime_ns == written

@@ -1,0 +1,7 @@
+"""A matcher that needs no weights, in a module that other processes can import."""
+
+from homolog.matching import Matcher, MatcherSettings
+
+
+def axiomatic():
+    return Matcher(settings=MatcherSettings(method="axiomatic"))
