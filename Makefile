@@ -4,12 +4,14 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint docs gallery bench clean
 
 help:
 	@echo "make demo    set up, and match the two shapes that ship with the project"
 	@echo "make test    set up, and run the tests"
 	@echo "make lint    set up, and run the linter and the type checker"
+	@echo "make docs    set up, and build the site into build/site"
+	@echo "make gallery make the pictures of the site anew (some 5 minutes; needs Chromium)"
 	@echo "make bench   set up, and time every step in yardsticks (about 20 minutes)"
 	@echo "make clean   remove the virtual environment and caches"
 
@@ -37,8 +39,16 @@ lint: $(VENV)/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+# The theme's word on what will follow it is no warning of this site.
+docs: $(VENV)/installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "Open build/site/index.html."
+
+gallery: $(VENV)/installed-dev
+	$(BIN)/python tools/make_gallery.py docs/gallery.md docs/tutorials/collections.md
+
 bench: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/bench.py
 
 clean:
-	rm -rf $(VENV) .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf $(VENV) build .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -1,8 +1,9 @@
-"""What the tests share: small shapes of known geometry, the demo bodies, and the published reference numbers."""
+"""What the tests share: small shapes of known geometry, the demo bodies, the published reference numbers, a browser."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import tarfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -168,6 +169,61 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> Callable[[type, str], list[str]]:
         return seen
 
     return count
+
+
+# A browser without a screen or a graphics card draws in software, and asks nobody for anything.
+_BROWSER_ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-quic",
+    "--disable-sync",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--no-first-run",
+]
+_BROWSER_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+@pytest.fixture(scope="session")
+def browser():
+    """Chromium, driven by playwright."""
+    driver = pytest.importorskip("playwright.sync_api", reason="playwright is missing; pip install 'homolog[dev]'")
+    program = os.environ.get("HOMOLOG_CHROMIUM") or next(filter(None, map(shutil.which, _BROWSER_NAMES)), None)
+    if program is None:
+        pytest.skip("no Chromium on the path; install one, or set HOMOLOG_CHROMIUM")
+    with driver.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=program, args=_BROWSER_ARGUMENTS)
+        yield found
+        found.close()
+
+
+class Tab:
+    """A page with all that it complained of and asked for."""
+
+    def __init__(self, browser, width, height):
+        self.page = browser.new_page(viewport={"width": width, "height": height})
+        self.page.set_default_timeout(90_000)
+        self.complaints, self.requests = [], []
+        self.page.on("console", lambda message: message.type == "error" and self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+
+
+@pytest.fixture
+def tab(browser):
+    """``tab()`` is a new page of 900 x 600 pixels, or of what is given."""
+    opened = []
+
+    def new(width=900, height=600):
+        opened.append(Tab(browser, width, height))
+        return opened[-1]
+
+    yield new
+    for one in opened:
+        one.page.close()
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ ROOT = Path(homolog.__file__).parent
 MODULES = sorted(path for path in ROOT.rglob("*.py"))
 
 # Floor by floor, what each part may import of homolog. `errors`, `memory` and the like are the ground.
-GROUND = {"errors", "arguments", "memory", "arrays", "files", "steps", "versions", "tables"}
+GROUND = {"errors", "arguments", "memory", "arrays", "files", "folders", "steps", "versions", "tables", "work"}
 BENEATH_EVALUATION = {"shapes", "geometry", "network", "maps", "matching", "datasets"}
 FLOORS = {
     "errors": set(),
@@ -24,17 +24,26 @@ FLOORS = {
     "steps": set(),
     "versions": set(),
     "tables": {"errors"},
+    "folders": {"errors", "files"},
+    "work": {"errors", "steps"},
     "shapes": GROUND,
     "geometry": GROUND | {"shapes"},
     "network": GROUND | {"shapes", "geometry"},
     "maps": GROUND | {"shapes", "geometry"},
     "matching": GROUND | {"shapes", "geometry", "network", "maps"},
+    "transfer": GROUND | {"shapes", "geometry", "maps", "matching"},
     "datasets": GROUND | {"shapes"},
     "volumes": GROUND | {"shapes"},
     "synthesis": GROUND | {"shapes", "geometry", "datasets"},
     "evaluation": GROUND | BENEATH_EVALUATION,
     "training": GROUND | BENEATH_EVALUATION | {"synthesis", "evaluation"},
-    "cli": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "synthesis", "volumes"},
+    "viewing": GROUND | {"shapes", "geometry", "matching", "datasets", "evaluation"},
+    "serving": GROUND | {"shapes", "matching", "viewing"},
+    "statistics": GROUND,
+    "collecting": GROUND | {"shapes", "geometry", "matching", "transfer", "viewing", "statistics"},
+    "cli": GROUND
+    | BENEATH_EVALUATION
+    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "collecting"},
     "__main__": {"cli"},
     "__init__": GROUND | BENEATH_EVALUATION | {"evaluation"},
 }
@@ -47,8 +56,14 @@ HEAVY = [
     "fast_simplification",
     "SimpleITK",
     "skimage",
+    "xatlas",
+    "PIL",
     "tensorboard",
     "lightning_fabric",
+    "viser",
+    "starlette",
+    "uvicorn",
+    "h5py",
 ]
 
 

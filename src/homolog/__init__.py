@@ -5,7 +5,7 @@ Meshes and point clouds, whole or partial, in any mix::
     import homolog
 
     source, target = homolog.read_shape("a.ply"), homolog.read_shape("b.obj")
-    matcher = homolog.Matcher.from_weights("weights.safetensors")
+    matcher = homolog.Matcher.from_weights()  # those for people; or give a file
     found = matcher.match(source, target)
     found.source_to_target  # for each source point the index of its target point
 

@@ -15,6 +15,7 @@ from homolog.cli import match as match_module
 from homolog.errors import ShapeError
 from homolog.matching import Matcher, MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
+from homolog.shapes import reading as reading_module
 from homolog.training import AdaptationSettings, adapt_to_pair
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
@@ -31,7 +32,7 @@ def report(folder):
 
 def test_four_files(homolog, files, tmp_path):
     out = tmp_path / "deep" / "result"
-    ended = homolog("match", files.mesh, files.other, "-o", out)
+    ended = homolog("match", files.mesh, files.other, "-o", out, "--method", "axiomatic")
     assert ended.code == 0
     assert ended.out.splitlines() == [str(out / name) for name in NAMES]
     assert sorted(path.name for path in out.iterdir()) == sorted(NAMES)
@@ -133,6 +134,9 @@ def test_report(homolog, files, tmp_path):
     assert np.sum(arrays["target_to_source"] < 0) == 0
     assert matched["source_mean_confidence"] == pytest.approx(arrays["source_confidence"].mean())
     assert matched["target_mean_confidence"] == pytest.approx(arrays["target_confidence"].mean())
+    assert found["quality"]["source"] is None  # its other shape is a part
+    assert found["quality"]["target"]["confidence"] == pytest.approx(arrays["target_confidence"].mean())
+    assert found["quality"]["target"]["flipped_triangles"] is None
 
 
 def test_points_left_out_are_told_from_those_without_a_counterpart(homolog, files, tmp_path):
@@ -243,14 +247,21 @@ def test_the_map_is_that_of_the_adapted_network(homolog, files, tmp_path):
 
 
 def test_adapting_needs_weights(homolog, files, tmp_path):
-    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--adapt", 3)
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--adapt", 3, "--method", "axiomatic")
     assert ended.is_one_line_of_complaint()
     assert "adapting needs a network; give weights" in ended.err
     assert not (tmp_path / "out").exists()
 
 
+def test_weights_for_people_are_the_default(homolog, files, tmp_path):
+    homolog("match", files.mesh, files.other, "-o", tmp_path)
+    weights = report(tmp_path)["weights"]
+    assert (weights["given"], weights["name"], weights["licence"]) == ("people", "people", "CC0-1.0")
+    assert report(tmp_path)["route"] == "functional-map"
+
+
 def test_report_without_weights(homolog, files, tmp_path):
-    homolog("match", files.mesh, files.cloud, "-o", tmp_path, "--no-cache")
+    homolog("match", files.mesh, files.cloud, "-o", tmp_path, "--no-cache", "--method", "axiomatic")
     assert report(tmp_path)["weights"] is None
     assert report(tmp_path)["route"] == "axiomatic"
     assert report(tmp_path)["inputs"]["target"]["modality"] == "cloud"
@@ -402,8 +413,6 @@ MISTAKES = {
     "no such weights": (lambda f, t: [f.mesh, f.mesh, "--weights", "gone.pth"], "there are no weights 'gone.pth'"),
     "weights in part": (lambda f, t: [f.mesh, f.mesh, "--weights", cut_short(f, t)], "short.safetensors"),
     "mesh as weights": (lambda f, t: [f.mesh, f.mesh, "--weights", f.mesh], "mesh.off"),
-    "features need weights": (lambda f, t: [f.mesh, f.mesh, "--method", "features"], "needs weights"),
-    "maps need weights": (lambda f, t: [f.mesh, f.mesh, "--method", "functional-map"], "needs weights"),
 }
 
 
@@ -428,7 +437,7 @@ def test_out_is_a_file(homolog, files, tmp_path, monkeypatch, below):
     """Found before any work is done."""
     out = tmp_path / "out"
     out.write_text("precious")
-    monkeypatch.setattr(match_module, "read_shape", None)
+    monkeypatch.setattr(match_module, "read_hashed_shape", None)
     ended = homolog("match", files.mesh, files.other, "-o", out / "below" if below else out)
     assert ended.is_one_line_of_complaint()
     assert "cannot be made a folder" in ended.err
@@ -548,7 +557,7 @@ def test_a_buffer_that_changes_while_it_is_read_is_refused(homolog, files, gltf,
         gltf[2].write_bytes(gltf[2].read_bytes()[::-1])
         return shape
 
-    monkeypatch.setattr(match_module, "read_shape", meddling)
+    monkeypatch.setattr(reading_module, "read_shape", meddling)
     ended = homolog("match", gltf[0], files.other, "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint()
     assert "model.gltf changed while it was read" in ended.err
@@ -570,7 +579,7 @@ def test_an_input_that_changes_while_it_is_read_is_refused(homolog, files, tmp_p
         file.write_text("another")
         return shape
 
-    monkeypatch.setattr(match_module, "read_shape", meddling)
+    monkeypatch.setattr(reading_module, "read_shape", meddling)
     ended = homolog("match", source, files.other, "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint()
     assert "mesh.off changed while it was read" in ended.err

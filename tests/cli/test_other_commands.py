@@ -27,7 +27,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-COMMANDS = ["match", "train", "evaluate", "info", "doctor", "demo"]
+COMMANDS = ["match", "view", "transfer", "train", "evaluate", "reconstruct", "info", "doctor", "demo"]
 
 
 @pytest.fixture
@@ -53,7 +53,8 @@ def strictly(text):
 
 
 def test_evaluate(homolog, data, tmp_path):
-    ended = homolog("evaluate", data, "--json", tmp_path / "score.json")
+    json = ["--json", str(tmp_path / "score.json")]
+    ended = homolog("evaluate", data, "--method", "axiomatic", *json)
     assert ended.code == 0
     assert ended.err == ""
     assert "mean geodesic error x100" in ended.out
@@ -77,7 +78,7 @@ def test_evaluate(homolog, data, tmp_path):
         "seed": 0,
     }
     assert found["weights"] is None
-    assert found["command"] == ["homolog", "evaluate", str(data), "--json", str(tmp_path / "score.json")]
+    assert found["command"] == ["homolog", "evaluate", str(data), "--method", "axiomatic", *json]
     assert found["versions"]["homolog"]
     assert f"{found['mean_geodesic_error']:.2f}" in ended.out
 
@@ -159,7 +160,6 @@ MISTAKES = {
     "no folder": (lambda d, t: [t / "gone"], "no shapes"),
     "noise on meshes": (lambda d, t: [d, "--noise", "0.01"], "noise is for clouds"),
     "weights": (lambda d, t: [d, "--weights", "gone.pth"], "there are no weights"),
-    "method": (lambda d, t: [d, "--method", "features"], "needs weights"),
     "empty split": (lambda d, t: [d, "--split", "train"], "no shapes in split 'train'"),
     "blank split": (lambda d, t: [with_split(d, "\n")], "no shapes in split 'test'"),
     "unknown name": (lambda d, t: [with_split(d, "three")], "names 'three'"),

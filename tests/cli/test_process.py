@@ -52,7 +52,7 @@ def run(*arguments):
 
 
 def test_match_from_files_to_files(files, tmp_path):
-    ended = run("match", files.mesh, files.dirty, "-o", tmp_path / "out")
+    ended = run("match", files.mesh, files.dirty, "-o", tmp_path / "out", "--method", "axiomatic")
     assert ended.returncode == 0, ended.stderr
     paths = [tmp_path / "out" / name for name in FILES]
     assert ended.stdout.splitlines() == list(map(str, paths))

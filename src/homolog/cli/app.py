@@ -6,14 +6,19 @@ from typing import Annotated
 
 import typer
 
+from homolog.cli.collection import collection
 from homolog.cli.data import data
 from homolog.cli.demo import demo
 from homolog.cli.doctor import doctor
 from homolog.cli.evaluate import evaluate
 from homolog.cli.info import info
 from homolog.cli.match import match
+from homolog.cli.reconstruct import reconstruct
+from homolog.cli.serve import serve
 from homolog.cli.synth import synth
 from homolog.cli.train import train
+from homolog.cli.transfer import transfer
+from homolog.cli.view import view
 from homolog.cli.volume import volume
 from homolog.versions import version_of
 
@@ -42,7 +47,7 @@ def homolog(
     """Find dense correspondences between non-rigid 3D shapes: meshes and point clouds, whole or partial."""
 
 
-for command in (match, train, evaluate, info, doctor, demo):
+for command in (match, view, serve, transfer, collection, train, evaluate, reconstruct, info, doctor, demo):
     app.command()(command)
 for group in (synth, volume, data):
     app.add_typer(group)

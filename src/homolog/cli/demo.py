@@ -53,7 +53,7 @@ def demo(
     errors = 100 * geodesic_errors(source, truth, found.target_to_source[asked])
     sides = _same_side(source, truth, found.target_to_source[asked])
     if not quiet:
-        _show(found, errors, sides, steps, paths)
+        _show(found, errors, sides, steps, output, paths)
     if errors.mean() > _LARGEST_ERROR:
         typer.echo(f"The mean error is {errors.mean():.2f}, above {_LARGEST_ERROR:g}: something is wrong.", err=True)
         raise typer.Exit(1)
@@ -66,7 +66,9 @@ def _same_side(source: Shape, truth: np.ndarray, mapped: np.ndarray) -> float:
     return float(np.mean(np.sign(across[truth]) == np.sign(across[mapped]), where=lateral))
 
 
-def _show(found: Correspondence, errors: np.ndarray, sides: float, steps: Steps, paths: list[Path]) -> None:
+def _show(
+    found: Correspondence, errors: np.ndarray, sides: float, steps: Steps, output: Path, paths: list[Path]
+) -> None:
     table = Table(title=f"{_SOURCE} to {_TARGET}", show_header=False, title_justify="left")
     table.add_row("points", f"{len(found.source_to_target)} and {len(found.target_to_source)}")
     table.add_row("route", found.route)
@@ -77,6 +79,6 @@ def _show(found: Correspondence, errors: np.ndarray, sides: float, steps: Steps,
     table.add_row("seconds", f"{sum(step.seconds for step in steps.finished):.1f}")
     console = Console()
     console.print(table)
-    console.print("Open source.ply and target.ply side by side: same colour, same point.", highlight=False)
+    console.print(f"Look at it: homolog view {output} --html view.html", highlight=False, soft_wrap=True)
     for path in paths:
         typer.echo(path)

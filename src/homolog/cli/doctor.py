@@ -17,7 +17,13 @@ _EXTRAS = {
     "pcd": ("pypcd4",),
     "train": ("lightning-fabric", "tensorboard", "filelock"),
     "synth": ("anny",),
+    "transfer": ("pillow", "xatlas"),
     "volumes": ("SimpleITK", "scikit-image", "fast-simplification"),
+    "view": ("viser",),
+    "picture": ("pillow",),
+    "serve": ("anyio", "starlette", "uvicorn"),
+    "collection": ("h5py", "matplotlib", "pillow"),
+    "docs": ("mkdocs-material", "mkdocstrings"),
 }
 
 

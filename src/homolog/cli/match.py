@@ -11,30 +11,36 @@ import typer
 from jaxtyping import Float, Int
 
 from homolog.cli.options import (
+    PICTURE_WIDTH,
     Adapt,
     DeviceOption,
     InPlace,
+    Lines,
     MethodOption,
     NoCache,
+    Page,
+    Picture,
+    PictureWidth,
     Quiet,
     Verbose,
     Weights,
     build_matcher,
+    check_file,
     check_folder,
+    check_picture_file,
     described,
     set_verbosity,
 )
 from homolog.cli.progress import Report, progress_bar, say
-from homolog.errors import ShapeError
-from homolog.files import sha256
-from homolog.matching import AsCloud, Correspondence, Matcher, Prepared, Side, write_result
-from homolog.shapes import Shape, Up, files_of_shape, read_shape
+from homolog.matching import AsCloud, Correspondence, Matcher, Prepared, Side, read_result, write_result
+from homolog.shapes import Shape, Up, read_hashed_shape
 from homolog.steps import Listener, Steps
 from homolog.training import AdaptationSettings, adapt_to_pair
 from homolog.versions import versions
+from homolog.viewing import scene_of, write_page, write_picture
 
 # read, repair, operators and features for each shape, the map, the check of the orientation, and writing.
-_STEPS = 11
+STEPS = 11
 
 
 def match(
@@ -62,6 +68,10 @@ def match(
     up: Annotated[Up, typer.Option(help="The axis that points up in both files.")] = "y",
     source_up: Annotated[Up | None, typer.Option(help="The axis that points up in the source, if it differs.")] = None,
     target_up: Annotated[Up | None, typer.Option(help="The axis that points up in the target, if it differs.")] = None,
+    page: Page = None,
+    picture: Picture = None,
+    lines: Lines = 0,
+    picture_width: PictureWidth = PICTURE_WIDTH,
     device: DeviceOption = "auto",
     strict: Annotated[bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.")] = False,
     no_cache: NoCache = False,
@@ -82,13 +92,18 @@ def match(
 
       homolog match a.ply b.xyz -o result --method axiomatic
 
+      homolog match dancer.ply statue.ply -o result --html both.html --picture both.png --lines 20
+
       homolog match old.ply new.ply -o result --weights people.safetensors --adapt 15
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_folder(output, inputs=(source, target))
+    if page is not None:
+        check_file(page)
+    check_picture_file(picture, lines, picture_width)
     ups: dict[Side, Up] = {"source": source_up or up, "target": target_up or up}
     with progress_bar(quiet=quiet) as progress:
-        steps = Steps(listener=counted(progress, _STEPS + adapt + (adapt > 0), verbose=verbose))
+        steps = Steps(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         job = Job({"source": source, "target": target}, ups, matcher, adapt)
         outcome = job.run(
@@ -105,6 +120,12 @@ def match(
             "strict": strict,
         }
         paths = outcome.write(output, steps, {"options": options, **described(job.matcher, weights)})
+    if page is not None:
+        write_page(page, scene_of(read_result(output)))
+        paths.append(page)
+    if picture is not None:
+        write_picture(picture, scene_of(read_result(output)), width=picture_width, lines=lines)
+        paths.append(picture)
     if not quiet:
         _summary(outcome, steps, paths, verbose=verbose)
 
@@ -133,6 +154,7 @@ class Outcome:
             "inputs": self.inputs,
             "route": self.found.route,
             "warnings": list(self.found.warnings),
+            "quality": None if self.found.quality is None else self.found.quality.to_dict(),
             **setup,
             "matched": {f"{side}_{name}": n for side, matched in self.matched.items() for name, n in matched.items()},
             "versions": versions(),
@@ -164,7 +186,7 @@ class Job:
         inputs: dict[Side, dict[str, Any]] = {}
         for side, file in self.files.items():
             with steps.step(f"read {side}"):
-                shapes[side], digest = _read(file)
+                shapes[side], digest = read_hashed_shape(file)
             inputs[side] = {"file": str(file), "sha256": digest}
         source, target = self.matcher.prepare_pair(
             shapes["source"],
@@ -194,16 +216,6 @@ class Job:
             return adapt_to_pair(self.matcher, source, target, settings, partial=partial, listener=steps.listener)
 
 
-def _read(file: Path) -> tuple[Shape, str]:
-    """A shape and the hash of the very bytes that it was read from, be they in one file or in several."""
-    before = sha256(*files_of_shape(file))
-    shape = read_shape(file)
-    digest = sha256(*files_of_shape(file))
-    if digest != before:
-        raise ShapeError(f"{file} changed while it was read; try again once it is complete")
-    return shape, digest
-
-
 def _described(prepared: Prepared) -> dict[str, Any]:
     """What was found in a shape and done about it, and how its eigenpairs were found."""
     operators = prepared.operators
@@ -222,7 +234,7 @@ def _matched(
     }
 
 
-def counted(progress: Report, total: int = _STEPS, *, verbose: bool = False) -> Listener:
+def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> Listener:
     """A listener for so many steps of a job that moves the progress bar on, and prints their names if ``verbose``."""
     count = 0
 

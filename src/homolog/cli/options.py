@@ -16,14 +16,17 @@ from homolog.errors import ArgumentError
 from homolog.files import expanded
 from homolog.geometry import OperatorCache, compute_operators
 from homolog.matching import RESULT_FILES, Device, Matcher, MatcherSettings, Method
+from homolog.network import DEFAULT_WEIGHTS
+from homolog.viewing import WIDTHS, check_picture
 
 Weights = Annotated[
     str | None,
     typer.Option(
         "--weights",
         metavar="NAME|FILE",
-        help="Trained weights: a .safetensors file, or a .pth that the paper's authors released. "
-        "Without any, the axiomatic method is used.",
+        help="Trained weights: a name that ships with the package, a .safetensors file, or a .pth that the paper's "
+        "authors released. Those for people know no other shapes.",
+        show_default=DEFAULT_WEIGHTS,
     ),
 ]
 MethodOption = Annotated[
@@ -61,6 +64,22 @@ SetOption = Annotated[
     ),
 ]
 Processes = Annotated[int, typer.Option(help="Processes that share the work.", min=1, show_default="one per core")]
+Page = Annotated[
+    Path | None,
+    typer.Option("--html", metavar="FILE", help="Write one page of both shapes; it opens from disk, without network."),
+]
+Picture = Annotated[
+    Path | None,
+    typer.Option("--picture", metavar="FILE.png", help="Write one image of both shapes; no screen needed."),
+]
+PICTURE_WIDTH = 2000
+Lines = Annotated[int, typer.Option(metavar="N", help="Lines between counterparts in the picture.", min=0)]
+PictureWidth = Annotated[
+    int,
+    typer.Option(
+        "--picture-width", metavar="PIXELS", help="Of the picture, twice its height.", min=WIDTHS[0], max=WIDTHS[1]
+    ),
+]
 ONE_PER_CORE = os.cpu_count() or 1
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print each step, its time and memory.")]
@@ -68,17 +87,17 @@ NoCache = Annotated[bool, typer.Option("--no-cache", help="Neither read nor writ
 
 
 def build_matcher(weights: str | None, method: Method, device: Device, *, no_cache: bool) -> Matcher:
-    """The matcher that the shared options ask for."""
+    """The matcher that the shared options ask for; the axiomatic method alone needs no weights."""
     operators = compute_operators if no_cache else OperatorCache.default().operators
     settings = MatcherSettings(method=method)
-    if weights is None:
+    if weights is None and method == "axiomatic":
         return Matcher(settings=settings, device=device, operators=operators)
-    return Matcher.from_weights(weights, settings=settings, device=device, operators=operators)
+    return Matcher.from_weights(weights or DEFAULT_WEIGHTS, settings=settings, device=device, operators=operators)
 
 
 def described(matcher: Matcher, weights: str | None) -> dict[str, Any]:
     """Weights, settings and device, for reports."""
-    info = None if matcher.network is None else {"given": weights, **asdict(matcher.info)}
+    info = None if matcher.network is None else {"given": weights or DEFAULT_WEIGHTS, **asdict(matcher.info)}
     settings = {**asdict(matcher.settings), "operators": asdict(matcher.operator_settings)}
     return {"weights": info, "settings": settings, "device": str(matcher.device)}
 
@@ -89,7 +108,7 @@ def set_verbosity(*, quiet: bool, verbose: bool) -> None:
     logging.getLogger("homolog").setLevel(level)
 
 
-def check_folder(output: Path, *, inputs: Iterable[Path] = ()) -> None:
+def check_folder(output: Path, *, inputs: Iterable[Path] = (), names: Iterable[str] = RESULT_FILES) -> None:
     """Refuse a result folder that cannot be made, or whose files would replace an input, before any work is done."""
     place = expanded(output)
     nearest = next(path for path in (place, *place.absolute().parents) if path.exists())
@@ -98,7 +117,7 @@ def check_folder(output: Path, *, inputs: Iterable[Path] = ()) -> None:
     if not os.access(nearest, os.W_OK):
         raise ArgumentError(f"{output} cannot be written to: {nearest} is read-only; give another -o")
     given = {expanded(path).resolve() for path in inputs}
-    for name in RESULT_FILES:
+    for name in names:
         if (place / name).resolve() in given:
             raise ArgumentError(f"{place / name} is an input and would be replaced by the result; give another -o")
         if (place / name).is_dir():
@@ -109,6 +128,24 @@ def check_file(output: Path) -> None:
     """Refuse a result file that cannot be written, before any work is done for it; nothing is made or changed."""
     if fault := _fault(expanded(output).resolve()):
         raise ArgumentError(f"{output} cannot be written: {fault}")
+
+
+def check_outside(output: Path, *, inputs: Iterable[Path]) -> None:
+    """Refuse inputs in the folder of the result: files there are replaced, and go when they are no longer made."""
+    place = expanded(output).resolve()
+    for path in inputs:
+        if expanded(path).resolve().is_relative_to(place):
+            raise ArgumentError(f"{path} lies in {output}, where the result is written; give another -o, or move it")
+
+
+def check_picture_file(output: Path | None, lines: int, width: int) -> None:
+    """Refuse a picture that cannot be written, or what says how to draw one that is not wanted, before any work."""
+    if output is not None:
+        check_picture(output)
+        check_file(output)
+    elif lines or width != PICTURE_WIDTH:
+        option = "--lines" if lines else "--picture-width"
+        raise ArgumentError(f"{option} is about a picture, but none is to be written; add --picture FILE.png")
 
 
 def _fault(place: Path) -> str:
