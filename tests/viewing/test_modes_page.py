@@ -92,7 +92,7 @@ def test_dragging_a_slider_bends_the_shape(model, tab, tmp_path, faces):
         return one.page.locator("#canvas").screenshot()
 
     def moved():
-        # Not wait_for_function: where it has to ask twice it evaluates text in the page, which the page's policy forbids.
+        # Not wait_for_function: asking twice it evaluates text in the page, which the policy of the page forbids.
         return one.page.evaluate("homolog.where()")[0] != 0
 
     still = picture()
