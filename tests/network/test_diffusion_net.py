@@ -358,12 +358,18 @@ def test_features_are_those_of_the_published_code(which: str, reference, faust, 
     assert network.settings == NetworkSettings(gradient_product="published") and info.name == "surreal"
     operators = stored_operators(which)
     with torch.inference_mode():
-        found = network(operators.points, operators).numpy()
-    expected = faust[f"{which}_features"]
-    errors = np.linalg.norm(found - expected, axis=1) / np.linalg.norm(expected, axis=1)
-    # In float64 the stored features themselves err by up to 1.6e-4 at the worst points, and so do ours.
-    assert (errors < 1e-4).mean() > 0.999 and errors.max() < 3e-4
-    assert np.linalg.norm(found - expected) < 1e-5 * np.linalg.norm(expected)
+        found = network(operators.points, operators)
+        exact = network.double()(operators.points.double(), in_double(operators))
+    stored = torch.from_numpy(faust[f"{which}_features"])
+
+    def errors(features):
+        return ((features.double() - exact).norm(dim=1) / exact.norm(dim=1)).numpy()
+
+    # The stored features were computed in float32 and err by up to 1.6e-4 at the worst points, as ours may, and on some
+    # processors somewhat more: at 6 of 5,000 points of one shape they are farther off than 1e-4.
+    assert (errors(stored) < 1e-4).mean() > 0.998 and errors(stored).max() < 2e-4
+    assert (errors(found) < 1e-4).mean() > 0.995 and errors(found).max() < 5e-4
+    assert (found - stored).norm() < 1e-5 * stored.norm()
 
 
 def test_half_precision_gives_nearly_the_same_features_and_gradients(demo_operators) -> None:
