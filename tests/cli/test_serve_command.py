@@ -13,6 +13,7 @@ def test_what_is_refused(homolog, files):
         (["--weights", files.rubbish], "rubbish.ply"),
         (["--minutes", "nan"], "minutes"),
         (["--jobs", "0"], "jobs"),
+        (["--name", "https://shapes.example.org"], "name is 'https://shapes.example.org'"),
     ):
         ended = homolog("serve", *arguments)
         assert ended.is_one_line_of_complaint(), ended.err

@@ -2,11 +2,16 @@
 
 import json
 import os
+import re
+import shutil
 import socket
 import sys
+import threading
 import zipfile
+from contextlib import ExitStack, suppress
 from io import BytesIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,10 +25,28 @@ pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[
 
 AXIOMATIC = MatchCommand(("--method=axiomatic",))
 JOB = "/jobs/0123456789"
+FROM_ANN = {"X-Forwarded-For": "203.0.113.7"}
+FROM_BEN = {"X-Forwarded-For": "203.0.113.8"}
 
 
 def uploads(paths):
     return [(path.name, path.read_bytes()) for path in paths]
+
+
+def raw(user):
+    """A connection on which anything can be sent."""
+    return socket.create_connection((user.place.hostname, user.place.port), timeout=120)
+
+
+def host(user):
+    return f"Host: {user.place.netloc}\r\n"
+
+
+def assert_closed(connection):
+    """By the other end, sooner or later, whatever came before."""
+    with suppress(ConnectionError):
+        while connection.recv(2**16):
+            pass
 
 
 def failure(listener):
@@ -77,7 +100,7 @@ def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
     until(lambda: not any(server.folder.iterdir()))
     assert user.ask("GET", f"{path}/result.zip")[0] == 404
     assert user.ask("DELETE", path)[0] == 204
-    assert list((tmp_path / "tmp").iterdir()) == [server.folder]
+    assert list((tmp_path / "tmp").iterdir()) == [server.folder.parent]
     assert not any((tmp_path / "home").iterdir()) and not any((tmp_path / "cwd").iterdir())
 
 
@@ -108,7 +131,11 @@ def test_other_wishes_are_refused(serve, client, stuck, body):
         ("claims.ply", b"ply\nformat ascii 1.0\nelement vertex 1000000000\nproperty float x\nproperty float y\n"
          b"property float z\nend_header\n0 0 0\n", "1000000000 elements vertex"),
         ("outside.gltf", b'{"asset":{"version":"2.0"},"buffers":[{"uri":"../target/one.off","byteLength":9}]}',
-         "outside its own folder"),
+         "refers to '../target/one.off' outside its own folder"),
+        ("elsewhere.gltf", b'{"asset":{"version":"2.0"},"buffers":[{"uri":"https://a.org/b/c.bin","byteLength":9}]}',
+         "refers to 'https://a.org/b/c.bin' outside its own folder"),
+        ("alone.gltf", b'{"asset":{"version":"2.0"},"buffers":[{"uri":"c.bin","byteLength":9}]}',
+         "refers to 'c.bin', which is not beside it; put that file there, or export"),
         ("<img src=x onerror=alert(1)>.off", b"\0" * 99, "binary data"),
     ],
 )  # fmt: skip
@@ -119,7 +146,7 @@ def test_a_bad_file_is_one_clear_message(serve, client, blobs, name, content, sa
     shown = name.translate(dict.fromkeys(map(ord, "<>"), "_"))
     assert error.startswith(f"{shown} ") and said in error
     assert str(server.folder) not in error and "source" not in error
-    assert os.sep not in error.replace("../", "")  # which the file says
+    assert os.sep not in error.replace(said, "")  # where the file says it
     until(lambda: not any(server.folder.iterdir()))
 
 
@@ -172,10 +199,43 @@ def test_no_path_of_the_server_is_told(tmp_path):
         ("Error: C:\\Users\\me\\x.pth is damaged", "x.pth is damaged"),
         ("Error: it does not end with </VTKFile>; 3 km/h", "it does not end with </VTKFile>; 3 km/h"),
         ("Warning: /home/me", None),
+        (f"Error: target/a.off is bad ({tmp_path.resolve()}/target/a.off: line 3)", "a.off is bad (a.off: line 3)"),
     ):
         assert complaint_of(line, tmp_path, names) == said
-    alike = {"source": "a.off", "target": "a.off"}
-    assert complaint_of("Error: target/a.off is empty", tmp_path, alike) == "the target a.off is empty"
+
+
+@pytest.mark.parametrize("uri", ["../a/b.bin", "./a/b/c.bin", "target/a.off", "https://a.org/b/c.bin", "a/b.bin"])
+def test_what_a_file_refers_to_is_told_as_it_says_it(tmp_path, uri):
+    from homolog.serving.command import complaint_of
+
+    names = {"source": "a.gltf", "target": "a.off"}
+    said = f"a.gltf could not be read as GLTF: it refers to {uri!r}, which is not beside it"
+    assert complaint_of(f"Error: source/{said}", tmp_path, names) == said
+
+
+@pytest.mark.parametrize(
+    ("step", "said", "told"),
+    [
+        ("read target", "target/a.off is empty", {"error": "the target a.off is empty", "side": "target"}),
+        ("operators of source", "a.off has no scale", {"error": "the source a.off has no scale", "side": "source"}),
+        ("map", "a.off or a.off cannot be", {"error": "a.off or a.off cannot be"}),
+    ],
+)
+def test_which_shape_is_to_blame(serve, client, step, said, told):
+    """Though both files are called alike."""
+    lines = f"{step} ...\nError: {said}"
+    server = serve(program(f"import sys; print({lines!r}, file=sys.stderr); sys.exit(2)"))
+    _, listener = client(server).match(("x/a.off", TRIANGLE), ("y/a.off", TRIANGLE))
+    assert listener.until("failed", "done") == ("failed", told)
+
+
+@pytest.mark.parametrize(("name", "status"), [("a.exe", 415), ("large.off", 413)])
+def test_which_upload_is_to_blame(serve, client, stuck, name, status):
+    user = client(serve(stuck, max_mb=0.01))
+    path, listener = user.begin()
+    answer, _, body = user.ask("PUT", f"{path}/target?name={name}", bytes(20_000))
+    assert answer == status and json.loads(body)["side"] == "target"
+    assert listener.until("failed")[1] == json.loads(body)
 
 
 # ---- sizes
@@ -235,13 +295,72 @@ def test_only_so_many_at_once(serve, client, stuck):
     _, told = second.match(*shapes)
     assert told.until("waiting", "step") == ("waiting", {"before": 0})
     status, _, body = third.ask("POST", "/jobs", "{}")
-    assert status == 503 and "2 matches are under way" in json.loads(body)["error"]
+    assert status == 503 and "2 matches are under way here" in json.loads(body)["error"]
     first_pids = until(lambda: pids(server))
     assert len(first_pids) == 2
     first.ask("DELETE", running)
     assert told.until("step", "failed")[0] == "step"  # its turn has come
     until(lambda: gone(first_pids))
     assert third.ask("POST", "/jobs", "{}")[0] == 201
+
+
+def test_a_place_is_free_before_the_folder_is_gone(serve, client, stuck, monkeypatch):
+    begun, free = threading.Event(), threading.Event()
+
+    def remove(folder, ignore_errors):
+        begun.set()
+        assert free.wait(120)
+        shutil.rmtree(folder, ignore_errors)
+
+    monkeypatch.setattr("homolog.serving.jobs.shutil", SimpleNamespace(rmtree=remove))
+    server = serve(stuck, jobs=1, queue=0)
+    user = client(server)
+    path, _ = user.begin()
+    status, _, body = user.ask("POST", "/jobs", "{}")
+    assert status == 503 and json.loads(body)["error"].startswith("1 match is under way here, ")
+    user.ask("DELETE", path)
+    assert begun.wait(120)
+    try:
+        assert user.ask("POST", "/jobs", "{}")[0] == 201
+    finally:
+        free.set()
+
+
+def test_one_address_has_only_so_many(serve, client, stuck, monkeypatch):
+    monkeypatch.setattr("homolog.serving.jobs._GRACE_SECONDS", 600)
+    server = serve(stuck, per_address=1)
+    user = client(server)
+
+    def ask(headers):
+        status, _, body = user.ask("POST", "/jobs", "{}", **headers)
+        return status, json.loads(body)
+
+    first = ask(FROM_ANN)[1]
+    status, told = ask(FROM_ANN)
+    assert status == 429 and told["error"].startswith("1 match is under way from your address, ")
+    assert [ask(other)[0] for other in (FROM_BEN, {}, {}, {})] == [201] * 4
+    user.ask("DELETE", f"/jobs/{first['id']}")
+    until(lambda: ask(FROM_ANN)[0] == 201)
+
+
+@pytest.mark.parametrize(
+    ("host", "counted"),
+    [
+        ("127.0.0.1", None),
+        ("::1", None),
+        ("::ffff:127.0.0.1", None),
+        ("203.0.113.7", "203.0.113.7"),
+        ("::ffff:203.0.113.7", "203.0.113.7"),
+        ("2001:db8::1", "2001:db8::/64"),
+        ("2001:db8::ffff:1", "2001:db8::/64"),
+        ("fe80::1%eth0", "fe80::/64"),
+        ("unknown", "unknown"),
+    ],
+)
+def test_what_counts_as_one_address(host, counted):
+    from homolog.serving.addresses import household
+
+    assert household(host) == counted
 
 
 def test_a_match_that_takes_too_long(serve, client, stuck):
@@ -260,6 +379,71 @@ def test_files_that_do_not_come(serve, client, stuck):
     assert "did not arrive within 0.01 minutes" in failure(listener)
 
 
+def test_files_that_stop_coming(serve, client, stuck, monkeypatch):
+    server = serve(stuck)
+    user = client(server)
+    path, listener = user.begin()
+    monkeypatch.setattr("homolog.serving.jobs._SILENCE_SECONDS", 0.1)
+    with raw(user) as connection:
+        head = f"PUT {path}/source?name=a.off HTTP/1.1\r\n{host(user)}Content-Length: 99\r\n\r\n"
+        connection.sendall(head.encode() + b"OFF")
+        assert failure(listener) == "nothing of the files came for 0.1 seconds; try again"
+        until(lambda: not any(server.folder.iterdir()))
+
+
+def test_a_request_that_has_no_end(serve, client, stuck, monkeypatch):
+    monkeypatch.setattr("homolog.serving.app._LONGEST_REQUEST_SECONDS", 0.1)
+    user = client(serve(stuck))
+    with raw(user) as connection:
+        connection.sendall(f"POST /jobs HTTP/1.1\r\n{host(user)}Content-Length: 99\r\n\r\n{{".encode())
+        assert connection.recv(99).startswith(b"HTTP/1.1 408 ")
+
+
+@pytest.mark.parametrize("sent", ["", "GET / HTT", "GET /absent HTTP/1.1\r\n{host}\r\nGET / HTT"])
+def test_a_connection_that_says_nothing_is_closed(serve, client, stuck, monkeypatch, sent):
+    """Before its first request, within one, and within a later one."""
+    monkeypatch.setattr("homolog.serving.connection._PATIENCE_SECONDS", 0.1)
+    user = client(serve(stuck))
+    with raw(user) as connection:
+        connection.sendall(sent.format(host=host(user)).encode())
+        assert_closed(connection)
+
+
+def test_a_connection_that_takes_no_answer_is_closed(serve, client, stuck, monkeypatch):
+    server = serve(stuck)
+    user = client(server)
+    page = len(user.ask("GET", "/")[2])
+    monkeypatch.setattr("homolog.serving.connection._PATIENCE_SECONDS", 0.1)
+    with raw(user) as connection:
+        with suppress(OSError):  # answers that no buffers on the way hold, and no more of them read than that they come
+            connection.sendall(f"GET / HTTP/1.1\r\n{host(user)}\r\n".encode() * (2**26 // page))
+            connection.recv(1)
+        until(lambda: not server._server.server_state.connections)
+
+
+def test_a_connection_that_waits_for_its_match_is_kept(serve, client):
+    """However long that says nothing."""
+    server = serve(program(SLOW))
+    _, listener = client(server).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
+    listener.until("step")
+    for connection in list(server._server.server_state.connections):
+        connection.loop.call_soon_threadsafe(connection._give_up)
+    (folder,) = server.folder.iterdir()
+    (folder / "go").touch()
+    assert listener.until("step", "failed")[1]["name"] == "read target"
+
+
+def test_one_address_has_half_of_the_connections(serve, client, stuck, monkeypatch):
+    monkeypatch.setattr("homolog.serving.connection._PATIENCE_SECONDS", 600)
+    monkeypatch.setattr("homolog.serving.connection.household", lambda host: host)
+    user = client(serve(stuck, jobs=1, queue=0))
+    with ExitStack() as held:
+        *_, eighth, ninth = [held.enter_context(raw(user)) for _ in range(9)]
+        assert_closed(ninth)
+        eighth.sendall(f"GET / HTTP/1.1\r\n{host(user)}\r\n".encode())
+        assert eighth.recv(99).startswith(b"HTTP/1.1 200 ")
+
+
 def test_a_match_that_no_one_listens_to_is_forgotten(serve, client, stuck, monkeypatch):
     monkeypatch.setattr("homolog.serving.jobs._GRACE_SECONDS", 0.1)
     server = serve(stuck)
@@ -268,6 +452,14 @@ def test_a_match_that_no_one_listens_to_is_forgotten(serve, client, stuck, monke
     until(lambda: not any(server.folder.iterdir()))
 
 
+SLOW = """
+import pathlib, sys, time
+print("read source ...", file=sys.stderr, flush=True)
+while not pathlib.Path("go").exists():
+    time.sleep(0.02)
+print("read target ...", file=sys.stderr, flush=True)
+time.sleep(600)
+"""
 GREEDY = """
 import sys
 hold = []
@@ -370,6 +562,11 @@ def test_the_end_of_the_server_ends_its_matches(serve, client, stuck):
         ({"Host": ""}, 403),
         ({"Host": "localhost", "Origin": "http://localhost"}, 201),
         ({"Host": "shapes.example.org", "Origin": "https://shapes.example.org"}, 201),
+        ({"Host": "shapes.example.org:443", "Origin": "https://shapes.example.org"}, 201),
+        ({"Host": "127.0.0.1:8080", "Origin": "https://shapes.example.org"}, 201),
+        ({"Host": "127.0.0.1:8080", "Origin": "https://shapes.example.org:8443"}, 403),
+        ({"Host": "localhost:443", "Origin": "http://localhost"}, 403),
+        ({"Host": "localhost:8080", "Origin": "http://localhost"}, 403),
         ({"Host": "localhost", "Origin": "http://evil.example"}, 403),
         ({"Host": "localhost", "Origin": "http://localhost:3000"}, 403),
         ({"Host": "localhost", "Origin": "null"}, 403),
@@ -386,6 +583,17 @@ def test_who_may_ask(serve, client, stuck, headers, status):
     connection.endheaders(b"{}")
     assert connection.getresponse().status == status
     connection.close()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["https://shapes.example.org", "shapes.example.org:443", "example.org/match", "*.org", "a b", "::1", "", "."],
+)
+def test_a_name_is_a_name_alone(name):
+    from homolog.serving.guard import names_of
+
+    with pytest.raises(ArgumentError, match=f"^name is {re.escape(repr(name))}, but must be a host's name alone, such"):
+        names_of("127.0.0.1", [name])
 
 
 def test_every_answer_binds_the_browser(serve, client, stuck):

@@ -4,7 +4,7 @@ import zipfile
 
 import numpy as np
 import pytest
-from serving_tools import gone, pids, until
+from serving_tools import gone, pids, program, until
 
 from homolog.matching import read_result
 from homolog.serving import MatchCommand
@@ -97,6 +97,16 @@ def test_two_users_and_a_hostile_one(serve, user, blobs, demo_folder, demo, tmp_
     for one in (of_ann, of_ben, of_eve):
         assert one.complaints == []
         assert all(url.startswith((server.address, f"blob:{server.address}", "data:")) for url in one.requests)
+
+
+def test_the_zone_of_the_bad_file_is_marked(serve, user):
+    """Though both files are called alike, and otherwise on the server than here."""
+    bad = "read source ...\nread target ...\nError: target/_a_.off is empty"
+    page, _ = user(serve(program(f"import sys; print({bad!r}, file=sys.stderr); sys.exit(2)")))
+    for side in ("source", "target"):
+        drop(page, side, "<a>.off", "OFF\n")
+    assert complaint(page) == "the target _a_.off is empty"
+    assert [zone.get_attribute("data-side") for zone in page.query_selector_all(".zone.wrong")] == ["target"]
 
 
 def test_a_page_that_closes_ends_its_match(serve, user, stuck, blobs):

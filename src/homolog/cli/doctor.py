@@ -21,7 +21,7 @@ _EXTRAS = {
     "volumes": ("SimpleITK", "scikit-image", "fast-simplification"),
     "view": ("viser",),
     "picture": ("pillow",),
-    "serve": ("anyio", "starlette", "uvicorn"),
+    "serve": ("anyio", "filelock", "starlette", "uvicorn"),
     "collection": ("h5py", "matplotlib", "pillow"),
     "docs": ("mkdocs-material", "mkdocstrings"),
 }

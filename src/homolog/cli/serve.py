@@ -27,13 +27,14 @@ def serve(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="A name that browsers may call this server by, such as that of a proxy before it; can be repeated.",
+            help="A name that browsers may call this server by, as that of a proxy before it, alone; can be repeated.",
             show_default=False,
         ),
     ] = None,
     max_mb: Annotated[float, typer.Option(help="The largest file, in MB.", min=0.001)] = 100.0,
     jobs: Annotated[int, typer.Option(help="Matches at once; they share the cores.", min=1)] = _AT_ONCE,
     queue: Annotated[int, typer.Option(help="Matches that may wait for their turn.", min=0)] = 8,
+    per_address: Annotated[int, typer.Option(help="Matches of one address; this machine's are free.", min=1)] = 3,
     minutes: Annotated[float, typer.Option(help="How long a match may take.", min=0.01)] = 15.0,
     memory_gb: Annotated[float, typer.Option(help="Memory that a match may take, in GB.", min=0.1)] = 4.0,
     weights: Weights = None,
@@ -63,7 +64,9 @@ def serve(
         from homolog.serving.server import MatchServer
     build_matcher(weights, method, device, no_cache=True)  # says now what would be wrong with each match
     command = MatchCommand(_options(weights, method, device), n_steps=STEPS)
-    limits = Limits(max_mb=max_mb, jobs=jobs, queue=queue, minutes=minutes, memory_gb=memory_gb)
+    limits = Limits(
+        max_mb=max_mb, jobs=jobs, queue=queue, per_address=per_address, minutes=minutes, memory_gb=memory_gb
+    )
     server = MatchServer(command, limits, host=host, port=port, names=name or (), made_with=_made_with(weights, method))
     announce(server.address, open_browser=not no_open, quiet=quiet)
     with interrupt_ends(server.end):

@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from typing import cast
 
+import anyio
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -17,7 +18,7 @@ from starlette.routing import Route
 from homolog.errors import HomologError
 from homolog.matching import Side
 from homolog.serving.command import VIEW, Wishes
-from homolog.serving.guard import Guard
+from homolog.serving.guard import Guard, Names
 from homolog.serving.jobs import ARCHIVE, Job, Jobs, RefusedError
 from homolog.serving.page import Page
 
@@ -27,11 +28,14 @@ _VIEW_POLICY = (
     "frame-ancestors 'self'"
 )
 _LONGEST_REQUEST = 4096
+_LONGEST_REQUEST_SECONDS = 20.0
 # Milliseconds after which a browser that lost the connection tries again.
 _RETRY = "retry: 1000\n\n"
+# A proxy would gather what is told, and pass it on when all is over; nginx asks the answer.
+_AT_ONCE = {"X-Accel-Buffering": "no"}
 
 
-def make_app(jobs: Jobs, page: Page, names: frozenset[str]) -> Starlette:
+def make_app(jobs: Jobs, page: Page, names: Names) -> Starlette:
     """The server as an application.
 
     Args:
@@ -74,7 +78,8 @@ class _Answers:
             wishes = Wishes.of(json.loads(await _small_body(request)))
         except (ValueError, RecursionError) as error:
             raise RefusedError(400, str(error) if isinstance(error, HomologError) else "that is no JSON") from None
-        return JSONResponse({"id": self._jobs.open(wishes)}, 201)
+        host = request.client.host if request.client else ""
+        return JSONResponse({"id": self._jobs.open(wishes, host)}, 201)
 
     async def receive(self, request: Request) -> Response:
         job, side = self._job(request), request.path_params["side"]
@@ -91,7 +96,7 @@ class _Answers:
     async def events(self, request: Request) -> Response:
         job, last = self._job(request), request.headers.get("last-event-id", "")
         begin = int(last) + 1 if last.isdecimal() and len(last) < 10 else 0
-        return StreamingResponse(_stream(job, begin), media_type="text/event-stream")
+        return StreamingResponse(_stream(job, begin), media_type="text/event-stream", headers=_AT_ONCE)
 
     async def view(self, request: Request) -> Response:
         path = self._done(request).folder / "result" / VIEW
@@ -117,11 +122,13 @@ class _Answers:
 
 async def _small_body(request: Request) -> bytes:
     body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > _LONGEST_REQUEST:
-            raise RefusedError(413, "that is too much for a request")
-    return body
+    with anyio.move_on_after(_LONGEST_REQUEST_SECONDS):
+        async for part in request.stream():
+            body += part
+            if len(body) > _LONGEST_REQUEST:
+                raise RefusedError(413, "that is too much for a request")
+        return body
+    raise RefusedError(408, "the request did not come to its end; try again")
 
 
 async def _stream(job: Job, begin: int) -> AsyncIterator[str]:
@@ -133,7 +140,7 @@ async def _stream(job: Job, begin: int) -> AsyncIterator[str]:
 
 async def _refused(request: Request, error: Exception) -> Response:
     assert isinstance(error, RefusedError)
-    return JSONResponse({"error": str(error)}, error.status)
+    return JSONResponse(error.told, error.status)
 
 
 async def _mistaken(request: Request, error: Exception) -> Response:

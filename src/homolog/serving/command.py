@@ -19,8 +19,9 @@ VIEW = "view.html"
 
 _STEP = re.compile(r"([a-z][a-z ]*) \.\.\.")
 _ERROR = "Error: "
-# Folders of this machine, before the name of a file in them; they are nobody's business.
-_FOLDERS = re.compile(r"(?<![\w<])(?:[A-Za-z]:)?(?:[\\/][^\\/\s:;,'\"()]+)+[\\/](?=[^\\/\s])")
+# Folders of this machine, before the name of a file in them; they are nobody's business. What begins with no root, as
+# '../a/b' and 'https://a/b' do, is of no machine, but what a file says.
+_FOLDERS = re.compile(r"(?<![\w<.\\/])(?:[A-Za-z]:)?(?:[\\/][^\\/\s:;,'\"()]+)+[\\/](?=[^\\/\s])")
 # What would have a program think that it writes to a terminal.
 _OF_TERMINALS = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 _TEMPORARY = ("TMPDIR", "TEMP", "TMP")
@@ -99,18 +100,27 @@ def step_of(line: str) -> str | None:
     return found and found[1]
 
 
-def complaint_of(line: str, folder: Path, names: Mapping[Side, str]) -> str | None:
+def side_of(step: str) -> Side | None:
+    """The shape that a step is about, if it is about one."""
+    sides: tuple[Side, ...] = get_args(Side)
+    return next((side for side in sides if step.endswith(f" {side}")), None)
+
+
+def complaint_of(line: str, folder: Path, names: Mapping[Side, str], about: Side | None = None) -> str | None:
     """The error that a line of the command tells of, with files called as their owner calls them.
 
     Args:
         line: what it wrote.
         folder: where it ran.
         names: of the files that it was given.
+        about: the shape that it was at work on, told from the other if their files are called alike.
     """
     if not line.startswith(_ERROR):
         return None
-    said = line.removeprefix(_ERROR).replace(f"{folder.resolve()}{os.sep}", "")
+    said = line.removeprefix(_ERROR)
+    for side in names:
+        # Where it begins it is the file; further on, what is called like it may be text of the file.
+        said = said.replace(f"{folder.resolve() / side}{os.sep}", "").removeprefix(f"{side}{os.sep}")
     alike = len(set(names.values())) < len(names)
-    for side, name in names.items():
-        said = said.replace(str(Path(side, name)), f"the {side} {name}" if alike else name)
-    return _FOLDERS.sub("", said)
+    which = f"the {about} " if about and alike and said.startswith(names[about]) else ""
+    return which + _FOLDERS.sub("", said.replace(f"{folder.resolve()}{os.sep}", ""))

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import ipaddress
+import re
 import socket
 from collections.abc import Iterable
+from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from homolog.errors import bad_value
 
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -22,9 +26,40 @@ _HEADERS = {
 }
 
 
-def own_names(host: str, others: Iterable[str] = ()) -> frozenset[str]:
-    """The names by which browsers may call a server that listens at ``host``, besides any address in numbers."""
-    return frozenset(name.lower().rstrip(".") for name in ("localhost", socket.gethostname(), host, *others) if name)
+_HOST_NAME = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_-]+)*")
+_STANDARD_PORTS = {"http": ":80", "https": ":443"}
+
+
+@dataclass(frozen=True)
+class Names:
+    """The names by which browsers may call a server, in lower case, besides any address in numbers.
+
+    Args:
+        own: those that requests may be sent to.
+        public: those of them that were given to it. A page from there, at the standard port, is the server's own: a
+            proxy may call the server by another name than browsers call the proxy.
+    """
+
+    own: frozenset[str]
+    public: frozenset[str]
+
+
+def names_of(host: str, public: Iterable[str] = ()) -> Names:
+    """The names of a server that listens at ``host``.
+
+    Raises:
+        ArgumentError: if one of ``public`` is none.
+    """
+    given = frozenset(map(_checked, public))
+    listening = {name.lower().rstrip(".") for name in ("localhost", socket.gethostname(), host) if name}
+    return Names(given | listening, given)
+
+
+def _checked(name: str) -> str:
+    plain = name.lower().removesuffix(".")
+    if not _HOST_NAME.fullmatch(plain):
+        raise bad_value("name", name, "a host's name alone, such as shapes.example.org: no scheme, port or path")
+    return plain
 
 
 class Guard:
@@ -35,10 +70,10 @@ class Guard:
 
     Args:
         app: what is guarded.
-        names: those of the server, in lower case.
+        names: those of the server.
     """
 
-    def __init__(self, app: ASGIApp, names: frozenset[str]) -> None:
+    def __init__(self, app: ASGIApp, names: Names) -> None:
         self._app, self._names = app, names
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -55,7 +90,7 @@ class Guard:
         if not self._is_own(called):
             return "this server does not go by that name; open the address that it printed, or allow the name there"
         origin = headers.get("origin")
-        if origin is not None and _place(origin) != called.lower():
+        if origin is not None and not self._is_home(origin.lower(), called.lower()):
             return "other sites may not use this server"
         if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and _asks_for_data(headers):
             return "other sites may not use this server"
@@ -66,17 +101,17 @@ class Guard:
             name = (urlsplit(f"//{called}").hostname or "").rstrip(".")
         except ValueError:
             return False
-        return name in self._names or _is_address(name)
+        return name in self._names.own or _is_address(name)
+
+    def _is_home(self, origin: str, called: str) -> bool:
+        """Whether a page is the server's; the scheme is that of whatever stands between, if anything does."""
+        scheme, _, place = origin.partition("://")
+        return place in (called, called.removesuffix(_STANDARD_PORTS.get(scheme, ""))) or place in self._names.public
 
 
 def _asks_for_data(headers: Headers) -> bool:
     """Whether a page asks, and not someone who follows a link."""
     return headers.get("sec-fetch-mode") != "navigate"
-
-
-def _place(origin: str) -> str:
-    """Name and port of an origin; the scheme is that of whatever stands between, if anything does."""
-    return origin.lower().partition("://")[2]
 
 
 def _is_address(name: str) -> bool:

@@ -21,7 +21,8 @@ from anyio.abc import TaskGroup
 from homolog.errors import HomologError
 from homolog.files import read_json
 from homolog.matching import RESULT_FILES, Side
-from homolog.serving.command import VIEW, MatchCommand, Wishes, complaint_of, step_of
+from homolog.serving.addresses import household
+from homolog.serving.command import VIEW, MatchCommand, Wishes, complaint_of, side_of, step_of
 from homolog.serving.limits import Limits
 from homolog.serving.names import plain_name
 from homolog.serving.process import OverLimitError, run_limited
@@ -35,17 +36,30 @@ ARCHIVE = "result.zip"
 _FOLDERS = ("source", "target", "result", "temporary")
 # A page that listens no longer may have lost its connection for a moment.
 _GRACE_SECONDS = 5.0
+# A connection may falter; when nothing of the files came for longer, nothing more is waited for.
+_SILENCE_SECONDS = 30.0
 # Of what a process says, for whoever runs the server, should it end in no way that is foreseen.
 _LAST_LINES = 30
 _UNKNOWN = "the match failed, for a reason that is not known; tell whoever runs this page"
 
 
 class RefusedError(Exception):
-    """Something that was asked for is not to be had; ``status`` is HTTP's word for it."""
+    """Something that was asked for is not to be had.
 
-    def __init__(self, status: int, message: str) -> None:
+    Args:
+        status: HTTP's word for it.
+        message: in a line.
+        side: the shape whose file is to blame, if one is.
+    """
+
+    def __init__(self, status: int, message: str, side: Side | None = None) -> None:
         super().__init__(message)
-        self.status = status
+        self.status, self.side = status, side
+
+    @property
+    def told(self) -> dict[str, str]:
+        """What a page is told of it; a name of a file would not say which shape's, as both may be called alike."""
+        return {"error": str(self)} | ({} if self.side is None else {"side": self.side})
 
 
 @dataclass(frozen=True)
@@ -67,13 +81,16 @@ class Job:
     Args:
         folder: its own; it is made here.
         wishes: what was said of the two shapes.
+        owner: whose it is, or None for users of this machine.
     """
 
-    def __init__(self, folder: Path, wishes: Wishes) -> None:
-        self.folder, self.wishes = folder, wishes
+    def __init__(self, folder: Path, wishes: Wishes, owner: str | None) -> None:
+        self.folder, self.wishes, self.owner = folder, wishes, owner
         self.names: dict[Side, str] = {}
         self.complete, self.over = anyio.Event(), False
         self.life = anyio.CancelScope(deadline=anyio.current_time() + _GRACE_SECONDS)
+        self.patience = anyio.CancelScope()
+        self.heard()
         self.uploads: set[anyio.CancelScope] = set()
         self._arrived: set[Side] = set()
         self._listeners = 0
@@ -116,15 +133,19 @@ class Job:
                 return
             await self._stir.wait()
 
+    def heard(self) -> None:
+        """Some of its shapes came: it waits anew for the rest."""
+        self.patience.deadline = anyio.current_time() + _SILENCE_SECONDS
+
     def arrived(self, side: Side) -> None:
         """One of its shapes is there as a whole."""
         self._arrived.add(side)
         if len(self._arrived) == 2:
             self.complete.set()
 
-    def fail(self, message: str) -> None:
+    def fail(self, refusal: RefusedError) -> None:
         """Tell of a mistake, and end."""
-        self.tell("failed", error=message)
+        self.tell("failed", **refusal.told)
         self.life.cancel()
 
     def end(self) -> None:
@@ -170,22 +191,35 @@ class Jobs:
 
     # ---- what a page asks for
 
-    def open(self, wishes: Wishes) -> str:
+    def open(self, wishes: Wishes, host: str) -> str:
         """Make place for a match; it is forgotten again unless someone listens to it soon.
+
+        Args:
+            wishes: what is said of the two shapes.
+            host: the address of whoever asks.
 
         Returns:
             The word by which it can be had, known to no one else.
 
         Raises:
-            RefusedError: if there are as many as there may be.
+            RefusedError: if there are as many as there may be, or as many of this address.
         """
         assert self._group is not None, "within working() only"
-        if len(self._jobs) >= self._limits.places:
-            raise RefusedError(503, f"{len(self._jobs)} matches are under way here, as many as can be; try again later")
+        owner = household(host)
+        self._check_place(owner)
         key = secrets.token_urlsafe(24)
-        self._jobs[key] = Job(self._root / secrets.token_hex(8), wishes)
+        self._jobs[key] = Job(self._root / secrets.token_hex(8), wishes, owner)
         self._group.start_soon(self._live, key, self._jobs[key])
         return key
+
+    def _check_place(self, owner: str | None) -> None:
+        everyones = len(self._jobs)
+        if everyones >= self._limits.places:
+            raise RefusedError(503, f"{_under_way(everyones)} here, as many as can be; try again later")
+        own = sum(job.owner == owner for job in self._jobs.values())
+        if owner is not None and own >= self._limits.per_address:
+            most = "as many as one address may have; try again when one has ended"
+            raise RefusedError(429, f"{_under_way(own)} from your address, {most}")
 
     def find(self, key: str) -> Job:
         """The match that a word stands for.
@@ -218,39 +252,41 @@ class Jobs:
             job.names[side] = plain_name(name)
             await self._store(job, side, size, parts)
         except RefusedError as refusal:
-            job.fail(str(refusal))
+            job.fail(refusal)
             raise
         except HomologError as error:
-            job.fail(str(error))
-            raise RefusedError(415, str(error)) from None
+            mistake = RefusedError(415, str(error), side)
+            job.fail(mistake)
+            raise mistake from None
         except BaseException:  # whoever sent it is gone
             job.life.cancel()
             raise
         job.arrived(side)
 
     async def _store(self, job: Job, side: Side, size: int | None, parts: AsyncIterator[bytes]) -> None:
-        name = job.names[side]
-        self._check_size(name, size or 0)
+        self._check_size(job, side, size or 0)
         try:
             with anyio.CancelScope() as upload:
                 job.uploads.add(upload)
-                await self._write(job.folder / side / name, name, parts)
+                await self._write(job, side, parts)
         except OSError as error:
-            raise RefusedError(507, f"{name} cannot be stored here: {error.strerror}") from error
+            raise RefusedError(507, f"{job.names[side]} cannot be stored here: {error.strerror}", side) from error
         if upload.cancelled_caught:
             raise RefusedError(410, "this match was cancelled")
 
-    async def _write(self, path: Path, name: str, parts: AsyncIterator[bytes]) -> None:
+    async def _write(self, job: Job, side: Side, parts: AsyncIterator[bytes]) -> None:
         size = 0
-        async with await anyio.open_file(path, "xb") as file:
+        async with await anyio.open_file(job.folder / side / job.names[side], "xb") as file:
             async for part in parts:
+                job.heard()
                 size += len(part)
-                self._check_size(name, size)
+                self._check_size(job, side, size)
                 await file.write(part)
 
-    def _check_size(self, name: str, size: int) -> None:
+    def _check_size(self, job: Job, side: Side, size: int) -> None:
         if size > self._limits.file_bytes:
-            raise RefusedError(413, f"{name} is larger than {self._limits.max_mb:g} MB, the limit here; reduce it")
+            most = f"{self._limits.max_mb:g} MB, the limit here"
+            raise RefusedError(413, f"{job.names[side]} is larger than {most}; reduce it", side)
 
     # ---- a match's life
 
@@ -260,27 +296,32 @@ class Jobs:
                 await self._make(job)
                 await anyio.sleep(self._limits.seconds)  # for the page to fetch it
         except RefusedError as refusal:
-            job.tell("failed", error=str(refusal))
+            job.tell("failed", **refusal.told)
         except Exception:
             _log.exception("a match failed")
             job.tell("failed", error=_UNKNOWN)
         finally:
             job.end()
+            del self._jobs[key]  # its process has ended: the next one may come, however long the disk takes
             with anyio.CancelScope(shield=True):
                 await to_thread.run_sync(shutil.rmtree, job.folder, True)
-            del self._jobs[key]
 
     async def _make(self, job: Job) -> None:
-        with anyio.move_on_after(self._limits.seconds) as clock:
-            await job.complete.wait()
-        if clock.cancelled_caught:
-            raise RefusedError(408, f"the files did not arrive within {self._limits.minutes:g} minutes; try again")
+        await self._arrive(job)
         async with self._turn(job):
             await self._match(job)
             await to_thread.run_sync(_pack, job.folder)
         report = read_json(job.folder / "result" / "report.json", needs="route") or {}
         stems = [PurePath(job.names[side]).stem for side in SIDES]
         job.tell("done", archive=f"{' to '.join(stems)}.zip", warnings=report.get("warnings", []))
+
+    async def _arrive(self, job: Job) -> None:
+        with anyio.move_on_after(self._limits.seconds) as clock, job.patience:
+            await job.complete.wait()
+        if clock.cancelled_caught:
+            raise RefusedError(408, f"the files did not arrive within {self._limits.minutes:g} minutes; try again")
+        if job.patience.cancelled_caught:
+            raise RefusedError(408, f"nothing of the files came for {_SILENCE_SECONDS:g} seconds; try again")
 
     @asynccontextmanager
     async def _turn(self, job: Job) -> AsyncIterator[None]:
@@ -302,14 +343,13 @@ class Jobs:
             job.tell("waiting", before=before)
 
     async def _match(self, job: Job) -> None:
-        said, n_steps = deque[str](maxlen=_LAST_LINES), 0
+        said, steps = deque[str](maxlen=_LAST_LINES), list[str]()
 
         def hear(line: str) -> None:
-            nonlocal n_steps
             said.append(line)
             if step := step_of(line):
-                job.tell("step", name=step, done=n_steps, of=self._command.n_steps)
-                n_steps += 1
+                job.tell("step", name=step, done=len(steps), of=self._command.n_steps)
+                steps.append(step)
 
         names = {side: job.names[side] for side in SIDES}
         environment = self._command.environment(job.folder / "temporary", self._limits.threads)
@@ -319,8 +359,10 @@ class Jobs:
         except OverLimitError as error:
             raise RefusedError(422, f"the match {error}, the limit here, and was stopped; use smaller shapes") from None
         if code:
-            complaints = (complaint_of(line, job.folder, job.names) for line in said)
-            raise RefusedError(422, next(filter(None, complaints), None) or self._mishap(code, said))
+            about = side_of(steps[-1]) if steps else None
+            complaints = (complaint_of(line, job.folder, job.names, about) for line in said)
+            complaint = next(filter(None, complaints), None)
+            raise RefusedError(422, complaint, about) if complaint else RefusedError(422, self._mishap(code, said))
 
     def _mishap(self, code: int, said: Iterable[str]) -> str:
         """What to say of an end that is no error of the user's; whoever runs the server is told all."""
@@ -328,6 +370,10 @@ class Jobs:
         if code < 0:
             return f"the match broke off, most likely as it needed more than {self._limits.memory_gb:g} GB of memory"
         return _UNKNOWN
+
+
+def _under_way(number: int) -> str:
+    return "1 match is under way" if number == 1 else f"{number} matches are under way"
 
 
 def _pack(folder: Path) -> None:

@@ -20,6 +20,7 @@ class Limits:
         max_mb: the largest file, in MB (2^20 bytes).
         jobs: matches that run at once.
         queue: matches that may wait for their turn.
+        per_address: matches of one address elsewhere, running, waiting or kept.
         minutes: how long a match may run; uploading may take as long, and a result is kept as long.
         memory_gb: memory of a match, in GB (2^30 bytes).
 
@@ -30,6 +31,7 @@ class Limits:
     max_mb: float = 100.0
     jobs: int = 1
     queue: int = 8
+    per_address: int = 3
     minutes: float = 15.0
     memory_gb: float = 4.0
 

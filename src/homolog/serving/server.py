@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -11,7 +10,9 @@ import uvicorn
 
 from homolog.serving.app import make_app
 from homolog.serving.command import MatchCommand
-from homolog.serving.guard import own_names
+from homolog.serving.connection import PatientProtocol
+from homolog.serving.folder import OwnFolder
+from homolog.serving.guard import names_of
 from homolog.serving.jobs import Jobs
 from homolog.serving.limits import Limits
 from homolog.serving.page import upload_page
@@ -20,23 +21,26 @@ from homolog.viewing import address_of, free_port, listener
 # For answers that are being sent when the server ends.
 _LAST_SECONDS = 5
 _CONNECTIONS_PER_PLACE = 16
+# From which it is believed for whom a request is passed on.
+_PROXIES = ["127.0.0.1", "::1"]
 
 
 class MatchServer:
     """Serves a page that matches two files that are dropped on it.
 
-    All that it writes lies in a temporary folder of its own, which goes when it ends.
+    All that it writes lies in a temporary folder of its own, which goes when it ends, or if it is killed, when the next
+    one is made.
 
     Args:
         command: what makes a match.
         limits: how many matches there may be, and what each may take.
         host: the address to listen on; ``127.0.0.1`` is reached from this machine alone.
         port: the first one to try, or 0 for any that is free.
-        names: other names that browsers may call it by.
+        names: other names that browsers may call it by, or a proxy before it.
         made_with: in a few words, how matches are made.
 
     Raises:
-        ArgumentError: if there is no such address here, or no port is free.
+        ArgumentError: if there is no such address here, no port is free, or a name is none.
     """
 
     def __init__(
@@ -49,21 +53,22 @@ class MatchServer:
         names: Iterable[str] = (),
         made_with: str = "",
     ) -> None:
+        known_as = names_of(host, names)
         self._socket = listener(host, free_port(host, port))
         self._socket.listen()  # from now on browsers wait, and are not turned away
         self.address = address_of(host, self._socket.getsockname()[1])
-        self._folder = tempfile.TemporaryDirectory(prefix="homolog-serve-", ignore_cleanup_errors=True)
-        jobs = Jobs(Path(self._folder.name), command, limits)
-        app = make_app(jobs, upload_page(limits, made_with), own_names(host, names))
+        self._folder = OwnFolder()
+        jobs = Jobs(self.folder, command, limits)
+        app = make_app(jobs, upload_page(limits, made_with), known_as)
         config = uvicorn.Config(
             app,
-            http="h11",
+            http=PatientProtocol,
             ws="none",
             loop="asyncio",
             log_config=None,
             access_log=False,
             server_header=False,
-            proxy_headers=False,
+            forwarded_allow_ips=_PROXIES,
             limit_concurrency=_CONNECTIONS_PER_PLACE * limits.places,
             timeout_graceful_shutdown=_LAST_SECONDS,
         )
@@ -72,7 +77,7 @@ class MatchServer:
     @property
     def folder(self) -> Path:
         """Where it keeps what it is given and what it makes, while it serves."""
-        return Path(self._folder.name)
+        return self._folder.path
 
     def serve(self) -> None:
         """Serve until ``end`` is called, or a signal comes; matches that are under way are ended."""

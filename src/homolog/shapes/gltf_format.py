@@ -99,7 +99,8 @@ def _files_beside(folder: Path, header: dict[str, Any]) -> dict[str, Path]:
         if "://" in name or file.parent != folder.resolve():
             raise UnreadableError(f"it refers to {shorten(name)!r} outside its own folder; put that file beside it")
         if not file.is_file():
-            raise UnreadableError(f"it refers to {shorten(name)!r}, which is not beside it; put that file there")
+            mend = "put that file there, or export as GLB, one file for all"
+            raise UnreadableError(f"it refers to {shorten(name)!r}, which is not beside it; {mend}")
         files[name] = file
     return files
 

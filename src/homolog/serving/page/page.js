@@ -59,7 +59,7 @@ function complain(text) {
 async function answerOf(response) {
   if (response.ok) return response;
   const told = await response.json().catch(() => ({}));
-  throw new Error(told.error || `the server answers ${response.status}; try again`);
+  throw complaintOf(told, response.status);
 }
 
 // fetch does not tell how much is sent.
@@ -69,14 +69,21 @@ function send(one, side) {
     one.requests.push(request);
     request.open("PUT", `${one.address}/${side}?name=${encodeURIComponent(files[side].name)}`);
     request.upload.onprogress = (event) => { one.sent[side] = event.loaded; showUpload(one); };
-    request.onload = () => (request.status < 300 ? done() : failed(new Error(errorIn(request))));
+    request.onload = () => (request.status < 300 ? done() : failed(complaintIn(request)));
     request.onerror = () => failed(new Error("the connection to the server is lost; try again"));
     request.send(files[side]);
   });
 }
 
-function errorIn(request) {
-  try { return JSON.parse(request.responseText).error; } catch { return `the server answers ${request.status}; try again`; }
+function complaintIn(request) {
+  let told = {};
+  try { told = JSON.parse(request.responseText); } catch { /* something on the way answers */ }
+  return complaintOf(told, request.status);
+}
+
+// With the shape whose file is to blame, if one is.
+function complaintOf({ error, side }, status) {
+  return Object.assign(new Error(error || `the server answers ${status}; try again`), { side });
 }
 
 async function match() {
@@ -94,7 +101,7 @@ async function match() {
     await listen(one);
     await Promise.all(SIDES.map((side) => send(one, side)));
   } catch (error) {
-    fail(one, error.message);
+    fail(one, error.message, error.side);
   }
 }
 
@@ -107,7 +114,7 @@ function listen(one) {
     stream.onerror = () => lose(one);
     on("waiting", ({ before }) => say(before ? `Waiting: ${before} before you` : "Waiting for its turn"));
     on("step", (told) => showStep(one, told));
-    on("failed", ({ error }) => fail(one, error));
+    on("failed", ({ error, side }) => fail(one, error, side));
     on("done", (told) => show(one, told).catch((error) => fail(one, error.message)));
   });
 }
@@ -119,12 +126,11 @@ function lose(one) {
   else one.lost ||= setTimeout(give, LOST_MILLISECONDS);
 }
 
-function fail(one, text) {
+function fail(one, text, side) {
   if (one !== run) return;
   stop(one);
   complain(text);
-  const named = SIDES.find((side) => text.startsWith(files[side].name));
-  if (named) zones[named].classList.add("wrong");
+  if (side) zones[side].classList.add("wrong");
 }
 
 function stop(one) {
