@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from homolog.geometry import compute_operators
-from homolog.matching import Correspondence
+from homolog.matching import NEED_NO_WEIGHTS, Correspondence
 from homolog.shapes import Shape
 
-METHODS = ("functional-map", "features", "axiomatic")
+METHODS = ("functional-map", "features", "elastic", "axiomatic")
 MODALITIES = ("mm", "cc", "mc", "cm")
 CASES = list(itertools.product(METHODS, MODALITIES))
 every_case = pytest.mark.parametrize(("method", "modality"), CASES)
@@ -158,8 +158,9 @@ def test_auto_is_the_method_it_routes_to(results, build, blobs, with_network, mo
     assert same_bits(found, results[expected, modality])
 
 
-def test_axiomatic_leaves_the_network_alone(results, build, blobs):
-    assert same_bits(build("axiomatic", with_network=False).match(*blobs.of("mm")), results["axiomatic", "mm"])
+@pytest.mark.parametrize("method", NEED_NO_WEIGHTS)
+def test_without_need_the_network_is_left_alone(results, build, blobs, method):
+    assert same_bits(build(method, with_network=False).match(*blobs.of("mm")), results[method, "mm"])
 
 
 def test_swapped_exchanges_everything(results):

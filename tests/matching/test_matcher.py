@@ -25,7 +25,7 @@ def test_route_per_modality(build, source, target):
     with_clouds = "cloud" in (source, target)
     assert build("auto").route(source, target) == ("features" if with_clouds else "functional-map")
     assert build("auto", with_network=False).route(source, target) == "axiomatic"
-    for method in ("functional-map", "features", "axiomatic"):
+    for method in ("functional-map", "features", "elastic", "axiomatic"):
         assert build(method).route(source, target) == method
 
 

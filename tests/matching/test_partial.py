@@ -147,7 +147,15 @@ def test_every_method_on_parts(build, blobs, method, as_cloud):
     np.testing.assert_array_equal(back.target_confidence, found.source_confidence)
 
 
-@pytest.mark.parametrize("method", ["functional-map", "features", "axiomatic"])
+def test_elastic_skins_know_no_parts(build, blobs):
+    matcher = build("elastic", with_network=False)
+    pair = matcher.prepare_pair(blobs.source, blobs.target)
+    for call, shapes in ((matcher.match, (blobs.source, blobs.target)), (matcher.match_prepared, pair)):
+        with pytest.raises(ArgumentError, match="partial is 'target', but the method 'elastic' draws whole shapes"):
+            call(*shapes, partial="target")
+
+
+@pytest.mark.parametrize("method", ["functional-map", "features", "elastic", "axiomatic"])
 def test_whole_pairs_have_no_missing_points(build, blobs, method):
     found = build(method).match(blobs.source, blobs.target)
     assert found.source_to_target.min() >= 0

@@ -89,7 +89,7 @@ def collection(
 
       homolog collection femur.stl femurs/*.stl -o femurs_model --weights femurs.safetensors --up z
 
-      homolog collection lung.csv lungs/*.csv -o lungs_model --method axiomatic --up z --scale
+      homolog collection lung.csv lungs/*.csv -o lungs_model --method elastic --up z --scale
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_extra()

@@ -15,7 +15,7 @@ import typer
 from homolog.errors import ArgumentError
 from homolog.files import expanded
 from homolog.geometry import OperatorCache, compute_operators
-from homolog.matching import RESULT_FILES, Device, Matcher, MatcherSettings, Method
+from homolog.matching import NEED_NO_WEIGHTS, RESULT_FILES, Device, Matcher, MatcherSettings, Method
 from homolog.network import DEFAULT_WEIGHTS
 from homolog.viewing import WIDTHS, check_picture
 
@@ -33,7 +33,8 @@ MethodOption = Annotated[
     Method,
     typer.Option(
         help="How maps are found. auto: functional maps between meshes, features wherever a cloud takes part. "
-        "axiomatic neither needs nor uses weights."
+        "elastic draws shapes that stand alike onto each other, such as organs, and axiomatic goes by form alone: "
+        "they need no weights."
     ),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
@@ -87,10 +88,10 @@ NoCache = Annotated[bool, typer.Option("--no-cache", help="Neither read nor writ
 
 
 def build_matcher(weights: str | None, method: Method, device: Device, *, no_cache: bool) -> Matcher:
-    """The matcher that the shared options ask for; the axiomatic method alone needs no weights."""
+    """The matcher that the shared options ask for; some methods need no weights."""
     operators = compute_operators if no_cache else OperatorCache.default().operators
     settings = MatcherSettings(method=method)
-    if weights is None and method == "axiomatic":
+    if weights is None and method in NEED_NO_WEIGHTS:
         return Matcher(settings=settings, device=device, operators=operators)
     return Matcher.from_weights(weights or DEFAULT_WEIGHTS, settings=settings, device=device, operators=operators)
 

@@ -13,7 +13,7 @@ from homolog.cli.match import STEPS
 from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher
 from homolog.errors import needs_extra
 from homolog.files import expanded
-from homolog.matching import Method
+from homolog.matching import NEED_NO_WEIGHTS, Method
 from homolog.network import DEFAULT_WEIGHTS, shipped_weights
 from homolog.serving import Limits, MatchCommand
 
@@ -83,6 +83,6 @@ def _options(weights: str | None, method: Method, device: str) -> tuple[str, ...
 
 
 def _made_with(weights: str | None, method: Method) -> str:
-    if weights is None and method == "axiomatic":
-        return "axiomatic"
+    if weights is None and method in NEED_NO_WEIGHTS:
+        return method
     return f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"

@@ -2,6 +2,7 @@
 
 from homolog.maps.confidence import confidence, coverage_density, covered, local_stretch
 from homolog.maps.descriptors import smoothed_positions, wave_kernel_signature
+from homolog.maps.elastic import elastic_positions
 from homolog.maps.functional_map import (
     functional_map,
     functional_map_from_point_map,
@@ -22,6 +23,7 @@ __all__ = [
     "coverage_density",
     "covered",
     "dirichlet_energy",
+    "elastic_positions",
     "flipped_triangles",
     "functional_map",
     "functional_map_from_point_map",

@@ -15,6 +15,7 @@ from torch.autograd.function import once_differentiable
 
 from homolog.arrays import takes_arrays
 from homolog.errors import bad_value
+from homolog.maps.elastic import elastic_positions
 from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, carried_over
 from homolog.memory import row_tiles
 
@@ -150,7 +151,7 @@ def partial_alignment_loss(
 
 
 @takes_arrays
-def transport_loss(
+def elastic_loss(
     features_x: Float[Tensor, "n_x d"],
     features_y: Float[Tensor, "n_y d"],
     points_x: Float[Tensor, "n_x 3"],
@@ -159,11 +160,11 @@ def transport_loss(
     temperature: float = TEMPERATURE,
     iterations: int = ITERATIONS,
 ) -> Float[Tensor, ""]:
-    """The soft map of the features moves no point farther than it must: the mean of sum_j P_ij |y_i - x_j|^2 over y.
+    """The soft map of the features carries points to where an elastic skin takes them: the mean of |P_yx x - x(y)|^2.
 
-    As the map gives every point of either cloud its share, that is the cost of a transport of one to the other (Cuturi,
-    "Sinkhorn distances", NIPS 2013), whose least is the optimal one; here the features learn it, one function of shapes
-    for all pairs. For shapes that stand alike and differ by a deformation, such as organs.
+    What a pair's own clouds say of their map, ``elastic_positions``, teaches the features, one function of shapes for
+    all pairs: what is by chance in a pair's does not agree with the others'. For shapes that stand alike and differ by
+    a deformation, such as organs.
 
     Args:
         features_x: of the points of one cloud.
@@ -173,10 +174,9 @@ def transport_loss(
         temperature: of Sinkhorn's map.
         iterations: likewise.
     """
-    squares_x, squares_y = points_x.square().sum(dim=1, keepdim=True), points_y.square().sum(dim=1)
-    functions = torch.cat([points_x, squares_x], dim=1)
-    carried = carried_over(features_y, features_x, functions, temperature=temperature, iterations=iterations)
-    return (squares_y - 2 * (points_y * carried[:, :3]).sum(dim=1) + carried[:, 3]).mean()
+    _, wanted = elastic_positions(points_x, points_y)
+    carried = carried_over(features_y, features_x, points_x, temperature=temperature, iterations=iterations)
+    return (carried - wanted).square().sum(dim=1).mean()
 
 
 @takes_arrays

@@ -12,10 +12,11 @@ from homolog.matching.output import (
 )
 from homolog.matching.prepared import PointMaps, Prepared
 from homolog.matching.quality import MEASURES, MapQuality, Quality
-from homolog.matching.settings import AsCloud, Device, MatcherSettings, Method, Side, choose_device
+from homolog.matching.settings import NEED_NO_WEIGHTS, AsCloud, Device, MatcherSettings, Method, Side, choose_device
 
 __all__ = [
     "MEASURES",
+    "NEED_NO_WEIGHTS",
     "RESULT_FILES",
     "AsCloud",
     "Correspondence",

@@ -10,7 +10,7 @@ from homolog.errors import ArgumentError, HomologError, ShapeError, bad_choice, 
 from homolog.matching.correspondence import Correspondence
 from homolog.matching.part_units import unit_warnings
 from homolog.matching.prepared import Prepared
-from homolog.matching.settings import Side
+from homolog.matching.settings import Method, Side
 from homolog.shapes import Repaired
 
 # Mean confidence below which the user is warned. Good matches of bodies have 0.7 to 0.9, hopeless ones under 0.2.
@@ -24,6 +24,14 @@ def check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
     """Refuse a word that is none of those allowed."""
     if found is not None and found not in allowed:
         raise bad_choice(name, str(found), allowed)
+
+
+def check_method(method: Method, partial: Side | None) -> None:
+    """Refuse a part where the method knows whole shapes alone."""
+    if partial is not None and method == "elastic":
+        raise ArgumentError(
+            f"partial is {partial!r}, but the method 'elastic' draws whole shapes onto each other; parts take 'auto'"
+        )
 
 
 def check_part(partial: Side | None, *, part_scale: float, in_place: bool) -> None:

@@ -14,7 +14,7 @@ from homolog.errors import DataError
 from homolog.files import atomic_path, expanded
 from homolog.matching.quality import MapQuality
 
-Route = Literal["functional-map", "features", "axiomatic"]
+Route = Literal["functional-map", "features", "elastic", "axiomatic"]
 """How maps were found."""
 
 _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")

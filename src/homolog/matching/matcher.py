@@ -22,6 +22,7 @@ from homolog.geometry import Operators, OperatorSettings, compute_operators, uni
 from homolog.maps import (
     confidence,
     covered,
+    elastic_positions,
     guided_zoom_out,
     guided_zoom_out_to_part,
     most_similar,
@@ -33,6 +34,7 @@ from homolog.maps import (
 from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem
 from homolog.matching.checks import (
     blaming,
+    check_method,
     check_part,
     check_word,
     doubts,
@@ -45,7 +47,7 @@ from homolog.matching.orientation import axiomatic_warnings, orientation_warning
 from homolog.matching.placement import placed
 from homolog.matching.prepared import PointMaps, Prepared
 from homolog.matching.quality import MapQuality, quality
-from homolog.matching.settings import AsCloud, Device, MatcherSettings, Side, choose_device
+from homolog.matching.settings import NEED_NO_WEIGHTS, AsCloud, Device, MatcherSettings, Side, choose_device
 from homolog.network import DEFAULT_WEIGHTS, DiffusionNet, WeightsInfo, load_weights
 from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
 from homolog.steps import Steps
@@ -68,7 +70,7 @@ class Matcher:
     ``match_prepared``; ``match`` is all of them.
 
     Args:
-        network: a trained network, or None for the axiomatic route alone, which does not use any.
+        network: a trained network, or None for the routes that need none, axiomatic and elastic.
         info: what its weights expect.
         settings: how maps are made.
         device: where the network and the maps run.
@@ -93,9 +95,11 @@ class Matcher:
         self.settings = settings or MatcherSettings()
         self.device = choose_device(device)
         self.info = info or WeightsInfo()
-        if network is not None and self.settings.method == "axiomatic":
+        if network is not None and self.settings.method in NEED_NO_WEIGHTS:
             _log.warning(
-                "The axiomatic method does not use weights; the given ones, %s, are left aside.", self.info.name
+                "The %s method does not use weights; the given ones, %s, are left aside.",
+                self.settings.method,
+                self.info.name,
             )
             network, self.info = None, WeightsInfo()
         self.network = None if network is None else network.to(self.device).eval()
@@ -107,7 +111,7 @@ class Matcher:
         self._operators = operators
         if network is None and self.settings.method in ("functional-map", "features"):
             raise ArgumentError(
-                f"method {self.settings.method!r} needs weights; give some, or use the method 'axiomatic'"
+                f"method {self.settings.method!r} needs weights; give some, or use the method 'axiomatic' or 'elastic'"
             )
 
     @classmethod
@@ -285,6 +289,7 @@ class Matcher:
         """Prepare two shapes for each other: a partial one takes its partner's scale; see ``match``."""
         check_word("as_cloud", as_cloud, get_args(AsCloud))
         check_word("partial", partial, get_args(Side))
+        check_method(self.settings.method, partial)
         check_part(partial, part_scale=part_scale, in_place=in_place)
         shapes: dict[Side, Shape] = {"source": source, "target": target}
         ups: dict[Side, Up] = {"source": source_up, "target": target_up}
@@ -351,6 +356,7 @@ class Matcher:
     def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
         """Match two prepared shapes, without any check; see ``match``."""
         check_word("partial", partial, get_args(Side))
+        check_method(self.settings.method, partial)
         _check_prepared(source, target)
         if partial == "source":
             return self.match_prepared(target, source, partial="target").swapped()
@@ -401,6 +407,8 @@ class Matcher:
         """Point maps between the clean shapes, before any point is found to have no counterpart."""
         _check_prepared(source, target)
         route = self.route(source.modality, target.modality)
+        if route == "elastic":
+            return _elastic_maps(source.operators, target.operators)
         if route == "features":
             maps = self._maps_by_features(source.features, target.features, partial=partial)
         else:
@@ -486,6 +494,13 @@ def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
         if n_used < _SHARE_WITH_FACES * cloud.shape.n_points:
             return cloud, False
     return repaired, True
+
+
+def _elastic_maps(source: Operators, target: Operators) -> PointMaps:
+    on_target, on_source = elastic_positions(source.points, target.points)
+    return PointMaps(
+        nearest_neighbour(on_target, target.points).index, nearest_neighbour(on_source, source.points).index
+    )
 
 
 def _refined(maps: PointMaps, source: Prepared, target: Prepared) -> PointMaps:

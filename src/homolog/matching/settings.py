@@ -12,8 +12,10 @@ from homolog.arguments import is_count, is_real
 from homolog.errors import ArgumentError, bad_choice, bad_value
 from homolog.geometry import OperatorSettings
 
-Method = Literal["auto", "functional-map", "features", "axiomatic"]
+Method = Literal["auto", "functional-map", "features", "elastic", "axiomatic"]
 """How maps are found, see ``MatcherSettings``."""
+NEED_NO_WEIGHTS: tuple[Method, ...] = ("axiomatic", "elastic")
+"""Methods that work without a network, and leave one aside."""
 Side = Literal["source", "target"]
 """One of the two shapes of a match."""
 AsCloud = Literal["source", "target", "both"]
@@ -45,7 +47,8 @@ class MatcherSettings:
 
     Args:
         method: the route; ``"auto"`` takes functional maps between meshes and features wherever a cloud takes part,
-            or the axiomatic route if there are no weights.
+            or the axiomatic route if there are no weights. ``"elastic"`` goes by positions alone, see
+            ``homolog.maps.elastic_positions``.
         map_eigenpairs: eigenpairs of the functional map; by default what the weights were trained with.
         partial_eigenpairs: the same where one shape is partial; 50 for weights that were not trained on parts.
         regularisation: weight of the resolvent mask.

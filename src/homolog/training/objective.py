@@ -18,12 +18,12 @@ from homolog.maps.losses import (
     commutativity_loss,
     contrastive_loss,
     displacement_loss,
+    elastic_loss,
     orthogonality_loss,
     partial_alignment_loss,
     partial_bijectivity_loss,
     partial_orthogonality_loss,
     partial_rank,
-    transport_loss,
 )
 from homolog.network import AugmentationSettings, DiffusionNet, augmented
 
@@ -44,8 +44,8 @@ class LossSettings:
         commutativity: weight of functional maps commuting with the Laplacians.
         displacement: weight of what functional maps do to positions being smooth; for organs and the like, which stand
             alike and keep neither lengths nor areas.
-        transport: weight of the soft map of the clouds moving points no farther than it must; for the same shapes,
-            and not for parts, which lack what would have to go somewhere.
+        elastic: weight of the soft map of the clouds carrying points to where an elastic skin takes them; for the same
+            shapes, and not for parts, which lack what would have to go somewhere.
         map_eigenpairs: size of the functional maps.
         regularisation: of the functional maps.
         soft_temperature: of the soft map.
@@ -60,7 +60,7 @@ class LossSettings:
     contrast: float = 10.0
     commutativity: float = 0.0
     displacement: float = 0.0
-    transport: float = 0.0
+    elastic: float = 0.0
     map_eigenpairs: int = 80
     regularisation: float = 100.0
     soft_temperature: float = 0.1
@@ -114,13 +114,13 @@ class Losses:
     contrast: Float[Tensor, ""]
     commutativity: Float[Tensor, ""]
     displacement: Float[Tensor, ""]
-    transport: Float[Tensor, ""]
+    elastic: Float[Tensor, ""]
 
     @property
     def total(self) -> Float[Tensor, ""]:
         """The sum of all, what is minimised."""
         known = self.bijectivity + self.orthogonality + self.alignment + self.contrast
-        return known + self.commutativity + self.displacement + self.transport
+        return known + self.commutativity + self.displacement + self.elastic
 
     def as_dict(self) -> dict[str, float]:
         """All of them as numbers, ``total`` included."""
@@ -216,7 +216,7 @@ def _losses(
         contrast=settings.contrast * (x.contrast(cloud_x, settings) + y.contrast(cloud_y, settings)),
         commutativity=settings.commutativity * commutativity,
         displacement=settings.displacement * displacement,
-        transport=settings.transport * _transport(x, y, *compared, settings, partial=partial),
+        elastic=settings.elastic * _elastic(x, y, *compared, settings, partial=partial),
     )
 
 
@@ -257,7 +257,7 @@ def _alignment(
     return share * alignment_loss(*shapes, temperature=temperature, iterations=iterations)
 
 
-def _transport(
+def _elastic(
     x: _Side,
     y: _Side,
     cloud_x: Float[Tensor, "n_x d"],
@@ -266,8 +266,8 @@ def _transport(
     *,
     partial: bool,
 ) -> Float[Tensor, ""]:
-    if not settings.transport or partial or x.shape.cloud_is_part or y.shape.cloud_is_part:
+    if not settings.elastic or partial or x.shape.cloud_is_part or y.shape.cloud_is_part:
         return torch.zeros_like(cloud_x.sum())
     temperature, iterations = settings.soft_temperature, settings.soft_iterations
     points = x.shape.cloud.points, y.shape.cloud.points
-    return transport_loss(cloud_x, cloud_y, *points, temperature=temperature, iterations=iterations)
+    return elastic_loss(cloud_x, cloud_y, *points, temperature=temperature, iterations=iterations)
