@@ -1,11 +1,13 @@
 """Paths and files, on their own."""
 
+import csv
 import sys
+from pathlib import Path
 
 import pytest
 
 from homolog.errors import ArgumentError
-from homolog.files import atomic_path, expanded, sha256
+from homolog.files import atomic_path, expanded, sha256, write_csv
 
 
 def written(path):
@@ -33,3 +35,12 @@ def test_who_may_read_a_file_is_not_for_the_library_that_writes_it_to_say(tmp_pa
             temporary.chmod(0o600)
         assert path.stat().st_mode == mode
         assert path.read_text() == "content"
+
+
+def test_no_cell_of_a_table_is_run_by_a_spreadsheet(tmp_path):
+    asked = ["=1+1", "+x", "-x", "@x", "\tx", "a=1", "-0.5", "+1e-3", -0.5, 7, None, Path("-a.ply"), Path("a-b.ply")]
+    write_csv(tmp_path / "table.csv", [asked])
+    with (tmp_path / "table.csv").open(encoding="utf-8", newline="") as file:
+        (found,) = csv.reader(file)
+    harmless = ["'=1+1", "'+x", "'-x", "'@x", "'\tx", "a=1", "-0.5", "+1e-3", "-0.5", "7", "", "'-a.ply", "a-b.ply"]
+    assert found == harmless

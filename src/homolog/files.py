@@ -14,11 +14,16 @@ from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from jaxtyping import Shaped
+
 from homolog.errors import ArgumentError
 
 # Temporary files, each with the place that it is to take.
 _Moves = dict[Path, Path]
 _open_moves: ContextVar[_Moves | None] = ContextVar("open_moves", default=None)
+# What begins so, spreadsheets take for a formula, and run it.
+_FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def expanded(path: str | Path) -> Path:
@@ -167,11 +172,38 @@ def write_json(path: str | Path, content: dict[str, Any]) -> None:
 def write_csv(path: str | Path, rows: Iterable[Sequence[Any]]) -> None:
     """Write rows of a table whole or not at all; None is an empty cell.
 
+    Text that a spreadsheet would run as a formula, which the name of a file may look like, gets an apostrophe before
+    it: spreadsheets take that for text. Numbers stay as they are, negative ones and those given as text, too.
+
     Raises:
         ArgumentError: as ``atomic_path`` does.
     """
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+        csv.writer(file, lineterminator="\n").writerows([_harmless(cell) for cell in row] for row in rows)
+
+
+def _harmless(cell: Any) -> Any:
+    """A cell that no spreadsheet runs."""
+    text = str(cell) if isinstance(cell, (str, Path)) else ""
+    return f"'{text}" if text.startswith(_FORMULAS) and not _says_a_number(text) else cell
+
+
+def _says_a_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def write_npy(path: str | Path, values: Shaped[np.ndarray, ...]) -> None:
+    """Write an array of numbers whole or not at all, without pickles.
+
+    Raises:
+        ArgumentError: as ``atomic_path`` does.
+    """
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.save(file, values, allow_pickle=False)
 
 
 def read_json(path: Path, *, needs: str) -> dict[str, Any] | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,37 @@ def claim(root: Path, manifest: dict[str, Any], folders: Sequence[str], *, what:
         made_folder(root / folder)
     if begun is None:
         write_json(root / MANIFEST, manifest)
+
+
+@contextmanager
+def unless_empty(root: Path, folders: Sequence[str]) -> Iterator[None]:
+    """Around ``claim`` and the work: where it ends with an error or an interrupt, leave no folder in which nothing is.
+
+    What was there before stays.
+
+    Args:
+        root: the folder.
+        folders: those within it that ``claim`` makes.
+    """
+    new = [path for path in (root, *root.parents) if not path.exists()]
+    begun = (root / MANIFEST).exists()
+    try:
+        yield
+    except BaseException:
+        if not begun:
+            _take_back(root, folders, new)
+        raise
+
+
+def _take_back(root: Path, folders: Sequence[str], new: Sequence[Path]) -> None:
+    """Take away what ``claim`` made, if there is nothing else, and folders above it that are new."""
+    with suppress(OSError):  # the first that is not there, or not empty, ends it
+        for name in folders:
+            (root / name).rmdir()
+        if {path.name for path in root.iterdir()} == {MANIFEST}:
+            (root / MANIFEST).unlink()
+        for path in new:
+            path.rmdir()
 
 
 def _differences(begun: Any, wanted: dict[str, Any]) -> str:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any, TypeVar
 
@@ -62,7 +64,9 @@ def _shared(phases: Sequence[Sequence[Callable[[], T]]], processes: int) -> Iter
     pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_parent)
     try:
         for functions in phases:
-            yield from pool.map(_call, functions)
+            with _unheard_interrupts():
+                results = pool.map(_call, functions)
+            yield from results
     except BrokenProcessPool:
         raise ArgumentError(
             "a process was ended from outside, perhaps for want of memory; run the same command again, "
@@ -70,6 +74,23 @@ def _shared(phases: Sequence[Sequence[Callable[[], T]]], processes: int) -> Iter
         ) from None
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _unheard_interrupts() -> Iterator[None]:
+    """Let processes that begin in this block hear nothing of Ctrl-C from their first moment on.
+
+    A terminal sends it to all of them, and loading PyTorch takes seconds, before which they can say so themselves.
+    What is blocked is inherited; here it is heard once the block ends.
+    """
+    if sys.platform == "win32":  # which has no such thing
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _leave_interrupts_to_parent() -> None:

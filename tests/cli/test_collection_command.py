@@ -85,8 +85,12 @@ def test_a_bad_shape_is_a_line_and_the_exit_code(homolog, shapes, files, tmp_pat
     assert last == "Placed 2 of 3 shapes: 1 failed, 0 doubtful."
     assert len(ended.out.splitlines()) == len(LOOKED_AT)
     assert list(json.loads((out / "report.json").read_text())["not_placed"]) == ["rubbish"]
+    again = homolog("collection", *shapes, files.rubbish, tmp_path / "none.ply", "-o", out, *OPTIONS)
+    assert again.code == 2 and f"Error: {tmp_path / 'none.ply'} does not exist" in again.err
+    assert again.err.endswith("Placed 2 of 4 shapes: 2 failed, 0 doubtful.\n")
     only = homolog("collection", shapes[0], files.rubbish, "-o", tmp_path / "none", *OPTIONS)
     assert only.code == 2 and only.err.count("\n") == 2 and "none of the 1 shapes could be placed" in only.err
+    assert str(files.rubbish) in (tmp_path / "none" / "quality.csv").read_text()
 
 
 def test_mistakes_are_one_line(homolog, shapes, files, tmp_path):
@@ -94,7 +98,6 @@ def test_mistakes_are_one_line(homolog, shapes, files, tmp_path):
     out = tmp_path / "out"
     for arguments, told in (
         ([template], "missing argument"),
-        ([template, tmp_path / "none.ply"], "does not exist"),
         ([template, one, one], "would both be called '1'"),
         ([tmp_path / "none.ply", one], "does not exist"),
         ([files.rubbish, one], "could not be read"),

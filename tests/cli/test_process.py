@@ -154,3 +154,36 @@ def test_interrupts_leave_nothing_half_written(files, tmp_path, number, program,
     assert (code, shown) == ({signal.SIGINT: 130, signal.SIGTERM: 143}[number], said)
     assert complaint == "Interrupted; nothing was left half-written.\n"
     assert not out.exists() or list(out.iterdir()) == []
+
+
+# Ctrl-C while the commands are loaded, in a library that takes whatever is raised for a failure of its own.
+INTERRUPTED_LOADING = """
+import os
+import signal
+import sys
+
+
+class Swallowing:
+    def find_spec(self, name, path=None, target=None):
+        if name == "homolog.cli.app":
+            try:
+                os.kill(os.getpid(), signal.SIGINT)
+                sum(range(10))
+            except BaseException:
+                pass
+
+
+sys.meta_path.insert(0, Swallowing())
+sys.argv = ["homolog", "--version"]
+from homolog.cli.main import main
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
+def test_an_interrupt_while_libraries_are_loaded_ends_it():
+    ended = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_LOADING], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (130, "")
+    assert ended.stderr == "Interrupted; nothing was left half-written.\n"

@@ -45,3 +45,14 @@ def test_mistakes_are_one_line(homolog, clouds, tmp_path):
         ended = homolog("reconstruct", *arguments)
         assert ended.code == 2 and ended.err.count("\n") == 1 and told in ended.err
     assert not (tmp_path / "out").exists()
+
+
+def test_the_files_it_writes_are_checked_and_no_others(homolog, clouds, tmp_path):
+    """Before any work is done, which the cloud that does not close would show."""
+    _, bowl = clouds
+    (tmp_path / "out" / "bowl.ply").mkdir(parents=True)
+    ended = homolog("reconstruct", bowl, "-o", tmp_path / "out", "--resolution", 48)
+    assert ended.is_one_line_of_complaint() and "bowl.ply is a folder" in ended.err
+    (tmp_path / "other" / "report.json").mkdir(parents=True)
+    ended = homolog("reconstruct", bowl, "-o", tmp_path / "other", "--resolution", 48)
+    assert ended.code == 2 and "bowl.xyz has holes too wide" in ended.err

@@ -1,15 +1,13 @@
 """Small families of shapes in files, and their collections."""
 
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from without_weights import axiomatic
 
 from homolog.collecting import CollectionFolder, CollectionSettings, collect, making, subjects_of
-from homolog.files import sha256
-from homolog.shapes import Shape, write_shape
+from homolog.shapes import Shape, read_hashed_shape, write_shape
 
 STRETCHES = (0.9, 1.05, 1.2)
 
@@ -35,7 +33,8 @@ def gathered():
 
     def run(template, files, place, settings=None, **options):
         settings = settings or CollectionSettings()
-        folder = CollectionFolder.prepare(place, making(sha256(template), axiomatic(), settings))
-        return folder, collect(Path(template), subjects_of(files), folder, partial(axiomatic), settings, **options)
+        base, digest = read_hashed_shape(template)
+        folder = CollectionFolder.prepare(place, making(digest, axiomatic(), settings))
+        return folder, collect(base, subjects_of(files), folder, partial(axiomatic), settings, **options)
 
     return run

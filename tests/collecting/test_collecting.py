@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from homolog.collecting import CollectionFolder, CollectionSettings, Template, check_template, subjects_of
+from homolog.collecting import CollectionFolder, CollectionSettings, Figures, Template, check_template, subjects_of
+from homolog.collecting import placing as placing_module
 from homolog.collecting import production as production_module
 from homolog.errors import ArgumentError, DataError, ShapeError
 from homolog.shapes import Shape, read_shape, write_shape
+from homolog.transfer import PlaceFinder, SurfaceMap
 
 
 def state(place):
@@ -127,6 +129,79 @@ def test_a_bad_shape_is_told_and_the_others_are_placed(family, gathered, tmp_pat
     assert outcomes[0].figures is not None
 
 
+def test_a_shape_that_is_away_fails_alone_and_what_was_made_of_it_waits(family, gathered, tmp_path):
+    template, files, _ = family
+    mine = tmp_path / "mine.ply"
+    shutil.copy(files[0], mine)
+    place = tmp_path / "out"
+    folder, _ = gathered(template, [mine], place)
+    before = contents(folder)
+    mine.rename(tmp_path / "elsewhere")
+    _, (away, other) = gathered(template, [mine, files[1]], place)
+    assert away.figures is None and f"{mine} does not exist" in away.error
+    assert other.figures is not None
+    assert contents(folder).items() > before.items()
+    (tmp_path / "elsewhere").rename(mine)
+    again = []
+    _, (back,) = gathered(template, [mine], place, told=again.append)
+    assert back.figures is not None and again == []
+
+
+def test_what_a_killed_process_leaves_does_not_count(family, gathered, tmp_path):
+    template, files, _ = family
+    folder, outcomes = gathered(template, files[:1], tmp_path / "out")
+    shutil.copy(folder.shape_file("copy0"), folder.root / "shapes" / ".0123456789ab.ply")
+    (folder.root / "records" / ".ba9876543210.json").write_text("{")
+    shutil.copy(folder.shape_file("copy0"), folder.shape_file("recordless"))
+    assert folder.others([outcomes[0].subject]) == []
+    assert folder.others([]) == ["copy0"]
+
+
+def test_no_folder_is_left_in_which_nothing_was_made(tmp_path, make):
+    new, mine = tmp_path / "new" / "out", tmp_path / "mine"
+    mine.mkdir()
+    for place in (new, mine):
+        with pytest.raises(ZeroDivisionError), CollectionFolder.opened(place, {"template": {}}):
+            assert (place / "shapes").is_dir()
+            1 / 0  # noqa: B018
+    assert not new.parent.exists() and not list(mine.iterdir())
+    with pytest.raises(ZeroDivisionError), CollectionFolder.opened(new, {"template": {}}) as folder:
+        write_shape(folder.shape_file("one"), make.blob(1))
+        1 / 0  # noqa: B018
+    with pytest.raises(ZeroDivisionError), CollectionFolder.opened(new, {"template": {}}):
+        1 / 0  # noqa: B018
+    assert sorted(path.name for path in new.iterdir()) == ["manifest.json", "records", "shapes"]
+
+
+@pytest.mark.parametrize("faces", [True, False])
+def test_points_in_clumps_are_told(faces, make):
+    """Between shapes that lie on each other: a map that takes four of five points to one of two, and the right one."""
+    blob = make.blob(3)
+    base = blob if faces else blob.as_cloud()
+    right = np.arange(blob.n_points)
+    ends = blob.points[:, 1].argmin(), blob.points[:, 1].argmax()
+    clumped = np.where(right % 5 == 0, right, np.where(blob.points[:, 1] > 0, ends[1], ends[0]))
+    evenness = []
+    for mapped in (right, clumped):
+        finder = PlaceFinder(base)
+        smooth = SurfaceMap(finder, PlaceFinder(blob), blob.points[mapped])
+        low, high = placing_module._edge_spread(smooth)
+        evenness.append(Figures(1.0, 1.0, 0.0, 1.0, None, low, high))
+    assert evenness[0].unevenness == pytest.approx(1, abs=1e-6) and evenness[0].doubts() == ()
+    assert np.isfinite([evenness[1].edges_5, evenness[1].edges_95]).all()  # which JSON needs
+    (told,) = evenness[1].doubts()
+    assert told.startswith("the match is doubtful: its points come in clumps and gaps")
+
+
+def test_doubts_of_the_placed_points_are_told_and_refused_as_strict(family, gathered, tmp_path, monkeypatch):
+    template, files, _ = family
+    monkeypatch.setattr(placing_module, "_edge_spread", lambda smooth: (0.2, 1.8))
+    _, (outcome,) = gathered(template, files[:1], tmp_path / "out")
+    assert outcome.warnings == Figures(1.0, 1.0, 0.0, 1.0, None, 0.2, 1.8).doubts() and len(outcome.warnings) == 1
+    _, (refused,) = gathered(template, files[:1], tmp_path / "strict", CollectionSettings(strict=True))
+    assert refused.figures is None and "refused as strict" in refused.error
+
+
 def test_an_unforeseen_failure_is_a_line_as_well(family, gathered, tmp_path, monkeypatch):
     template, files, _ = family
     monkeypatch.setattr(Template, "placed_on", lambda *args, **kwargs: 1 / 0)
@@ -198,7 +273,7 @@ def test_clouds(family, gathered, tmp_path, template_faces, shape_faces, make):
         write_shape(tmp_path / f"{name}.ply", shape if faces else shape.as_cloud())
     folder, (outcome,) = gathered(tmp_path / "template.ply", [tmp_path / "other.ply"], tmp_path / "out")
     assert outcome.figures is not None and outcome.figures.flipped_triangles is None
-    assert (outcome.figures.edges_5 is None) == (not template_faces)
+    assert 0.3 < outcome.figures.edges_5 < 1 < outcome.figures.edges_95 < 2 and outcome.warnings == ()
     written = read_shape(folder.shape_file("other"))
     assert (written.faces is not None) == template_faces
     assert np.linalg.norm(written.points - blob.points * [1, 1.1, 1], axis=1).mean() < 0.15
@@ -231,7 +306,6 @@ def test_names(family, tmp_path):
     (tmp_path / "COPY0.obj").write_text("")
     for wrong, said in (
         ([], "no shapes are given"),
-        ([tmp_path / "none.ply"], "does not exist"),
         ([files[0], tmp_path / "COPY0.obj"], "would both be called"),
         ([files[0], files[0]], "would both be called"),
     ):

@@ -2,11 +2,16 @@
 
 import csv
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from homolog.collecting import CollectionFolder, Figures, ModelSettings, Outcome, Placed, Subject, deliver
+from homolog.collecting import model_files as model_files_module
+from homolog.collecting import overview as overview_module
+from homolog.collecting.overview import worst_first
 from homolog.errors import DataError
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.statistics import generalisation, generalised_procrustes, principal_modes
@@ -158,16 +163,16 @@ def test_scalismo_reads_back(placed, faces):
 
 
 def test_the_contact_sheet_has_the_worst_first(placed, tmp_path, monkeypatch):
-    from homolog.collecting import delivery
-
     folder, template, outcomes = placed(4, doubtful=[1])
-    worse = Outcome(outcomes[3].subject, Figures(0.3, 1.0, 0.01, 1.1, None, None, None), seconds=1.0)
+    worse = Outcome(outcomes[3].subject, replace(FIGURES, confidence=0.3), seconds=1.0)
     failed = Outcome(Subject("none", tmp_path / "none.ply"), None, error="none.ply is empty")
     seen = []
-    drawn = delivery.contact_sheet
-    monkeypatch.setattr(delivery, "contact_sheet", lambda tiles: seen.extend(tiles) or drawn(tiles))
+    drawn = overview_module.contact_sheet
+    monkeypatch.setattr(overview_module, "contact_sheet", lambda tiles: seen.extend(tiles) or drawn(tiles))
     deliver(folder, template, [*outcomes[:3], worse, failed])
-    assert [tile.title for tile in seen] == ["template", "none", "shape1", "shape3", "shape0", "shape2"]
+    assert [tile.title for tile in seen] == ["template", "1. none", "2. shape1", "3. shape3", "4. shape0", "5. shape2"]
+    sheet = {row["name"]: row["sheet"] for row in table(folder.root / "quality.csv")}
+    assert sheet == {"none": "1", "shape1": "2", "shape3": "3", "shape0": "4", "shape2": "5"}
     assert [tile.alarming for tile in seen] == [False, True, True, False, False, False]
     assert seen[1].points is None and seen[2].lines[-1] == "doubtful"
     with image.open(folder.root / "contact_sheet.png") as sheet:
@@ -197,7 +202,10 @@ def test_what_no_longer_holds_is_taken_away(placed):
     assert np.load(folder.root / "points.npy").shape[0] == 2
     assert folder.others([outcome.subject for outcome in outcomes[:2]]) == ["shape2"]
     deliver(folder, template, outcomes[:1])
-    assert not list((folder.root / "model").iterdir()) and own.read_text() == "kept"
+    assert own.read_text() == "kept"
+    own.unlink()
+    deliver(folder, template, outcomes[:1])
+    assert not any((folder.root / name).exists() for name in ("model", "shapeworks", "scalismo"))
 
 
 def test_a_report_from_elsewhere_takes_nothing_away_that_is_not_ours(placed, tmp_path):
@@ -223,8 +231,6 @@ def test_the_same_shapes_give_the_same_bytes(placed):
 
 
 def test_nothing_is_left_half_written(placed, monkeypatch):
-    from homolog.collecting import delivery
-
     folder, template, outcomes = placed(3)
     deliver(folder, template, outcomes)
     before = {path: path.read_bytes() for path in folder.root.rglob("*") if path.is_file()}
@@ -232,10 +238,59 @@ def test_nothing_is_left_half_written(placed, monkeypatch):
     def fail(*args):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(delivery, "write_scalismo", fail)
+    monkeypatch.setattr(model_files_module, "write_scalismo", fail)
     with pytest.raises(OSError, match="No space"):
         deliver(folder, template, outcomes[:2])
     assert {path: path.read_bytes() for path in folder.root.rglob("*") if path.is_file()} == before
+
+
+def test_a_delivery_that_fails_leaves_no_empty_folder(placed, monkeypatch):
+    folder, template, outcomes = placed(3)
+    before = sorted(folder.root.rglob("*"))
+    monkeypatch.setattr(model_files_module, "write_scalismo", lambda *args: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        deliver(folder, template, outcomes)
+    assert sorted(folder.root.rglob("*")) == before
+
+
+def test_where_all_fail_the_files_are_those_of_this_time(placed):
+    folder, template, outcomes = placed(3)
+    deliver(folder, template, outcomes)
+    failed = [Outcome(outcome.subject, None, error=f"{outcome.subject.name} is empty") for outcome in outcomes]
+    with pytest.raises(DataError, match="none of the 3 shapes could be placed"):
+        deliver(folder, template, failed)
+    rows = table(folder.root / "quality.csv")
+    assert [row["doubts"] for row in rows] == [f"not placed: shape{number} is empty" for number in range(3)]
+    assert list(json.loads((folder.root / "report.json").read_text())["not_placed"]) == ["shape0", "shape1", "shape2"]
+    assert not (folder.root / "points.npy").exists() and not (folder.root / "model").exists()
+
+
+def test_the_worst_first(tmp_path):
+    """Of shapes that are alike in all but one figure, and of one that is worst in one and best in two."""
+
+    def placed(name, *warnings, **figures):
+        return Outcome(Subject(name, tmp_path / name), replace(FIGURES, **figures), warnings)
+
+    good = placed("good")
+    for worse in ({"confidence": 0.8}, {"dirichlet_energy": 1.2}, {"edges_5": 0.8}, {"edges_95": 1.2}):
+        bad = placed("bad", **worse)
+        assert worst_first([good, bad]) == worst_first([bad, good]) == [bad, good]
+    flipped = placed("flipped", flipped_triangles=0.5)
+    assert worst_first([good, flipped]) == [good, flipped]
+    failed = Outcome(Subject("failed", tmp_path / "failed"), None, error="empty")
+    doubtful = placed("doubtful", "because", confidence=1.0)
+    mixed = placed("mixed", confidence=0.7, dirichlet_energy=1.0, edges_95=1.05)
+    bad = placed("bad", dirichlet_energy=3.0, edges_95=2.0)
+    assert worst_first([good, mixed, bad, doubtful, failed]) == [failed, doubtful, bad, good, mixed]
+    assert worst_first([failed]) == [failed]
+
+
+def test_names_that_look_like_formulas_stay_names(placed, tmp_path):
+    folder, template, outcomes = placed(2)
+    failed = Outcome(Subject("=1+1", Path("=1+1.ply")), None, error="=1+1.ply is empty")
+    deliver(folder, template, [*outcomes, failed])
+    row = table(folder.root / "quality.csv")[2]
+    assert (row["name"], row["file"]) == ("'=1+1", "'=1+1.ply")
 
 
 def test_refused(placed, tmp_path, make):

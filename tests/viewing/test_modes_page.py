@@ -66,6 +66,18 @@ def test_it_holds_the_model(model):
     assert scene["reach"] * unit == pytest.approx(3 * np.linalg.norm(model.offsets, axis=2).max())
 
 
+def test_the_picture_has_room_for_all_that_sliders_ask_for(model):
+    """Along any one mode, and however the shape is turned about the vertical."""
+    scene, read = told(modes_page_of(model))
+    mean = read(scene["bodies"][0]["points"]).reshape(-1, 3)
+    assert scene["farthest"] == 3
+    for mode in scene["modes"]:
+        for way in (-scene["farthest"], scene["farthest"]):
+            x, y, z = (mean + way * read(mode["offsets"]).reshape(-1, 3)).T
+            assert np.hypot(x, z).max() <= scene["room"]["width"] + 1e-6
+            assert np.abs(y).max() <= scene["room"]["height"] + 1e-6
+
+
 def test_it_refers_to_nothing(model):
     page = modes_page_of(model)
     assert re.findall(r"(?:https?:)?//[\w-]+\.\w+|@import|url\(|\bfetch\(|XMLHttpRequest|\bimport\(", page) == []

@@ -26,6 +26,7 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import progress_bar, say
 from homolog.collecting import (
+    MOST_SHOWN,
     CollectionFolder,
     CollectionSettings,
     ModelSettings,
@@ -94,7 +95,7 @@ def collection(
     set_verbosity(quiet=quiet, verbose=verbose)
     check_extra()
     subjects = subjects_of(shapes)
-    check_folder(output, names=())
+    check_folder(output)
     check_outside(output, inputs=(template, *shapes))
     base, digest = read_hashed_shape(template)
     check_template(base)
@@ -108,10 +109,10 @@ def collection(
     model = ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
     matcher = make_matcher()
-    folder = CollectionFolder.prepare(output, making(digest, matcher, settings))
-    with progress_bar(quiet=quiet) as progress:
+    begun = CollectionFolder.opened(output, making(digest, matcher, settings))
+    with begun as folder, progress_bar(quiet=quiet) as progress:
         outcomes = collect(
-            template, subjects, folder, make_matcher, settings, processes=processes, progress=progress, told=_tell
+            base, subjects, folder, make_matcher, settings, processes=processes, progress=progress, told=_tell
         )
         progress(len(subjects), len(subjects), "mean and modes")
         report = {
@@ -141,6 +142,8 @@ def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path
     others = folder.others([outcome.subject for outcome in outcomes])
     if others:
         say(f"{len(others)} shapes in {folder.root / 'shapes'} were not given this time, and do not count.")
+    if len(outcomes) > MOST_SHOWN:
+        say(f"contact_sheet.png shows the worst {MOST_SHOWN} of {len(outcomes)} shapes.")
     failed = len(outcomes) - len(placed)
     say(f"Placed {len(placed)} of {len(outcomes)} shapes: {failed} failed, {len(doubtful)} doubtful.")
     for path in files:

@@ -15,7 +15,7 @@ from homolog.cli.options import Quiet, build_matcher, check_folder, described
 from homolog.cli.progress import progress_bar
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import geodesic_errors
-from homolog.matching import Correspondence, Side
+from homolog.matching import RESULT_FILES, Correspondence, Side
 from homolog.shapes import Shape
 from homolog.steps import Steps
 
@@ -39,7 +39,7 @@ def demo(
     Example:
       homolog demo -o homolog-demo
     """
-    check_folder(output)
+    check_folder(output, names=RESULT_FILES)
     folder = ShapeFolder.open(_DATA)
     files: dict[Side, Path] = {"source": _DATA / "off" / f"{_SOURCE}.off", "target": _DATA / "off" / f"{_TARGET}.off"}
     job = Job(files, {"source": "y", "target": "y"}, build_matcher(None, "auto", "auto", no_cache=True))

@@ -8,6 +8,7 @@ import re
 import signal
 import sys
 import warnings
+from collections.abc import Callable
 from types import FrameType
 from typing import NoReturn
 
@@ -15,6 +16,7 @@ from homolog.errors import HomologError
 
 # What PyTorch says, in a plain RuntimeError, where there is not enough memory for an array.
 _OUT_OF_MEMORY = re.compile("out of memory|not enough memory|can't allocate memory")
+_INTERRUPTED = "Interrupted; nothing was left half-written."
 
 
 class _Interrupted(BaseException):
@@ -40,17 +42,17 @@ def main() -> None:
     if not sys.warnoptions:
         # What libraries tell programmers is noise to users; `python -W default -m homolog` shows it.
         warnings.simplefilter("ignore")
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    _hear(_leave)
     try:
         # Only now, as loading PyTorch takes seconds in which Ctrl-C must work, too.
         from homolog.cli.app import app
 
+        _hear(_interrupt)
         status = app(standalone_mode=False)
     except HomologError as error:
         _end(f"Error: {error}", 2)
     except _Interrupted as interrupted:
-        _end("Interrupted; nothing was left half-written.", interrupted.exit_code)
+        _end(_INTERRUPTED, interrupted.exit_code)
     except BrokenPipeError:
         # Whoever read the output, such as `head`, has seen enough; nothing more can be written, not even at the exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -79,6 +81,18 @@ def _complaint(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return None
+
+
+def _hear(handler: Callable[[int, FrameType | None], None]) -> None:
+    """Have Ctrl-C and polite kills handled so."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, handler)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """End at once: what is raised while libraries are loaded, some of them take for a failure of their own."""
+    os.write(2, f"{_INTERRUPTED}\n".encode())
+    os._exit(_Interrupted(number).exit_code)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

@@ -32,7 +32,7 @@ from homolog.cli.options import (
     set_verbosity,
 )
 from homolog.cli.progress import Report, progress_bar, say
-from homolog.matching import AsCloud, Correspondence, Matcher, Prepared, Side, read_result, write_result
+from homolog.matching import RESULT_FILES, AsCloud, Correspondence, Matcher, Prepared, Side, read_result, write_result
 from homolog.shapes import Shape, Up, read_hashed_shape
 from homolog.steps import Listener, Steps
 from homolog.training import AdaptationSettings, adapt_to_pair
@@ -97,7 +97,7 @@ def match(
       homolog match old.ply new.ply -o result --weights people.safetensors --adapt 15
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_folder(output, inputs=(source, target))
+    check_folder(output, inputs=(source, target), names=RESULT_FILES)
     if page is not None:
         check_file(page)
     check_picture_file(picture, lines, picture_width)

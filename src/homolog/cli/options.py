@@ -15,7 +15,7 @@ import typer
 from homolog.errors import ArgumentError
 from homolog.files import expanded
 from homolog.geometry import OperatorCache, compute_operators
-from homolog.matching import NEED_NO_WEIGHTS, RESULT_FILES, Device, Matcher, MatcherSettings, Method
+from homolog.matching import NEED_NO_WEIGHTS, Device, Matcher, MatcherSettings, Method
 from homolog.network import DEFAULT_WEIGHTS
 from homolog.viewing import WIDTHS, check_picture
 
@@ -109,8 +109,11 @@ def set_verbosity(*, quiet: bool, verbose: bool) -> None:
     logging.getLogger("homolog").setLevel(level)
 
 
-def check_folder(output: Path, *, inputs: Iterable[Path] = (), names: Iterable[str] = RESULT_FILES) -> None:
-    """Refuse a result folder that cannot be made, or whose files would replace an input, before any work is done."""
+def check_folder(output: Path, *, inputs: Iterable[Path] = (), names: Iterable[str] = ()) -> None:
+    """Refuse a result folder that cannot be made, or where a file of such a name would replace an input or is a folder.
+
+    Before any work is done; nothing is made or changed.
+    """
     place = expanded(output)
     nearest = next(path for path in (place, *place.absolute().parents) if path.exists())
     if not nearest.is_dir():

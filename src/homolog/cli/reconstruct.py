@@ -39,7 +39,7 @@ def reconstruct(
     A cloud that does not close is one line on stderr; the others are still written, and the exit code is 2.
     """
     places = _places(clouds, output)
-    check_folder(output)
+    check_folder(output, names=[place.name for place in places])
     failed = False
     with progress_bar(quiet=quiet) as progress:
         for done, (cloud, place) in enumerate(zip(clouds, places, strict=True)):

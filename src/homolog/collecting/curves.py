@@ -35,7 +35,7 @@ class Curves:
     Args:
         model: the model.
         compactness: share of the variance (k,).
-        generalisation: distance from a shape left out; None of two shapes.
+        generalisation: distance from a shape left out, without which the others are not aligned anew; None of two.
         specificity: distance of random shapes from the nearest one.
     """
 

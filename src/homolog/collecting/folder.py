@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from homolog.collecting.placing import Figures, Placed
 from homolog.collecting.subjects import Subject
 from homolog.errors import DataError
 from homolog.files import expanded, read_json, sha256, write_json
-from homolog.folders import claim
+from homolog.folders import claim, unless_empty
 from homolog.shapes import Shape, drawable, files_of_shape, read_shape, write_shape
 from homolog.versions import versions
 
@@ -74,6 +75,21 @@ class CollectionFolder:
         claim(folder.root, {"what": what, "making": whole, "versions": versions()}, _FOLDERS, what="a collection")
         return folder
 
+    @classmethod
+    @contextmanager
+    def opened(cls, root: str | Path, making: dict[str, Any]) -> Iterator[CollectionFolder]:
+        """The same for a while: where it ends with an error before any shape was placed, no new folder is left.
+
+        Args:
+            root: the folder.
+            making: as ``prepare`` takes it.
+
+        Raises:
+            ArgumentError: as ``prepare`` does.
+        """
+        with unless_empty(expanded(root), _FOLDERS):
+            yield cls.prepare(root, making)
+
     def shape_file(self, name: str) -> Path:
         """A shape with the template's points."""
         return self.root / "shapes" / f"{name}.ply"
@@ -130,7 +146,9 @@ class CollectionFolder:
     def others(self, subjects: Sequence[Subject]) -> list[str]:
         """Names of shapes that were placed before and are not among these."""
         known = {subject.name for subject in subjects}
-        return sorted(path.stem for path in (self.root / "shapes").glob("*.ply") if path.stem not in known)
+        # Records tell: without one, what a killed process left among the shapes does not count.
+        recorded = {path.stem for path in (self.root / "records").glob("*.json")}
+        return sorted(name for name in recorded - known if self.shape_file(name).is_file())
 
     def _is_current(self, subject: Subject, record: dict[str, Any]) -> bool:
         placed = self.shape_file(subject.name)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
 from homolog.errors import ShapeError
 from homolog.matching import Correspondence, Matcher
@@ -14,6 +15,12 @@ from homolog.transfer import PlaceFinder, SurfaceMap, surface_map, untangled
 
 # In length. Grown bodies are not three times as large as children's, and units differ by ten or more.
 _MUCH_LARGER = 5.0
+# Of a cloud's points: what lies so near stands in for what edges join.
+_NEAREST = 6
+# How many times as long as others some edges may come out, from 5th to 95th percentile: good maps between bodies stay
+# below 3, clouds included; between kinds of shapes that the weights do not know, and between lungs, it is 6 to 10.
+_UNEVEN = 5.0
+_LEAST_RATIO = 1e-6
 
 
 @dataclass(frozen=True)
@@ -26,8 +33,9 @@ class Figures:
         there_and_back: mean distance between a point and where it comes back to, in units of sqrt(area), likewise.
         dirichlet_energy: of the point maps, relative to the identity's, likewise.
         flipped_triangles: share of the template's triangles that lie turned over on the shape; None for clouds.
-        edges_5: 5th percentile of the edges' lengths on the shape over those of the template, over the median of these.
-        edges_95: likewise the 95th; both None for a template without faces.
+        edges_5: 5th percentile of the edges' lengths on the shape over those of the template, over the median of these;
+            of a template without faces, of the distances between each point and the six nearest to it.
+        edges_95: likewise the 95th. Both are None where an earlier version left them out.
     """
 
     confidence: float
@@ -37,6 +45,22 @@ class Figures:
     flipped_triangles: float | None
     edges_5: float | None
     edges_95: float | None
+
+    @property
+    def unevenness(self) -> float:
+        """How many times as long as others some edges came out, by the percentiles; 1 if these are not known."""
+        if self.edges_5 is None or self.edges_95 is None:
+            return 1.0
+        return self.edges_95 / max(self.edges_5, _LEAST_RATIO)
+
+    def doubts(self) -> tuple[str, ...]:
+        """A warning if points have come to lie in clumps, and far apart elsewhere, as no good map lays them."""
+        if self.unevenness <= _UNEVEN:
+            return ()
+        return (
+            "the match is doubtful: its points come in clumps and gaps (edges are stretched by "
+            f"{self.edges_5:.2g} to {self.edges_95:.2g} times the median, of good maps by 0.5 to 1.5)",
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +116,21 @@ class Template:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
         found = self.matcher.match_checked(self.prepared, subject, strict=strict)
         smooth = untangled(surface_map(self.finder, goal, found))
-        return Placed(smooth.positions, _figures(smooth, found), (*units, *found.warnings))
+        figures = _figures(smooth, found)
+        uneven = figures.doubts()
+        if strict and uneven:
+            raise ShapeError(f"{shape.name}: {uneven[0]} (refused as strict)")
+        return Placed(smooth.positions, figures, (*units, *found.warnings, *uneven))
 
     def _units_that_differ(self, goal: PlaceFinder) -> tuple[str, ...]:
         """What to tell the user of a shape so much larger or smaller that it would outweigh all others in a model."""
         ratio = goal.unit / self.finder.unit
         if 1 / _MUCH_LARGER < ratio < _MUCH_LARGER:
             return ()
-        return (f"it is {ratio:.3g} times as large as the template: their units seem to differ; convert one of them",)
+        return (
+            f"it is {ratio:.3g} times as large as the template: their units seem to differ; convert one of them, "
+            "or it outweighs all others in the mean and modes",
+        )
 
 
 def check_template(shape: Shape) -> None:
@@ -131,15 +162,26 @@ def _figures(smooth: SurfaceMap, found: Correspondence) -> Figures:
     )
 
 
-def _edge_spread(smooth: SurfaceMap) -> tuple[float | None, float | None]:
+def _edge_spread(smooth: SurfaceMap) -> tuple[float, float]:
     """Percentiles of how much the template's edges are lengthened, relative to the median edge."""
-    surface = smooth.start.surface
-    if surface is None:
-        return None, None
+    shape = smooth.start.shape
+    edges = _neighbours(shape.points) if shape.faces is None else _sides(shape.faces)
     laid = smooth.positions[smooth.start.repaired.kept]
-    now, before = (
-        np.linalg.norm(points[surface.faces] - points[np.roll(surface.faces, 1, axis=1)], axis=2)
-        for points in (laid, surface.vertices)
-    )
-    low, middle, high = np.percentile(now / before, [5, 50, 95])
+    now, before = (np.linalg.norm(np.diff(points[edges], axis=1)[:, 0], axis=1) for points in (laid, shape.points))
+    low, middle, high = np.percentile(now[before > 0] / before[before > 0], [5, 50, 95])
+    # Where most points came to lie in a few places the median is nothing, and JSON knows no infinity.
+    middle = max(middle, _LEAST_RATIO * high, np.finfo(float).tiny)
     return float(low / middle), float(high / middle)
+
+
+def _sides(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "e 2"]:
+    """The sides of all triangles, those between two of them twice."""
+    return np.stack([faces, np.roll(faces, 1, axis=1)], axis=2).reshape(-1, 2)
+
+
+def _neighbours(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "e 2"]:
+    """Each point with those nearest to it, which stand in for a cloud's edges."""
+    count = min(_NEAREST, len(points) - 1)
+    near = KDTree(points).query(points, k=count + 1)[1]
+    pairs = np.stack([np.repeat(np.arange(len(points)), count + 1), near.ravel()], axis=1)
+    return np.asarray(pairs[pairs[:, 0] != pairs[:, 1]])

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 from homolog.arguments import check_count
@@ -15,7 +15,7 @@ from homolog.collecting.placing import Template
 from homolog.collecting.subjects import Subject
 from homolog.errors import HomologError
 from homolog.matching import Matcher
-from homolog.shapes import Up, read_hashed_shape, read_shape
+from homolog.shapes import Shape, Up, read_hashed_shape
 from homolog.steps import Progress, unheard
 from homolog.work import work_off
 
@@ -61,7 +61,7 @@ def _untold(outcome: Outcome) -> None:
 
 
 def collect(
-    template: Path,
+    template: Shape,
     subjects: Sequence[Subject],
     folder: CollectionFolder,
     make_matcher: Callable[[], Matcher],
@@ -77,7 +77,7 @@ def collect(
     ``if __name__ == "__main__":``.
 
     Args:
-        template: the template's file.
+        template: as it was read, with the hash that ``folder`` was begun with.
         subjects: the shapes.
         folder: where to; what is there of the same files is kept.
         make_matcher: gives the matcher in each process; of several processes, a function that can be pickled.
@@ -94,7 +94,7 @@ def collect(
         HomologError: if the template cannot be used.
     """
     check_count("processes", processes)
-    _prepared.cache_clear()  # since an earlier collection, the template's file or the matcher may have become others
+    _prepared.cache_clear()  # an earlier collection's template or matcher may have been others
     known = {subject.name: _known(folder, subject) for subject in subjects}
     missing = [subject for subject in subjects if known[subject.name] is None]
     found: dict[str, Outcome] = {name: outcome for name, outcome in known.items() if outcome is not None}
@@ -104,7 +104,7 @@ def collect(
         told(outcome)
 
     processes = min(processes, max(1, len(missing)))
-    place = _Placing(template, folder, settings or CollectionSettings(), processes, make_matcher)
+    place = _Placing(template, make_matcher, folder, settings or CollectionSettings(), processes)
     there = len(subjects) - len(missing)
     work_off(
         [[(subject.name, _Task(place, subject)) for subject in missing]],
@@ -127,12 +127,12 @@ def _known(folder: CollectionFolder, subject: Subject) -> Outcome | None:
 class _Placing:
     """What all shapes of a collection have in common."""
 
-    template: Path
+    # Both are others each time that they come from another process; the folder vouches that they mean the same.
+    template: Shape = field(compare=False)
+    make_matcher: Callable[[], Matcher] = field(compare=False)
     folder: CollectionFolder
     settings: CollectionSettings
     processes: int
-    # Another one each time that it comes from another process; the folder vouches that it makes the same matcher.
-    make_matcher: Callable[[], Matcher] = field(compare=False)
 
     def outcome(self, subject: Subject) -> Outcome:
         """Match one shape, and write what came of it."""
@@ -140,7 +140,9 @@ class _Placing:
         try:
             return self._placed(subject, template, began)
         except Exception as error:  # whatever it is, the other shapes are still to be done
-            self.folder.forget(subject)
+            # What a file that is away gave before may hold once its disk is back, and took long to make.
+            if os.path.exists(subject.file):  # noqa: PTH110 - Path.exists raises where a folder may not be read
+                self.folder.forget(subject)
             return Outcome(subject, None, error=_in_a_line(subject, error), seconds=time.perf_counter() - began)
 
     def _placed(self, subject: Subject, template: Template, began: float) -> Outcome:
@@ -172,7 +174,7 @@ def _prepared(placing: _Placing) -> Template:
         _share_cores(placing.processes)
     settings = placing.settings
     return Template(
-        read_shape(placing.template),
+        placing.template,
         placing.make_matcher(),
         up=settings.template_up,
         as_cloud=settings.template_as_cloud,
@@ -181,8 +183,6 @@ def _prepared(placing: _Placing) -> Template:
 
 def _share_cores(processes: int) -> None:
     """Leave cores to the other processes: threads that wait for each other are slow."""
-    import os
-
     import torch
 
     torch.set_num_threads(max(1, (os.cpu_count() or 1) // processes))

@@ -16,7 +16,8 @@ from homolog.arguments import check_count
 from homolog.errors import ArgumentError
 from homolog.statistics.model import ShapeModel
 
-# Of the largest variance of a model with a shape left out: what is below is rounding.
+# Of the sum of all shapes' squared distances from their mean. Inner products are rounded by shares of it, even where
+# the shape left out is most of it: a direction in which the others' squares add up to less may be rounding alone.
 _RANK = 1e-12
 _SAMPLES = 1000
 
@@ -48,8 +49,11 @@ def compactness(model: ShapeModel) -> Float[np.ndarray, " k"]:
 def generalisation(points: Float[np.ndarray, "s n 3"]) -> Curve:
     """How far from a shape a model of all other shapes stays: each left out in turn.
 
+    All shapes were aligned together, once: they are not aligned anew without the one that is left out, which had its
+    part in where the others lie.
+
     Args:
-        points: aligned shapes, at least three; they are not aligned anew without the one that is left out.
+        points: aligned shapes, at least three.
 
     Returns:
         For models of 1 to s - 2 modes. Where the others vary in fewer directions, further modes change nothing.

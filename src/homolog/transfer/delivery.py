@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from homolog.errors import ArgumentError, DataError
-from homolog.files import all_or_nothing, atomic_path, made_folder, write_json
+from homolog.files import all_or_nothing, atomic_path, made_folder, write_json, write_npy
 from homolog.shapes import drawable, write_shape
 from homolog.transfer.appearance import Appearance, Checkerboard
 from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, painted, unwrapped
@@ -57,7 +57,7 @@ class Delivery:
 
         def write(folder: Path) -> dict[str, Any]:
             carried = self.carrier.array(values)
-            _write_npy(folder / path.name, carried)
+            write_npy(folder / path.name, carried)
             return {path.name: {"kind": "array", "file": str(path)}}
 
         self._writers.append(write)
@@ -67,7 +67,7 @@ class Delivery:
         labels = read_labels(path, self.carrier.source.given)
 
         def write(folder: Path) -> dict[str, Any]:
-            _write_npy(folder / path.name, self.carrier.labels(labels))
+            write_npy(folder / path.name, self.carrier.labels(labels))
             return {path.name: {"kind": "labels", "file": str(path)}}
 
         self._writers.append(write)
@@ -211,11 +211,6 @@ def _held(original: Original) -> set[Kind]:
         "skin": original.skin,
     }
     return {kind for kind, held in found.items() if held is not None}
-
-
-def _write_npy(path: Path, values: np.ndarray) -> None:
-    with atomic_path(path) as temporary, temporary.open("wb") as file:
-        np.save(file, values, allow_pickle=False)
 
 
 def check_names(paths: Sequence[Path]) -> None:

@@ -2,7 +2,7 @@
 
 from homolog.viewing.addresses import address_of, free_port, listener
 from homolog.viewing.colours import Ramp, principal_colours
-from homolog.viewing.contact_sheet import Tile, contact_sheet
+from homolog.viewing.contact_sheet import MOST_TILES, Tile, contact_sheet
 from homolog.viewing.layers import Layer, confidence_layer, error_layer, feature_layer, matched_layer
 from homolog.viewing.live import LiveView
 from homolog.viewing.measuring import map_errors, pair_features
@@ -10,9 +10,11 @@ from homolog.viewing.modes_page import ModesScene, modes_page_of
 from homolog.viewing.page import page_of, page_style, write_page
 from homolog.viewing.picking import Ray
 from homolog.viewing.picture import WIDTHS, check_picture, picture_of, write_picture
+from homolog.viewing.png import write_png
 from homolog.viewing.scene import SIDES, Body, Mark, Scene, Shown, scene_of
 
 __all__ = [
+    "MOST_TILES",
     "SIDES",
     "WIDTHS",
     "Body",
@@ -44,4 +46,5 @@ __all__ = [
     "scene_of",
     "write_page",
     "write_picture",
+    "write_png",
 ]

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+import unicodedata
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
 from homolog.errors import ArgumentError, needs_extra
-from homolog.viewing.drawing import RADIUS, Canvas, Drawing, averaged, balls, seen_normals, view_rotation
+from homolog.viewing.drawing import RADIUS, Canvas, averaged, shape_drawing, view_rotation
+
+MOST_TILES = 240
+"""More would take long to draw and longer to look at; the first ones are those to look at."""
 
 # In pixels: of a shape's place, and of a line of words below it.
 _WIDTH, _HEIGHT, _LINE = 200, 230, 17
 _FONT_SIZE = 13
 _MARGIN = 0.06  # of a shape's place
 _AROUND = 4  # neighbours of a point, of which the farthest is a spacing away
-# More would take long to draw and longer to look at; the first ones are those to look at.
-_MOST = 240
+# So many times as large or small as the middle one, a shape would be a dot, or make dots of all others.
+_MUCH_LARGER = 5.0
+_OWN_SCALE = "not to scale"
+_LEAST = 1e-100  # of a shape's extent, so that one that is a point has a scale
+_NO_LETTER = "\U0010ffff"  # that no font has
 _INK, _GREY, _ALARM = (38, 40, 43), (107, 111, 117), (190, 20, 60)
 
 
@@ -44,7 +52,11 @@ class Tile:
 
 
 def contact_sheet(tiles: Sequence[Tile], *, columns: int | None = None) -> UInt8[np.ndarray, "h w 3"]:
-    """Draw shapes in rows, all in one scale; of more than 240 the first.
+    """Draw shapes in rows, in one scale; of more than 240 the first, and a line below that says how many are left out.
+
+    A shape more than five times as large or as small as the middle one has a scale of its own, and says so. Letters
+    that the font lacks, which is most but those of English, lose their accents or become question marks: to tell shapes
+    by their titles whatever they are called, number them.
 
     Args:
         tiles: at least one, in their order.
@@ -56,67 +68,84 @@ def contact_sheet(tiles: Sequence[Tile], *, columns: int | None = None) -> UInt8
     """
     if not tiles:
         raise ArgumentError("tiles is empty; give at least one")
-    tiles = tiles[:_MOST]
-    columns = min(len(tiles), columns or max(6, int(np.ceil(np.sqrt(1.6 * len(tiles))))))
-    words = 1 + max(len(tile.lines) for tile in tiles)
-    height = _HEIGHT + words * _LINE + _LINE // 2
-    sheet = np.full((-(-len(tiles) // columns) * height, columns * _WIDTH, 3), 255, dtype=np.uint8)
-    unit = _unit(tiles)
-    for number, tile in enumerate(tiles):
-        top, left = number // columns * height, number % columns * _WIDTH
-        sheet[top : top + _HEIGHT, left : left + _WIDTH] = _drawn(tile, unit)
-    return _labelled(sheet, tiles, columns, height)
-
-
-def _seen(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """A shape as the viewer sees it, around the middle of what is seen."""
-    seen = points @ view_rotation().T
-    return np.asarray(seen - (seen.min(axis=0) + seen.max(axis=0)) / 2)
-
-
-def _unit(tiles: Sequence[Tile]) -> float:
-    """How many pixels a shape's unit has, so that all of them fit."""
-    extents = [
-        np.ptp(_seen(tile.points), axis=0)[:2] + 2 * _reach(tile.points, tile.faces)
-        for tile in tiles
-        if tile.points is not None
+    shown, left_out = tiles[:MOST_TILES], max(0, len(tiles) - MOST_TILES)
+    columns = min(len(shown), columns or max(6, int(np.ceil(np.sqrt(1.6 * len(shown))))))
+    bodies = [_Body.of(tile) for tile in shown]
+    units, common = _units(bodies)
+    shown = [
+        tile if body is None or one else replace(tile, lines=(_OWN_SCALE, *tile.lines))
+        for tile, body, one in zip(shown, bodies, common, strict=True)
     ]
-    free = (1 - 2 * _MARGIN) * np.array([_WIDTH, _HEIGHT])
-    return float((free / np.max(extents, axis=0, initial=np.finfo(float).tiny)).min()) if extents else 1.0
+    height = _HEIGHT + (1 + max(len(tile.lines) for tile in shown)) * _LINE + _LINE // 2
+    rows = -(-len(shown) // columns)
+    sheet = np.full((rows * height + (2 * _LINE if left_out else 0), columns * _WIDTH, 3), 255, dtype=np.uint8)
+    for number, (body, unit) in enumerate(zip(bodies, units, strict=True)):
+        top, left = number // columns * height, number % columns * _WIDTH
+        if body is not None:
+            sheet[top : top + _HEIGHT, left : left + _WIDTH] = body.drawn(float(unit))
+    return _labelled(sheet, shown, columns, height, left_out)
 
 
-def _drawn(tile: Tile, unit: float) -> UInt8[np.ndarray, "h w 3"]:
-    canvas = Canvas.blank(_HEIGHT, _WIDTH)
-    if tile.points is not None and tile.colours is not None:
-        canvas.draw(_drawing(tile.points, tile.faces, tile.colours.astype(np.float64), unit, canvas))
-    return averaged(canvas.image)
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """What is drawn of a tile.
+
+    Args:
+        points: as the viewer sees them, around the middle of what is seen.
+        faces: triangles, or None for a cloud.
+        colours: of the points.
+        reach: how far what is drawn of a point reaches beyond it.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    faces: Int[np.ndarray, "m 3"] | None
+    colours: UInt8[np.ndarray, "n 3"]
+    reach: float
+
+    @classmethod
+    def of(cls, tile: Tile) -> _Body | None:
+        """That of a tile, if there is anything."""
+        if tile.points is None or tile.colours is None:
+            return None
+        seen = tile.points @ view_rotation().T
+        reach = RADIUS * _spacing(tile.points) if tile.faces is None else 0.0
+        return cls(seen - (seen.min(axis=0) + seen.max(axis=0)) / 2, tile.faces, tile.colours, reach)
+
+    @property
+    def unit(self) -> float:
+        """How many pixels its unit has where it just fits."""
+        extents = np.ptp(self.points, axis=0)[:2] + 2 * self.reach
+        free = (1 - 2 * _MARGIN) * np.array([_WIDTH, _HEIGHT])
+        return float((free / np.maximum(extents, _LEAST)).min())
+
+    def drawn(self, unit: float) -> UInt8[np.ndarray, "h w 3"]:
+        """It alone, with so many pixels to its unit."""
+        canvas = Canvas.blank(_HEIGHT, _WIDTH)
+        height, width = canvas.depth.shape
+        per_unit = unit * width / _WIDTH
+        places = per_unit * self.points * [1, -1, 1] + [width / 2, height / 2, 0]
+        canvas.draw(shape_drawing(places, self.faces, self.colours.astype(np.float64), per_unit * self.reach))
+        return averaged(canvas.image)
 
 
-def _drawing(
-    points: Float[np.ndarray, "n 3"],
-    faces: Int[np.ndarray, "m 3"] | None,
-    colours: Float[np.ndarray, "n 3"],
-    unit: float,
-    canvas: Canvas,
-) -> Drawing:
-    height, width = canvas.depth.shape
-    per_unit = unit * width / _WIDTH
-    places = per_unit * _seen(points) * [1, -1, 1] + [width / 2, height / 2, 0]
-    if faces is not None:
-        return Drawing(places, seen_normals(places, faces), colours, faces)
-    return balls(places, colours, per_unit * _reach(points, faces))
-
-
-def _reach(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"] | None) -> float:
-    """How far what is drawn of a point reaches beyond it."""
-    if faces is not None:
-        return 0.0
+def _spacing(points: Float[np.ndarray, "n 3"]) -> float:
     # Placed points come in clumps: the nearest one says little of how densely they lie.
-    return RADIUS * float(np.median(KDTree(points).query(points, k=_AROUND + 1)[0][:, -1]))
+    return float(np.median(KDTree(points).query(points, k=_AROUND + 1)[0][:, -1]))
+
+
+def _units(bodies: Sequence[_Body | None]) -> tuple[Float[np.ndarray, " t"], Bool[np.ndarray, " t"]]:
+    """How many pixels the unit of each has, and whether that is the scale of most, in which all of these fit."""
+    own = np.array([np.nan if body is None else body.unit for body in bodies])
+    ordered = np.sort(own[np.isfinite(own)])
+    if not len(ordered):
+        return own, np.zeros(len(own), dtype=bool)
+    middle = ordered[len(ordered) // 2]
+    common = (own > middle / _MUCH_LARGER) & (own < middle * _MUCH_LARGER)
+    return np.where(common, own[common].min(), own), common
 
 
 def _labelled(
-    sheet: UInt8[np.ndarray, "h w 3"], tiles: Sequence[Tile], columns: int, height: int
+    sheet: UInt8[np.ndarray, "h w 3"], tiles: Sequence[Tile], columns: int, height: int, left_out: int
 ) -> UInt8[np.ndarray, "h w 3"]:
     with needs_extra("contact sheets", "picture"):
         from PIL import Image, ImageDraw, ImageFont
@@ -126,8 +155,25 @@ def _labelled(
         top, middle = number // columns * height + _HEIGHT, (number % columns + 0.5) * _WIDTH
         for place, line in enumerate((tile.title, *tile.lines)):
             colour = _ALARM if tile.alarming and place == len(tile.lines) else _GREY if place else _INK
-            pen.text((middle, top + place * _LINE), _fitting(line, font.getlength), fill=colour, font=font, anchor="ma")
+            words = _fitting(_in_letters(line, font), font.getlength)
+            pen.text((middle, top + place * _LINE), words, fill=colour, font=font, anchor="ma")
+    if left_out:
+        said = f"{left_out} more are left out"
+        pen.text((_WIDTH / 2, sheet.shape[0] - 1.5 * _LINE), said, fill=_ALARM, font=font, anchor="ma")
     return np.asarray(image)
+
+
+def _in_letters(line: str, font: Any) -> str:
+    """A line in letters that a font has: without accents where it lacks them, or question marks."""
+    lacking = bytes(font.getmask(_NO_LETTER))
+
+    def written(letter: str) -> str:
+        if unicodedata.combining(letter):
+            return ""
+        plain = unicodedata.normalize("NFKD", letter)[0]
+        return next((one for one in (letter, plain) if bytes(font.getmask(one)) != lacking), "?")
+
+    return "".join(map(written, unicodedata.normalize("NFC", line)))
 
 
 def _fitting(line: str, length: Callable[[str], float]) -> str:

@@ -103,6 +103,18 @@ def balls(places: Float[np.ndarray, "n 3"], colours: Float[np.ndarray, "n 3"], r
     return Drawing(corners.reshape(-1, 3), normals.reshape(-1, 3), np.repeat(colours, _CORNERS + 1, axis=0), faces)
 
 
+def shape_drawing(
+    places: Float[np.ndarray, "n 3"],
+    faces: Int[np.ndarray, "m 3"] | None,
+    colours: Float[np.ndarray, "n 3"],
+    radius: float,
+) -> Drawing:
+    """A surface with the normals that are seen, or, without faces, balls of a radius in samples."""
+    if faces is None:
+        return balls(places, colours, radius)
+    return Drawing(places, seen_normals(places, faces), colours, faces)
+
+
 def _meet(
     triangles: Float[np.ndarray, "m 3 3"],
     portion: Int[np.ndarray, " p"],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -11,10 +12,8 @@ from scipy.spatial import KDTree
 
 from homolog.viewing.page import PackedArrays, assembled
 
-# Standard deviations of a mode that colours reach to.
-_REACH = 3.0
-# Standard deviations of any one mode that the picture has room for.
-_ROOM = 2.0
+# Standard deviations of a mode that its slider reaches to, either way; so far the picture has room, and colours go.
+_FARTHEST = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,25 +47,16 @@ def modes_page_of(scene: ModesScene) -> str:
     """The page as text: it opens from disk, and its policy forbids the browser to load anything."""
     arrays = PackedArrays()
     centred = scene.mean - (scene.mean.min(axis=0) + scene.mean.max(axis=0)) / 2
-    bent = np.stack([centred, *(centred + way * offset for offset in scene.offsets for way in (-_ROOM, _ROOM))])
-    unit = float(np.linalg.norm(bent, axis=2).max())
-    points, offsets = centred / unit, scene.offsets / unit
-    body = {
-        "title": f"{len(scene.names):,} shapes, {len(points):,} points",
-        "spacing": float(np.median(KDTree(points).query(points, k=2)[0][:, 1])),
-        "points": arrays.add(points, "float32"),
-        "faces": None if scene.faces is None else arrays.add(scene.faces, "uint32"),
-        "colours": arrays.add(scene.colours, "uint8"),
-    }
+    ends = [centred + way * offset for offset in scene.offsets for way in (-_FARTHEST, _FARTHEST)]
+    unit = float(np.linalg.norm([centred, *ends], axis=2).max())
+    offsets = scene.offsets / unit
     described = {
         "summary": scene.summary,
         "unit": unit,
-        "reach": _REACH * float(np.linalg.norm(offsets, axis=2).max()),
-        "room": {
-            "width": float(np.hypot(bent[:, :, 0], bent[:, :, 2]).max()) / unit,
-            "height": float(np.abs(bent[:, :, 1]).max()) / unit,
-        },
-        "bodies": [body],
+        "farthest": _FARTHEST,
+        "reach": _FARTHEST * float(np.linalg.norm(offsets, axis=2).max()),
+        "room": _room(np.stack([centred, *ends]) / unit),
+        "bodies": [_body(scene, centred / unit, arrays)],
         "modes": [
             {"share": float(share), "offsets": arrays.add(offset, "float32")}
             for share, offset in zip(scene.shares, offsets, strict=True)
@@ -77,3 +67,22 @@ def modes_page_of(scene: ModesScene) -> str:
         ],
     }
     return assembled("modes", scene.title, described, arrays)
+
+
+def _room(shapes: Float[np.ndarray, "s n 3"]) -> dict[str, float]:
+    """What shapes take up however they are turned about the vertical, to either side of the middle."""
+    return {
+        "width": float(np.hypot(shapes[:, :, 0], shapes[:, :, 2]).max()),
+        "height": float(np.abs(shapes[:, :, 1]).max()),
+    }
+
+
+def _body(scene: ModesScene, points: Float[np.ndarray, "n 3"], arrays: PackedArrays) -> dict[str, Any]:
+    """The mean, as the renderer wants it."""
+    return {
+        "title": f"{len(scene.names):,} shapes, {len(points):,} points",
+        "spacing": float(np.median(KDTree(points).query(points, k=2)[0][:, 1])),
+        "points": arrays.add(points, "float32"),
+        "faces": None if scene.faces is None else arrays.add(scene.faces, "uint32"),
+        "colours": arrays.add(scene.colours, "uint8"),
+    }

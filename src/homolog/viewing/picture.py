@@ -9,9 +9,9 @@ from jaxtyping import Float, Int, UInt8
 
 from homolog.arguments import is_number
 from homolog.errors import ArgumentError, bad_value, needs_extra
-from homolog.files import atomic_path
 from homolog.matching import Side
-from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, Drawing, averaged, balls, seen_normals, view_rotation
+from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
+from homolog.viewing.png import write_png
 from homolog.viewing.scene import SIDES, Body, Scene, Shown
 
 WIDTHS = (100, 6000)
@@ -45,8 +45,8 @@ def picture_of(scene: Scene, *, width: int = 2000, lines: int = 0) -> UInt8[np.n
     places, unit = _placed(scene, size)
     canvas = Canvas.blank(int(width) // 2, int(width))
     for side in SIDES:
-        colours = scene.colours(scene.layers[0], side, Shown()).astype(np.float64)
-        canvas.draw(_drawing(scene.bodies[side], places[side], colours, unit))
+        body, colours = scene.bodies[side], scene.colours(scene.layers[0], side, Shown()).astype(np.float64)
+        canvas.draw(shape_drawing(places[side], body.faces, colours, unit * _reach(body)))
     image = canvas.image
     if lines:
         image = _with_lines(image, scene, places, _chosen(scene, places, canvas.depth, unit, lines))
@@ -61,11 +61,7 @@ def write_picture(path: str | Path, scene: Scene, *, width: int = 2000, lines: i
         MissingExtraError: without the extra ``picture``.
     """
     check_picture(path)
-    with needs_extra("pictures", "picture"):
-        from PIL import Image
-    image = Image.fromarray(picture_of(scene, width=width, lines=lines))
-    with atomic_path(path) as temporary:
-        image.save(temporary, format="PNG")
+    write_png(path, picture_of(scene, width=width, lines=lines))
 
 
 def check_picture(path: str | Path) -> None:
@@ -113,12 +109,6 @@ def _box(points: Float[np.ndarray, "n 3"], reach: float) -> tuple[Float[np.ndarr
 def _reach(body: Body) -> float:
     """How far what is drawn of a point reaches beyond it."""
     return 0.0 if body.faces is not None else RADIUS * body.spacing
-
-
-def _drawing(body: Body, places: Float[np.ndarray, "n 3"], colours: Float[np.ndarray, "n 3"], unit: float) -> Drawing:
-    if body.faces is not None:
-        return Drawing(places, seen_normals(places, body.faces), colours, body.faces)
-    return balls(places, colours, unit * _reach(body))
 
 
 def _chosen(

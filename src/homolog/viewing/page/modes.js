@@ -1,6 +1,5 @@
 // The page of a shape model: one shape, and a slider for each of its modes.
 
-const FARTHEST = 3;               // standard deviations that a slider reaches to, either way
 const ROUND_MS = 4000;            // of playing a mode forth and back
 const STOPS = [[236, 236, 232], [250, 196, 92], [214, 72, 64], [94, 16, 84]];
 
@@ -73,7 +72,7 @@ function addMode({ share }, k) {
   part.className = "quiet";
   part.textContent = ` ${(100 * share).toPrecision(2)} %`;
   says.id = `mode-${k}-says`;
-  Object.assign(slider, { id: `mode-${k}`, type: "range", min: -FARTHEST, max: FARTHEST, step: 0.05, value: 0 });
+  Object.assign(slider, { id: `mode-${k}`, type: "range", min: -scene.farthest, max: scene.farthest, step: 0.05, value: 0 });
   slider.addEventListener("input", () => { stop(); last = k; where[k] = Number(slider.value); show(); });
   slider.addEventListener("dblclick", () => { stop(); where[k] = 0; show(); });
   label.append(`Mode ${k + 1}`, part, says, slider);
@@ -104,9 +103,9 @@ const atMean = () => scene.modes.map(() => 0);
 let playing = 0;
 
 function play() {
-  const began = performance.now(), phase = Math.asin(Math.max(-1, Math.min(1, where[last] / FARTHEST)));
+  const began = performance.now(), phase = Math.asin(Math.max(-1, Math.min(1, where[last] / scene.farthest)));
   const step = (now) => {
-    where[last] = FARTHEST * Math.sin(phase + 2 * Math.PI * (now - began) / ROUND_MS);
+    where[last] = scene.farthest * Math.sin(phase + 2 * Math.PI * (now - began) / ROUND_MS);
     show();
     playing = requestAnimationFrame(step);
   };
