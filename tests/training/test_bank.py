@@ -8,7 +8,9 @@ import pytest
 import torch
 from scipy.spatial import KDTree
 
+from homolog.errors import DataError
 from homolog.geometry import compute_operators, unit_frame
+from homolog.maps import elastic_positions
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.training.bank import ShapeBank, prefetched
 from homolog.training.data import TrainingSet
@@ -213,3 +215,52 @@ def test_steps_load_what_was_planned(meshes, small):
     draws = Plan(bank.shapes, recipe).draws(3)
     pairs = bank.pairs(draws)
     assert [(pair.x.name, pair.y.name) for pair in pairs] == [(draw.x.name, draw.y.name) for draw in draws]
+
+
+@pytest.fixture(scope="module")
+def clouds(tmp_path_factory, make):
+    """Three clouds of differently stretched and relabelled surfaces."""
+    root, blob = tmp_path_factory.mktemp("clouds"), make.blob(3)
+    for number, name in enumerate(("ape", "bee", "cat")):
+        order = np.random.default_rng(number).permutation(blob.n_points)
+        write_shape(root / f"{name}.ply", Shape(blob.points[order] * [1 + 0.2 * number, 1, 1 - 0.1 * number]))
+    return root
+
+
+def test_a_cloud_stands_for_its_own_mesh(clouds, small):
+    bank = bank_of(clouds, small(data={"clouds": True}, clouds={"noise": [0.01]}))
+    clean, noisy = (bank.shape(Member("bee", variant, 1)) for variant in (0, 1))
+    assert same(clean.mesh, clean.cloud) and same(clean.mesh, noisy.mesh) and clean.pairing is None
+    full = compute_operators(read_shape(clouds / "bee.ply"), settings=small().operators)
+    torch.testing.assert_close(clean.mesh.eigenvalues, full.basis.eigenvalues)
+
+
+@pytest.mark.parametrize("kind", ["resampled", "cut", "pierced", "seen"])
+def test_what_takes_faces_is_not_made_of_clouds(clouds, small, kind):
+    amount = {"resampled": 300, "pierced": 3}.get(kind, 0.5)
+    bank = bank_of(clouds, small(data={"clouds": True}, clouds={kind: [amount]}))
+    with pytest.raises(
+        DataError, match=rf"\[clouds\] {kind} .* cannot be made of ape: it has no faces; leave that out"
+    ):
+        bank.shape(Member("ape", 1, 0))
+
+
+@pytest.mark.parametrize("variants", [(0, 0), (0, 1), (1, 0)])
+def test_skins_are_drawn_with_all_points_and_given_at_the_samples(clouds, small, variants):
+    recipe = small(data={"clouds": True}, clouds={"thinned": [0.6]}, loss={"elastic": 1.0})
+    bank = bank_of(clouds, recipe)
+    draws = [Draw(Member("bee", v, 1), Member("ape", w, 0), 0) for v, w in (variants, variants[::-1])]
+    for draw in (draws[0], Draw(draws[0].y, draws[0].x, 0)):
+        (pair,) = bank.pairs([draw])
+        x, y = (bank._samples(member.name, member.variant) for member in (draw.x, draw.y))
+        _, on_x = elastic_positions(x.whole, y.whole)
+        torch.testing.assert_close(pair.skin, on_x[torch.from_numpy(y.kept[draw.y.subset])], atol=1e-5, rtol=0)
+        torch.testing.assert_close(y.whole[torch.from_numpy(y.kept[draw.y.subset])], pair.y.cloud.points)
+
+
+def test_no_skin_where_nothing_asks_for_one_and_none_of_parts(clouds, meshes, small):
+    draw = Draw(Member("bee", 0, 0), Member("ape", 0, 0), 0)
+    assert bank_of(clouds, small(data={"clouds": True})).pairs([draw])[0].skin is None
+    parts = bank_of(meshes, small(clouds={"cut": [0.5]}, loss={"elastic": 1.0}))
+    (pair,) = parts.pairs([Draw(Member("bee", 0, 0), Member("ape", 1, 0), 0)])
+    assert pair.skin is None

@@ -196,8 +196,9 @@ def test_what_is_wrong_is_said(meshes, parts, tmp_path, small):
         TrainingSet.open(parts, small(partial={}))
 
 
-def test_clouds_cannot_be_trained_on(tmp_path, make, small):
+def test_clouds_are_trained_on_where_that_is_asked_for(tmp_path, make, small):
     for name in ("a", "b"):
         write_shape(tmp_path / f"{name}.ply", make.blob(1).as_cloud())
-    with pytest.raises(DataError, match="has no faces"):
+    with pytest.raises(DataError, match=r"has no faces, .*have \[data\] clouds = true"):
         TrainingSet.open(tmp_path, small()).shape("a")
+    assert TrainingSet.open(tmp_path, small(data={"clouds": True})).shape("a").faces is None

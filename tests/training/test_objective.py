@@ -377,6 +377,14 @@ def test_gradients_of_a_pair_are_those_of_the_published_code(published, faust) -
         assert np.linalg.norm(found - expected) < 1e-2 * np.linalg.norm(expected), name
 
 
+def test_the_skin_that_is_given_is_what_points_are_carried_to(pair) -> None:
+    network, (x, y), settings = network_of(), pair, replace(FEW, elastic=2.0)
+    own = elastic_positions(x.cloud.points, y.cloud.points)[1]
+    plain = pair_losses(network, x, y, settings=settings)
+    assert pair_losses(network, x, y, settings=settings, skin=own).elastic == plain.elastic
+    assert pair_losses(network, x, y, settings=settings, skin=own + 1).elastic > plain.elastic + 1
+
+
 def test_what_a_part_lacks_is_not_carried_over_from_it(pair) -> None:
     """With a part as the first shape's cloud there is no alignment; with one as the second's, no Sinkhorn."""
     network, (x, y), settings = network_of(), pair, replace(FEW, elastic=1.0)

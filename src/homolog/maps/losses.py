@@ -15,7 +15,6 @@ from torch.autograd.function import once_differentiable
 
 from homolog.arrays import takes_arrays
 from homolog.errors import bad_value
-from homolog.maps.elastic import elastic_positions
 from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, carried_over
 from homolog.memory import row_tiles
 
@@ -155,12 +154,12 @@ def elastic_loss(
     features_x: Float[Tensor, "n_x d"],
     features_y: Float[Tensor, "n_y d"],
     points_x: Float[Tensor, "n_x 3"],
-    points_y: Float[Tensor, "n_y 3"],
+    skin: Float[Tensor, "n_y 3"],
     *,
     temperature: float = TEMPERATURE,
     iterations: int = ITERATIONS,
 ) -> Float[Tensor, ""]:
-    """The soft map of the features carries points to where an elastic skin takes them: the mean of |P_yx x - x(y)|^2.
+    """The soft map of the features carries points to where an elastic skin takes them: the mean of |P_yx x - s|^2.
 
     What a pair's own clouds say of their map, ``elastic_positions``, teaches the features, one function of shapes for
     all pairs: what is by chance in a pair's does not agree with the others'. For shapes that stand alike and differ by
@@ -170,13 +169,12 @@ def elastic_loss(
         features_x: of the points of one cloud.
         features_y: of those of the other.
         points_x: their positions.
-        points_y: likewise.
+        skin: where the points of y lie on x.
         temperature: of Sinkhorn's map.
         iterations: likewise.
     """
-    _, wanted = elastic_positions(points_x, points_y)
     carried = carried_over(features_y, features_x, points_x, temperature=temperature, iterations=iterations)
-    return (carried - wanted).square().sum(dim=1).mean()
+    return (carried - skin).square().sum(dim=1).mean()
 
 
 @takes_arrays

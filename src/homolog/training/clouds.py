@@ -9,9 +9,13 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
 
+from homolog.errors import ShapeError
 from homolog.shapes import Shape, add_noise, face_areas
 from homolog.synthesis import Part, ViewSettings, cut, pierce, view
 from homolog.training.recipe import CloudSettings
+
+# Variants that take no faces.
+_OF_POINTS_ALONE = ("clean", "noisy", "thinned")
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,13 @@ def cloud_variants(settings: CloudSettings) -> tuple[CloudVariant, ...]:
 
 
 def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
-    """Make a cloud of a clean mesh of unit area."""
+    """Make a cloud of a clean mesh of unit area, or of a clean cloud.
+
+    Raises:
+        ShapeError: if it has no faces, and the variant takes some.
+    """
+    if mesh.faces is None and variant.kind not in _OF_POINTS_ALONE:
+        raise ShapeError("it has no faces; leave that out, or make a surface with homolog reconstruct")
     random = np.random.default_rng(seed)
     if variant.kind == "noisy":
         return Cloud(add_noise(mesh.as_cloud(), variant.amount, seed=seed), None)

@@ -35,6 +35,7 @@ class TrainingSet:
         held_out: pairs to validate on.
         truth: the folder with its ground truth, where it has one.
         up: which axis of the files points up.
+        clouds: whether shapes may be without faces.
     """
 
     root: Path
@@ -44,6 +45,7 @@ class TrainingSet:
     held_out: tuple[Pair, ...]
     truth: ShapeFolder | None
     up: Up
+    clouds: bool = False
 
     @classmethod
     def open(cls, root: str | Path, recipe: Recipe, description: SetDescription | None = None) -> TrainingSet:
@@ -71,20 +73,20 @@ class TrainingSet:
         # Where nothing is held out, pairs that are trained on are validated, too.
         held_out = _some_pairs(sorted(chosen) or trained, watched or pairs, recipe)
         files = {**complete, **{name: files[name] for name in kept}}
-        up = recipe.data.up or "y"
-        return cls(root, files, trained, pairs, held_out, _ground_truth(root, recipe, description), up)
+        truth, up = _ground_truth(root, recipe, description), recipe.data.up or "y"
+        return cls(root, files, trained, pairs, held_out, truth, up, recipe.data.clouds)
 
     def shape(self, name: str) -> Shape:
-        """Read one mesh, and stand it upright.
+        """Read one shape, and stand it upright.
 
         Raises:
-            DataError: if it has no faces.
+            DataError: if it has no faces, and clouds were not asked for.
         """
         shape = read_shape(self.files[name])
-        if shape.faces is None:
+        if shape.faces is None and not self.clouds:
             raise DataError(
                 f"{self.files[name]} has no faces, but training is on meshes; make surfaces of clouds "
-                "with homolog reconstruct"
+                "with homolog reconstruct, or have [data] clouds = true in the recipe"
             )
         return stand_upright(shape, self.up)
 

@@ -234,6 +234,7 @@ class _Training:
                 augmentation=self.recipe.augmentation,
                 generator=generator,
                 partial=self.recipe.partial is not None,
+                skin=pair.skin,
             )
 
     def _share(self, losses: Float[Tensor, "p t"], stop: bool) -> bool:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from homolog.errors import ArgumentError, TrainingError, bad_value
 from homolog.geometry import Basis
-from homolog.maps import functional_map, normalised, resolvent_mask
+from homolog.maps import elastic_positions, functional_map, normalised, resolvent_mask
 from homolog.maps.losses import (
     CONTRAST_TEMPERATURE,
     alignment_loss,
@@ -137,6 +137,7 @@ def pair_losses(
     augmentation: AugmentationSettings | None = None,
     generator: torch.Generator | None = None,
     partial: bool = False,
+    skin: Float[Tensor, "n_y 3"] | None = None,
 ) -> Losses:
     """The losses of a pair of shapes, from four passes of the network.
 
@@ -148,6 +149,8 @@ def pair_losses(
         augmentation: how to vary the input of each pass; None to leave it.
         generator: of all that is random, dropout included; torch's own by default.
         partial: use the losses for a part of a shape.
+        skin: where the points of y's cloud lie on x's, as ``homolog.maps.elastic_positions`` draws them there; the
+            elastic loss takes it from these points where it is not given.
     """
     bases = [x.mesh, y.mesh, x.cloud, y.cloud]
     inputs = [basis.points for basis in bases]
@@ -157,7 +160,7 @@ def pair_losses(
     mesh_x, mesh_y, *clouds = network.several(inputs, bases, generator=generator)
     with _full_precision(inputs[0].device):
         meshes = _Side(x, mesh_x, settings), _Side(y, mesh_y, settings)
-        return _losses(*meshes, *clouds, settings=settings, partial=partial)
+        return _losses(*meshes, *clouds, settings=settings, partial=partial, skin=skin)
 
 
 def _full_precision(device: torch.device) -> torch.autocast:
@@ -189,6 +192,7 @@ def _losses(
     *,
     settings: LossSettings,
     partial: bool,
+    skin: Float[Tensor, "n_y 3"] | None,
 ) -> Losses:
     c_xy, c_yx = _functional_maps(x, y, settings)
     compared = (cloud_x, cloud_y) if settings.raw_products else (normalised(cloud_x), normalised(cloud_y))
@@ -216,7 +220,7 @@ def _losses(
         contrast=settings.contrast * (x.contrast(cloud_x, settings) + y.contrast(cloud_y, settings)),
         commutativity=settings.commutativity * commutativity,
         displacement=settings.displacement * displacement,
-        elastic=settings.elastic * _elastic(x, y, *compared, settings, partial=partial),
+        elastic=settings.elastic * _elastic(x, y, *compared, settings, skin=skin, partial=partial),
     )
 
 
@@ -264,10 +268,12 @@ def _elastic(
     cloud_y: Float[Tensor, "n_y d"],
     settings: LossSettings,
     *,
+    skin: Float[Tensor, "n_y 3"] | None,
     partial: bool,
 ) -> Float[Tensor, ""]:
     if not settings.elastic or partial or x.shape.cloud_is_part or y.shape.cloud_is_part:
         return torch.zeros_like(cloud_x.sum())
     temperature, iterations = settings.soft_temperature, settings.soft_iterations
-    points = x.shape.cloud.points, y.shape.cloud.points
-    return elastic_loss(cloud_x, cloud_y, *points, temperature=temperature, iterations=iterations)
+    points, others = x.shape.cloud.points, y.shape.cloud.points
+    wanted = elastic_positions(points, others)[1] if skin is None else skin
+    return elastic_loss(cloud_x, cloud_y, points, wanted, temperature=temperature, iterations=iterations)

@@ -33,6 +33,7 @@ class DataSettings:
         leave_out: patterns such as ``"*_shape_1?"``; shapes with such names are neither trained nor validated on.
         up: which axis of the files points up; shapes are turned so that +y does. Left out, it is the one that the
             set's description names, and y where there is none.
+        clouds: shapes without faces are trained on, too; their operators as clouds then stand for a mesh's.
         memory_gb: how much memory the prepared shapes may take; those beyond are read again from the disk cache.
         workers: threads that read and sample shapes while the steps before theirs are computed.
     """
@@ -40,6 +41,7 @@ class DataSettings:
     split: Split = "train"
     leave_out: tuple[str, ...] = ()
     up: Up | None = None
+    clouds: bool = False
     memory_gb: float = 4.0
     workers: int = 1
 

@@ -30,7 +30,9 @@ def validation_losses(network: DiffusionNet, pairs: Sequence[TrainingPair], reci
     """Mean of each loss over pairs, for a network in evaluation mode, without augmentation."""
     sums: dict[str, float] = defaultdict(float)
     for pair in pairs:
-        losses = pair_losses(network, pair.x, pair.y, settings=recipe.loss, partial=recipe.partial is not None)
+        losses = pair_losses(
+            network, pair.x, pair.y, settings=recipe.loss, partial=recipe.partial is not None, skin=pair.skin
+        )
         for term, value in losses.as_dict().items():
             sums[term] += value / len(pairs)
     return dict(sums)
