@@ -71,7 +71,7 @@ def test_files_to_a_folder_and_on(homolog, shapes, tmp_path):
     written = (out / "shapes" / "1.ply").stat().st_mtime_ns
     ended = homolog("collection", *shapes[:2], "-o", out, *OPTIONS, "--scale")
     assert ended.code == 0 and (out / "shapes" / "1.ply").stat().st_mtime_ns == written
-    assert "1 shapes in" in ended.err and "were not given this time" in ended.err
+    assert "Not given this time, and not counted: 1 of the shapes in" in ended.err
     assert np.load(out / "points.npy").shape[0] == 1
     assert homolog("collection", *shapes, "-o", out, *OPTIONS, "-q").err == ""
 

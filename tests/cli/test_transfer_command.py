@@ -2,6 +2,7 @@
 
 import json
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,6 +130,10 @@ def test_mistakes_are_one_line(homolog, result, rows, tmp_path):
     np.save(tmp_path / "short.npy", np.zeros(3))
     np.save(tmp_path / "half.npy", np.full(rows, 0.5))
     np.save(tmp_path / "words.npy", np.full(rows, "a"))
+    np.save(tmp_path / "whole.npy", np.zeros(rows, int))
+    np.save(tmp_path / "objects.npy", np.full(rows, None), allow_pickle=True)
+    given = Path(json.loads((result / "report.json").read_text())["inputs"]["source"]["file"]).name
+    assert given != "source.ply"
     np.save(tmp_path / "wide.npy", np.zeros((rows, 2), int))
     np.save(tmp_path / "textured.obj", np.zeros(rows))
     (tmp_path / "textured.obj.npy").rename(tmp_path / "textured.obj")
@@ -138,7 +143,9 @@ def test_mistakes_are_one_line(homolog, result, rows, tmp_path):
     (tmp_path / "file").write_text("")
     half = tmp_path / "half.npy"
     for arguments, told in (
-        (["--array", tmp_path / "short.npy"], "one row for each of the"),
+        (["--array", tmp_path / "short.npy"], f"one row for each of the {rows} points of {given}"),
+        (["--array", tmp_path / "objects.npy"], "does not hold plain numbers; write it anew"),
+        (["--labels", tmp_path / "whole.npy", "--array", tmp_path / "whole.npy"], "whole.npy is given twice"),
         (["--array", tmp_path / "words.npy"], "must be one array of numbers"),
         (["--array", tmp_path / "rubbish.npy"], "cannot be read as an NPY array"),
         (["--array", tmp_path / "none.npy"], "No such file"),

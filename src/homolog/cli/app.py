@@ -11,6 +11,7 @@ from homolog.cli.data import data
 from homolog.cli.demo import demo
 from homolog.cli.doctor import doctor
 from homolog.cli.evaluate import evaluate
+from homolog.cli.help import help_of
 from homolog.cli.info import info
 from homolog.cli.match import match
 from homolog.cli.reconstruct import reconstruct
@@ -51,3 +52,7 @@ for command in (match, view, serve, transfer, collection, train, evaluate, recon
     app.command()(command)
 for group in (synth, volume, data):
     app.add_typer(group)
+for each in (app, synth, volume, data):
+    for registered in each.registered_commands:
+        if registered.callback:
+            registered.help = help_of(registered.callback)

@@ -141,7 +141,7 @@ def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path
             say(f"Warning: {outcome.subject.name}: {warning}")
     others = folder.others([outcome.subject for outcome in outcomes])
     if others:
-        say(f"{len(others)} shapes in {folder.root / 'shapes'} were not given this time, and do not count.")
+        say(f"Not given this time, and not counted: {len(others)} of the shapes in {folder.root / 'shapes'}.")
     if len(outcomes) > MOST_SHOWN:
         say(f"contact_sheet.png shows the worst {MOST_SHOWN} of {len(outcomes)} shapes.")
     failed = len(outcomes) - len(placed)

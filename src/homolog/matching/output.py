@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path, PurePath
 from typing import Any, get_args
 
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 from homolog.errors import ArgumentError, DataError
 from homolog.files import all_or_nothing, expanded, made_folder, write_json
 from homolog.matching.correspondence import Correspondence, Route
+from homolog.matching.settings import Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
 from homolog.steps import Steps
 
@@ -103,12 +104,19 @@ def read_result(folder: str | Path) -> MatchResult:
         if not (place / name).is_file():
             raise DataError(f"{folder} has no {name}, so that it is no result; give a folder that homolog match wrote")
     report = _read_report(place / "report.json")
-    source, target = read_shape(place / "source.ply"), read_shape(place / "target.ply")
+    source, target = (_read_side(place, report, side) for side in get_args(Side))
     found = Correspondence.load(
         place / "correspondence.npz", route=report["route"], warnings=tuple(report.get("warnings", ()))
     )
     _check_fit(place, source, target, found)
     return MatchResult(source, target, found, report)
+
+
+def _read_side(place: Path, report: dict[str, Any], side: Side) -> Shape:
+    """One of the result's shapes, by the name of the file that was matched where the report tells it."""
+    shape = read_shape(place / f"{side}.ply")
+    given = report.get("inputs", {}).get(side, {}).get("file", shape.name)
+    return replace(shape, name=PurePath(given).name)
 
 
 def _read_report(path: Path) -> dict[str, Any]:

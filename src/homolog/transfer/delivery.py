@@ -159,7 +159,7 @@ class Delivery:
 
     def _tell_of_landmarks(self, path: Path, lost: int, farthest: float | None) -> None:
         if lost:
-            self.notes.append(f"{path.name}: {lost} landmarks have no counterpart")
+            self.notes.append(f"{path.name}: no counterpart for {lost} of its landmarks")
         if farthest is not None and farthest > _FAR * self.carrier.source.spacing:
             self.notes.append(
                 f"Warning: a landmark of {path.name} is {farthest:.3g} away from the source's surface; "
@@ -214,13 +214,15 @@ def _held(original: Original) -> set[Kind]:
 
 
 def check_names(paths: Sequence[Path]) -> None:
-    """Refuse files of which two would be written to one place.
+    """Refuse files of which two would be written to one place, and one that is given twice.
 
     Raises:
         ArgumentError: if there are any.
     """
     names = list[str](OWN_NAMES)
-    for path in paths:
+    for place, path in enumerate(paths):
+        if path in paths[:place]:
+            raise ArgumentError(f"{path} is given twice; say once what it is")
         if path.name in names:
             raise ArgumentError(f"{path}: another file named {path.name} is written as well; rename this one")
         names.append(path.name)

@@ -83,9 +83,13 @@ def read_array(path: Path, shape: Shape) -> Num[np.ndarray, "n ..."]:
     """
     try:
         array = np.load(expanded(path), allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        said = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise DataError(f"{path} cannot be read as an NPY array: {said}") from None
+    except OSError as error:
+        raise DataError(f"{path} cannot be read as an NPY array: {error.strerror or error}") from None
+    except (ValueError, EOFError):
+        raise DataError(
+            f"{path} cannot be read as an NPY array: it is damaged or does not hold plain numbers; "
+            "write it anew with numpy.save, from an array of numbers"
+        ) from None
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
         raise DataError(f"{path} holds {getattr(array, 'dtype', 'several arrays')}, but must be one array of numbers")
     if array.ndim < 1 or len(array) != shape.n_points:
