@@ -42,9 +42,10 @@ def make(page: Path) -> None:
 
 
 def _run_in_shell(block: Example) -> None:
-    """With the programs of this interpreter's environment."""
+    """With the programs of this interpreter's environment, in which all that pages install is there."""
+    lines = [line for line in block.parsed.splitlines() if not line.startswith("pip install ")]
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    subprocess.run(["bash", "-euo", "pipefail", "-c", block.parsed], env={**os.environ, "PATH": path}, check=True)
+    subprocess.run(["bash", "-euo", "pipefail", "-c", "\n".join(lines)], env={**os.environ, "PATH": path}, check=True)
 
 
 _PARSERS = (CodeBlockParser("sh", _run_in_shell), CodeBlockParser("python", PythonEvaluator()))
