@@ -115,8 +115,13 @@ def read_result(folder: str | Path) -> MatchResult:
 def _read_side(place: Path, report: dict[str, Any], side: Side) -> Shape:
     """One of the result's shapes, by the name of the file that was matched where the report tells it."""
     shape = read_shape(place / f"{side}.ply")
-    given = report.get("inputs", {}).get(side, {}).get("file", shape.name)
-    return replace(shape, name=PurePath(given).name)
+    return replace(shape, name=matched_name(report, side, otherwise=shape.name))
+
+
+def matched_name(report: dict[str, Any], side: Side, *, otherwise: str) -> str:
+    """The name of the file that was matched, where the report of a match tells it."""
+    given = report.get("inputs", {}).get(side, {}).get("file", otherwise)
+    return PurePath(given).name
 
 
 def _read_report(path: Path) -> dict[str, Any]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
-from homolog.matching import MatchResult, Side
+from homolog.matching import MatchResult, Side, matched_name
 from homolog.shapes import Shape, stand_upright
 from homolog.viewing.colours import HIDDEN
 from homolog.viewing.layers import Layer, confidence_layer, matched_layer
@@ -230,7 +229,7 @@ def _body(result: MatchResult, side: Side, placed: dict[Side, Float[np.ndarray, 
     shape, found, points = getattr(result, side), result.found, placed[side]
     apart = (sum(np.ptp(points[:, 0]) for points in placed.values()) / 2 + _GAP) / 2
     return Body(
-        title=_title(result, side),
+        title=matched_name(result.report, side, otherwise=shape.name),
         points=points,
         faces=shape.faces,
         counterpart=found.source_to_target if side == "source" else found.target_to_source,
@@ -239,12 +238,6 @@ def _body(result: MatchResult, side: Side, placed: dict[Side, Float[np.ndarray, 
         spacing=_spacing(points),
         offset=np.array([-apart if side == "source" else apart, 0.0, 0.0]),
     )
-
-
-def _title(result: MatchResult, side: Side) -> str:
-    """The name of the file that was matched, or else of the one in the result."""
-    given = result.report.get("inputs", {}).get(side, {}).get("file", getattr(result, side).name)
-    return PurePath(given).name
 
 
 def _spacing(points: Float[np.ndarray, "n 3"]) -> float:
