@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -95,13 +97,32 @@ def test_a_displacement_costs_its_dirichlet_energy() -> None:
         assert displacement_loss(eye, moved, positions, values).item() == pytest.approx(energy)
 
 
-def test_carried_points_are_as_far_off_as_they_lie_from_where_the_skin_takes_them() -> None:
-    """Features that tell points apart make the soft map a permutation."""
-    order, features = torch.randperm(9, generator=torch.Generator().manual_seed(0)), torch.eye(9, dtype=torch.float64)
-    x, y = random(9, 3), random(9, 3, seed=1)
-    off = x[order] - y
-    loss = elastic_loss(features, features[order], x, y, temperature=0.02)
-    assert loss.item() == pytest.approx(off.square().sum(dim=1).mean().item())
+def test_positions_on_a_sphere_are_the_features_that_the_elastic_loss_wants() -> None:
+    """There a product of positions falls off with their squared distance: |s - x|^2 = 2 - 2 s x."""
+    x, skin, reach, temperature = unit(9, 3), unit(6, 3, seed=1), 0.4, 0.2
+    right = x * temperature**0.5 / reach, skin * temperature**0.5 / reach
+    assert elastic_loss(*right, x, skin, reach=reach, temperature=temperature).item() == pytest.approx(0, abs=1e-12)
+    for wrong in ((right[0].flip(0), right[1]), (right[0], right[1].flip(0)), (1.1 * right[0], right[1])):
+        assert elastic_loss(*wrong, x, skin, reach=reach, temperature=temperature) > 1e-3
+
+
+def test_the_elastic_loss_is_the_mean_divergence_of_its_rows() -> None:
+    features, x, skin = (random(5, 4), random(7, 4, seed=1)), random(5, 3, seed=2), random(7, 3, seed=3)
+    total = 0.0
+    for feature, place in zip(features[1].tolist(), skin.tolist(), strict=True):
+        found = [
+            math.exp(sum(a * b for a, b in zip(feature, other, strict=True)) / 0.3) for other in features[0].tolist()
+        ]
+        wanted = [math.exp(-(math.dist(place, other) ** 2) / (2 * 0.7**2)) for other in x.tolist()]
+        for p, q in zip(found, wanted, strict=True):
+            total += q / sum(wanted) * math.log(q / sum(wanted) / (p / sum(found))) / len(skin)
+    assert elastic_loss(*features, x, skin, reach=0.7, temperature=0.3).item() == pytest.approx(total)
+
+
+@pytest.mark.parametrize("wrong", [{"reach": 0.0}, {"reach": -1.0}, {"temperature": 0.0}])
+def test_a_reach_or_temperature_of_nothing_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ArgumentError, match=f"{next(iter(wrong))} is .*positive"):
+        elastic_loss(random(3, 2), random(3, 2), random(3, 3), random(3, 3), **wrong)
 
 
 def test_full_rank_is_half_of_the_complete_losses() -> None:
@@ -257,7 +278,7 @@ def test_gradients_of_every_loss_are_right() -> None:
         (lambda c_xy: displacement_loss(c_xy, phi_x[:3], phi_y[:3], values[1]), maps[:1]),
         (lambda x, y: alignment_loss(c, phi_x, phi_y, x, y, temperature=0.3, iterations=3), features),
         (lambda x, y: partial_alignment_loss(c, phi_x, phi_y, x, y, temperature=0.3), features),
-        (lambda x, y: elastic_loss(x, y, phi_x, phi_y, temperature=0.3, iterations=3), features),
+        (lambda x, y: elastic_loss(x, y, phi_x, phi_y, reach=0.5, temperature=0.3), features),
         (lambda x, y: contrastive_loss(x, y, temperature=0.3), features),
     )
     for loss, inputs in losses:

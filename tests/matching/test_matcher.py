@@ -9,6 +9,7 @@ import torch
 
 from homolog.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
+from homolog.maps import normalised, sinkhorn_matches
 from homolog.matching import Correspondence, MapQuality, Matcher, MatcherSettings, Quality, choose_device
 from homolog.matching import matcher as matcher_module
 from homolog.matching.checks import doubts
@@ -27,6 +28,23 @@ def test_route_per_modality(build, source, target):
     assert build("auto", with_network=False).route(source, target) == "axiomatic"
     for method in ("functional-map", "features", "elastic", "axiomatic"):
         assert build(method).route(source, target) == method
+
+
+def test_features_alone_say_what_goes_where_on_shapes_that_are_not_nearly_isometric(build, blobs):
+    info = WeightsInfo(upright=False, map_eigenpairs=40, near_isometric=False)
+    found = build(info=info).match(blobs.source, blobs.target)
+    assert found.route == "features"
+    matcher = build()
+    features = (normalised(matcher.prepare(shape).features) for shape in (blobs.target, blobs.source))
+    soft = sinkhorn_matches(*features, temperature=0.1, iterations=10)
+    np.testing.assert_array_equal(found.target_to_source, soft.y_to_x)
+    np.testing.assert_array_equal(found.source_to_target, soft.x_to_y)
+    # A route that is asked for is taken, and not refined either.
+    unrefined = build("functional-map", info=info).match(blobs.source, blobs.target)
+    assert unrefined.route == "functional-map"
+    assert (
+        unrefined.target_to_source != build("functional-map").match(blobs.source, blobs.target).target_to_source
+    ).any()
 
 
 @pytest.mark.parametrize("as_cloud", ["source", "target", "both"])

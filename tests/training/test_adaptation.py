@@ -41,6 +41,20 @@ def loss_of(matcher, source, target, *, partial=False):
         return float(pair_losses(matcher.network, x, y, settings=settings, partial=partial).total)
 
 
+def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_those_that_do(matcher, shapes):
+    for_organs = Matcher(
+        matcher.network, replace(matcher.info, name="organs", near_isometric=False), settings=matcher.settings
+    )
+    pair = matcher.prepare_pair(*shapes)
+    with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that keep no areas"):
+        adapt_to_pair(for_organs, *pair, SETTINGS)
+    elastic = replace(SETTINGS, steps=1, loss=LossSettings(bijectivity=0, orthogonality=0, alignment=0, elastic=1.0))
+    adapted = adapt_to_pair(for_organs, *pair, elastic)[0]
+    assert any(
+        not torch.equal(*both) for both in zip(adapted.network.parameters(), matcher.network.parameters(), strict=True)
+    )
+
+
 @pytest.mark.parametrize("as_cloud", [None, "source", "both"])
 def test_the_loss_of_the_pair_falls(matcher, shapes, as_cloud):
     pair = matcher.prepare_pair(*shapes, as_cloud=as_cloud)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homolog.datasets import SetDescription, read_description
+from homolog.datasets import SetDescription, ShapeFolder, read_description
 from homolog.errors import ArgumentError, DataError
 from homolog.shapes import read_shape, stand_upright, write_shape
 from homolog.training.data import TrainingSet
@@ -115,6 +115,17 @@ def test_a_described_set_leaves_its_test_out(meshes, small):
         "cat",
         "dog",
     )
+
+
+def test_the_numbering_that_is_a_set_s_truth_is_not_trained_on(meshes, small):
+    described = SetDescription(split="train", shuffled=True, truth="same-numbering", up="x")
+    found = TrainingSet.open(meshes, small(), described)
+    shape, file = found.shape("bee"), stand_upright(read_shape(meshes / "off" / "bee.off"), "x")
+    assert (shape.points != file.points).any(axis=1).mean() > 0.9
+    np.testing.assert_array_equal(np.sort(shape.points, axis=0), np.sort(file.points, axis=0))
+    corners = shape.points[shape.faces], file.points[file.faces]
+    np.testing.assert_array_equal(*corners)
+    np.testing.assert_array_equal(shape.points, ShapeFolder.without_truth(meshes, described).shape("bee").points)
 
 
 def test_parts_of_a_described_set(parts_set, small):

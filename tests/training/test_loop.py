@@ -19,10 +19,11 @@ from homolog.errors import ArgumentError, TrainingError, WeightsError
 from homolog.geometry import OperatorCache
 from homolog.network import load_weights
 from homolog.shapes import write_shape
-from homolog.training import loop, validation
+from homolog.training import loop, read_recipe, validation
 from homolog.training.data import TrainingSet
 from homolog.training.objective import pair_losses
 from homolog.training.plan import Plan
+from homolog.training.run_folder import weights_info
 from homolog.training.state import TrainingState
 
 WRITTEN = {"last.safetensors", "best.safetensors", "weights.safetensors", "report.json"}
@@ -75,6 +76,7 @@ def test_the_weights_are_the_best_ones(trained):
     network, info = load_weights(run / "weights.safetensors")
     assert (info.name, info.licence, info.upright) == ("small", "CC0-1.0", True)
     assert (info.n_eigenpairs, info.map_eigenpairs, info.laplacian) == (24, 12, "robust")
+    assert info.near_isometric and not weights_info(read_recipe("organs")).near_isometric
     best = tensors_of(run, "best")
     for name, weight in network.named_parameters():
         assert torch.equal(weight, best[f"average.{name}"])

@@ -102,7 +102,7 @@ def test_a_recipe_that_is_not_there(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["faust", "scape", "paper_faust", "paper_scape", "quick", "cuts", "holes", "views", "people"]
+    "name", ["faust", "scape", "paper_faust", "paper_scape", "quick", "cuts", "holes", "views", "people", "organs"]
 )
 def test_shipped_recipes_can_be_read(name):
     recipe = read_recipe(name)

@@ -20,6 +20,8 @@ from homolog.memory import row_tiles
 
 # The paper's temperature of the contrastive loss.
 CONTRAST_TEMPERATURE = 0.07
+# Of the elastic loss, in units of sqrt(area): the spacing of a thousand points on a shape.
+ELASTIC_REACH = 0.03
 
 
 @takes_arrays
@@ -156,25 +158,33 @@ def elastic_loss(
     points_x: Float[Tensor, "n_x 3"],
     skin: Float[Tensor, "n_y 3"],
     *,
+    reach: float = ELASTIC_REACH,
     temperature: float = TEMPERATURE,
-    iterations: int = ITERATIONS,
 ) -> Float[Tensor, ""]:
-    """The soft map of the features carries points to where an elastic skin takes them: the mean of |P_yx x - s|^2.
+    """Points resemble what lies where an elastic skin takes them: the mean divergence KL(Q_yx | P_yx) of the rows.
 
-    What a pair's own clouds say of their map, ``elastic_positions``, teaches the features, one function of shapes for
-    all pairs: what is by chance in a pair's does not agree with the others'. For shapes that stand alike and differ by
-    a deformation, such as organs.
+    P = softmax(F_y F_x^T / temperature) is the soft map of the features, and Q = softmax(-|s - x|^2 / (2 reach^2)) what
+    the skin has of each point of y at those of x. What a pair's own clouds say of their map, ``elastic_positions``,
+    teaches the features, one function of shapes for all pairs: what is by chance in a pair's does not agree with the
+    others'. For shapes that stand alike and differ by a deformation, such as organs.
 
     Args:
-        features_x: of the points of one cloud.
+        features_x: of the points of one cloud, of unit length.
         features_y: of those of the other.
         points_x: their positions.
         skin: where the points of y lie on x.
-        temperature: of Sinkhorn's map.
-        iterations: likewise.
+        reach: how far around a place points should resemble what lies there, in the unit of the positions.
+        temperature: of the soft map.
+
+    Raises:
+        ArgumentError: if the reach or the temperature is not positive.
     """
-    carried = carried_over(features_y, features_x, points_x, temperature=temperature, iterations=iterations)
-    return (carried - skin).square().sum(dim=1).mean()
+    for name, value in (("reach", reach), ("temperature", temperature)):
+        if not value > 0:
+            raise bad_value(name, value, "positive")
+    found = torch.log_softmax(features_y @ features_x.mT / temperature, dim=1)
+    wanted = torch.log_softmax(torch.cdist(skin, points_x).square() / (-2 * reach**2), dim=1)
+    return torch.nn.functional.kl_div(found, wanted, reduction="batchmean", log_target=True)
 
 
 @takes_arrays

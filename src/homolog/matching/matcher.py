@@ -158,7 +158,7 @@ class Matcher:
             return self.settings.method
         if self.network is None:
             return "axiomatic"
-        return "functional-map" if source == target == "mesh" else "features"
+        return "functional-map" if source == target == "mesh" and self.info.near_isometric else "features"
 
     def prepare(
         self,
@@ -413,7 +413,7 @@ class Matcher:
             maps = self._maps_by_features(source.features, target.features, partial=partial)
         else:
             maps = self._maps_by_functional_maps(source, target, partial=partial)
-        if not self.settings.refine:
+        if not (self.settings.refine and self.info.near_isometric):
             return maps
         return _refined_to_part(maps, source, target) if partial else _refined(maps, source, target)
 

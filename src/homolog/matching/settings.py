@@ -46,15 +46,16 @@ class MatcherSettings:
     """How maps are made from features.
 
     Args:
-        method: the route; ``"auto"`` takes functional maps between meshes and features wherever a cloud takes part,
-            or the axiomatic route if there are no weights. ``"elastic"`` goes by positions alone, see
-            ``homolog.maps.elastic_positions``.
+        method: the route; ``"auto"`` takes functional maps between meshes and features wherever a cloud takes part
+            or the weights are for shapes that are not nearly isometric, and the axiomatic route if there are no
+            weights. ``"elastic"`` goes by positions alone, see ``homolog.maps.elastic_positions``.
         map_eigenpairs: eigenpairs of the functional map; by default what the weights were trained with.
         partial_eigenpairs: the same where one shape is partial; 50 for weights that were not trained on parts.
         regularisation: weight of the resolvent mask.
         temperature: of the soft map between features.
         iterations: of Sinkhorn's algorithm.
-        refine: refine the point maps that the network gives, see ``guided_zoom_out``.
+        refine: refine the point maps that the network gives, see ``guided_zoom_out``; never with weights for shapes
+            that are not nearly isometric.
         place: turn and shift a part to where its features fit its whole's best, see ``placed``.
         raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and
             here to reproduce the published code.

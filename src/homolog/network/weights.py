@@ -41,6 +41,8 @@ class WeightsInfo:
         n_neighbours: points that each point of a cloud is connected to in its operators.
         map_eigenpairs: eigenpairs of the functional map that it was trained with.
         partial: whether it was trained on parts with their complete shapes.
+        near_isometric: whether surfaces were taken to bend without stretching much: maps between meshes are then
+            functional maps, and all maps are refined as such. Where not, features alone say what goes where.
         sha256: hash of the file; empty before it is saved.
     """
 
@@ -52,6 +54,7 @@ class WeightsInfo:
     n_neighbours: int = CLOUD_NEIGHBOURS
     map_eigenpairs: int = 80
     partial: bool = False
+    near_isometric: bool = True
     sha256: str = field(default="", compare=False)
 
 

@@ -69,11 +69,16 @@ def adapt_to_pair(
         A matcher with the adapted network, and both shapes with its features.
 
     Raises:
-        ArgumentError: if the matcher has no network.
+        ArgumentError: if the matcher has no network, or one for shapes that do not fit the losses.
         TrainingError: if a loss is not finite.
     """
     if matcher.network is None:
         raise ArgumentError("adapting needs a network; give weights, and another method than 'axiomatic'")
+    if settings.loss.orthogonality and not matcher.info.near_isometric:
+        raise ArgumentError(
+            f"the weights {matcher.info.name!r} are for shapes that keep no areas, but pairs are adapted to by losses "
+            "for those that do; match without adapting"
+        )
     if partial == "source":
         source = matcher.placed(target, source)
     elif partial == "target":

@@ -36,6 +36,8 @@ class TrainingSet:
         truth: the folder with its ground truth, where it has one.
         up: which axis of the files points up.
         clouds: whether shapes may be without faces.
+        described: the folder as its set's description has it, for which the points of some sets are shuffled: where
+            row i is the same point of every shape, their order would tell what is to be found.
     """
 
     root: Path
@@ -46,6 +48,7 @@ class TrainingSet:
     truth: ShapeFolder | None
     up: Up
     clouds: bool = False
+    described: ShapeFolder | None = None
 
     @classmethod
     def open(cls, root: str | Path, recipe: Recipe, description: SetDescription | None = None) -> TrainingSet:
@@ -61,7 +64,8 @@ class TrainingSet:
         if not root.is_dir():
             raise DataError(f"{root}: there is no such folder; give one that holds meshes")
         recipe = recipe.for_set(description)
-        described = None if description is None else ShapeFolder.without_truth(root, description)
+        up = recipe.data.up or "y"
+        described = None if description is None else ShapeFolder.without_truth(root, description, up=up)
         complete, files = _complete_and_other_files(root, recipe, described)
         kept = sorted(name for name in files if not _left_out(name, recipe.data))
         chosen = _held_out(kept, recipe)
@@ -73,8 +77,8 @@ class TrainingSet:
         # Where nothing is held out, pairs that are trained on are validated, too.
         held_out = _some_pairs(sorted(chosen) or trained, watched or pairs, recipe)
         files = {**complete, **{name: files[name] for name in kept}}
-        truth, up = _ground_truth(root, recipe, description), recipe.data.up or "y"
-        return cls(root, files, trained, pairs, held_out, truth, up, recipe.data.clouds)
+        truth = _ground_truth(root, recipe, description)
+        return cls(root, files, trained, pairs, held_out, truth, up, recipe.data.clouds, described)
 
     def shape(self, name: str) -> Shape:
         """Read one shape, and stand it upright.
@@ -82,13 +86,18 @@ class TrainingSet:
         Raises:
             DataError: if it has no faces, and clouds were not asked for.
         """
-        shape = read_shape(self.files[name])
+        shape = self._upright(name)
         if shape.faces is None and not self.clouds:
             raise DataError(
                 f"{self.files[name]} has no faces, but training is on meshes; make surfaces of clouds "
                 "with homolog reconstruct, or have [data] clouds = true in the recipe"
             )
-        return stand_upright(shape, self.up)
+        return shape
+
+    def _upright(self, name: str) -> Shape:
+        if self.described is not None:
+            return self.described.shape(name)
+        return stand_upright(read_shape(self.files[name]), self.up)
 
     @property
     def used(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from homolog.geometry import Basis
 from homolog.maps import elastic_positions, functional_map, normalised, resolvent_mask
 from homolog.maps.losses import (
     CONTRAST_TEMPERATURE,
+    ELASTIC_REACH,
     alignment_loss,
     bijectivity_loss,
     commutativity_loss,
@@ -44,8 +45,9 @@ class LossSettings:
         commutativity: weight of functional maps commuting with the Laplacians.
         displacement: weight of what functional maps do to positions being smooth; for organs and the like, which stand
             alike and keep neither lengths nor areas.
-        elastic: weight of the soft map of the clouds carrying points to where an elastic skin takes them; for the same
+        elastic: weight of points of the clouds resembling what lies where an elastic skin takes them; for the same
             shapes, and not for parts, which lack what would have to go somewhere.
+        elastic_reach: how far around, in units of sqrt(area).
         map_eigenpairs: size of the functional maps.
         regularisation: of the functional maps.
         soft_temperature: of the soft map.
@@ -67,12 +69,13 @@ class LossSettings:
     soft_iterations: int = 10
     raw_products: bool = False
     contrast_temperature: float = CONTRAST_TEMPERATURE
+    elastic_reach: float = ELASTIC_REACH
 
     def __post_init__(self) -> None:
         for name in (*(f.name for f in fields(Losses)), "regularisation"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise bad_value(name, getattr(self, name), "a finite number of at least 0")
-        for name in ("soft_temperature", "contrast_temperature"):
+        for name in ("soft_temperature", "contrast_temperature", "elastic_reach"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise bad_value(name, getattr(self, name), "a positive finite number")
         for name in ("map_eigenpairs", "soft_iterations"):
@@ -273,7 +276,7 @@ def _elastic(
 ) -> Float[Tensor, ""]:
     if not settings.elastic or partial or x.shape.cloud_is_part or y.shape.cloud_is_part:
         return torch.zeros_like(cloud_x.sum())
-    temperature, iterations = settings.soft_temperature, settings.soft_iterations
     points, others = x.shape.cloud.points, y.shape.cloud.points
     wanted = elastic_positions(points, others)[1] if skin is None else skin
-    return elastic_loss(cloud_x, cloud_y, points, wanted, temperature=temperature, iterations=iterations)
+    reach, temperature = settings.elastic_reach, settings.soft_temperature
+    return elastic_loss(cloud_x, cloud_y, points, wanted, reach=reach, temperature=temperature)

@@ -144,4 +144,5 @@ def weights_info(recipe: Recipe) -> WeightsInfo:
         n_neighbours=recipe.operators.n_neighbours,
         map_eigenpairs=recipe.loss.map_eigenpairs,
         partial=recipe.partial is not None,
+        near_isometric=recipe.loss.orthogonality > 0,
     )
