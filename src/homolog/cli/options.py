@@ -33,8 +33,8 @@ MethodOption = Annotated[
     Method,
     typer.Option(
         help="How maps are found. auto: functional maps between meshes, features wherever a cloud takes part or the "
-        "weights are for shapes that stretch. elastic draws shapes that stand alike onto each other, such as organs, and "
-        "axiomatic goes by form alone: they need no weights."
+        "weights are for shapes that stretch. elastic draws shapes that stand alike onto each other, such as organs, "
+        "and axiomatic goes by form alone: they need no weights."
     ),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
