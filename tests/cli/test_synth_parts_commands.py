@@ -73,6 +73,20 @@ def test_a_part_leads_back_to_the_points_of_the_file(homolog, files, tmp_path, m
             assert (stored["complete_index"][:, None] == stored["corners"]).any(axis=1).all()
 
 
+def test_a_folder_holds_one_part(homolog, files, tmp_path):
+    place = tmp_path / "out"
+    for kind, names in (
+        ("view", {"part.ply", "part.npz", "cloud.ply", "cloud.npz"}),
+        ("cut", {"part.ply", "part.npz"}),
+    ):
+        assert homolog("synth", "part", files.mesh, "--kind", kind, "-o", place).code == 0
+        assert {path.name for path in place.iterdir()} == names
+    (place / "notes.txt").touch()
+    ended = homolog("synth", "part", files.mesh, "--kind", "view", "-o", place)
+    assert ended.is_one_line_of_complaint() and "holds other things" in ended.err
+    assert {path.name for path in place.iterdir()} == {"part.ply", "part.npz", "notes.txt"}
+
+
 def test_parts_that_cannot_be(homolog, files, tmp_path):
     for file in (files.cloud, files.rubbish, tmp_path / "nowhere.ply"):
         ended = homolog("synth", "part", file, "--kind", "cut", "-o", tmp_path / "out")

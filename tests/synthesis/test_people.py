@@ -117,6 +117,15 @@ def test_a_set_is_a_folder_of_shapes_with_ground_truth(tmp_path, workshop):
         assert np.linalg.norm(places[found] - points, axis=1).max() < 0.12
 
 
+def test_a_template_that_was_lost_is_written_again_and_bodies_beyond_those_asked_for_stay(tmp_path, workshop):
+    synthesize_people(tmp_path, 3, SMALL)
+    before = contents(tmp_path)
+    for file in ("template.off", "points.npz"):
+        (tmp_path / "template" / file).unlink()
+    synthesize_people(tmp_path, 2, SMALL)
+    assert contents(tmp_path) == before
+
+
 def test_the_manifest_tells_everything(tmp_path, workshop):
     synthesize_people(tmp_path / "set", 2, SMALL)
     manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())

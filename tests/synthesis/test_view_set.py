@@ -1,6 +1,7 @@
 """A set of views on disk: who is paired with whom, what leads back to whom, and that it can be gone on with."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -151,6 +152,18 @@ def test_what_was_interrupted_is_gone_on_with(source, written, tmp_path, monkeyp
     write_view_set(source, place, views=N_VIEWS, seed=3, settings=SMALL)
     assert contents(place) == contents(written)
     assert len(looked) == N_VIEWS + 1
+
+
+@pytest.mark.parametrize("folder", ["off", "clouds", "truth", "corres"])
+@pytest.mark.parametrize("lost", [True, False])
+def test_what_is_lost_or_empty_is_made_again(source, written, tmp_path, folder, lost):
+    place = shutil.copytree(written, tmp_path / "views")
+    for file in (place / folder).iterdir():
+        file.unlink()
+        if not lost:
+            file.touch()
+    write_view_set(source, place, views=N_VIEWS, seed=3, settings=SMALL)
+    assert contents(place) == contents(written)
 
 
 def test_another_seed_gives_other_views(source, written, tmp_path):

@@ -108,7 +108,7 @@ def test_no_steps(steps):
 
 def test_without_a_network(matcher, shapes):
     axiomatic = Matcher()
-    with pytest.raises(ArgumentError, match="needs a network; give weights, and another method than 'axiomatic'"):
+    with pytest.raises(ArgumentError, match="needs a network; give weights, and a method that uses them"):
         adapt_to_pair(axiomatic, *axiomatic.prepare_pair(*shapes), SETTINGS)
 
 

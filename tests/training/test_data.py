@@ -191,8 +191,8 @@ def test_what_is_wrong_is_said(meshes, parts, tmp_path, small):
     cases = [
         (tmp_path / "gone", {}, "no such folder"),
         (empty, {}, "no meshes"),
-        (meshes, {"data": {"leave_out": ["[abc]*"]}}, "1 of its meshes are left"),
-        (meshes, {"validation": {"shapes": 4}}, "0 of its meshes are left"),
+        (meshes, {"data": {"leave_out": ["[abc]*"]}}, "1 of its shapes are left"),
+        (meshes, {"validation": {"shapes": 4}}, "0 of its shapes are left"),
         (parts, {"partial": {"parts": "holes"}}, "no 'holes'"),
         (parts, {"partial": {}, "validation": {"shapes": 4}}, "no pair is left"),
     ]
@@ -213,3 +213,13 @@ def test_clouds_are_trained_on_where_that_is_asked_for(tmp_path, make, small):
     with pytest.raises(DataError, match=r"has no faces, .*have \[data\] clouds = true"):
         TrainingSet.open(tmp_path, small()).shape("a")
     assert TrainingSet.open(tmp_path, small(data={"clouds": True})).shape("a").faces is None
+
+
+def test_files_that_can_only_hold_points_are_found_where_clouds_are_asked_for(tmp_path, make, small):
+    for name in ("a.csv", "b.xyz", "c.npy", "d.ply"):
+        write_shape(tmp_path / name, make.blob(1).as_cloud())
+    (tmp_path / "notes.txt").write_text("not a shape")
+    recipe = small(data={"clouds": True}, validation={"shapes": 0, "pairs": 2})
+    assert TrainingSet.open(tmp_path, recipe).names == ("a", "b", "c", "d")
+    with pytest.raises(DataError, match="1 of its shapes are left"):
+        TrainingSet.open(tmp_path, small(validation={"shapes": 0}))

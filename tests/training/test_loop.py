@@ -192,7 +192,9 @@ def test_weights_of_another_network_or_none_at_all(trained, meshes, small, tmp_p
     others = small(operators={"n_neighbours": 20}, training={"steps": 1}, licence="other")
     loop.train(others, meshes, tmp_path / "c", device="cpu", weights=weights)
     assert "trained with n_neighbours 14, and the recipe's [operators] say 20" in caplog.text
-    assert "under 'CC0-1.0', which holds for what comes of them; the recipe's licence is 'other'" in caplog.text
+    assert (
+        "under 'CC0-1.0', which counts for what comes of them as well; the recipe's licence is 'other'" in caplog.text
+    )
 
 
 def test_nothing_is_overwritten(meshes, small, tmp_path):

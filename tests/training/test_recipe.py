@@ -75,6 +75,7 @@ MISTAKES = {
     "[samples]\npoints = 200": ["[samples] points is 200", "at least twice [operators] n_eigenpairs, 256"],
     "[data]\nup = 'Z'": ["[data] up is 'Z'", "x, y, z"],
     "training = 3": ["training is 3", "a section [training]"],
+    "[partial]\n[loss]\nelastic = 1.0": ["[loss] elastic is 1.0", "0 with a section [partial]"],
     "seed = -1": ["seed is -1", "at least 0"],
     "name = 3": ["name is 3", "a text in quotes"],
     "seed = ": ["not valid TOML"],

@@ -52,6 +52,16 @@ def test_every_format_gives_the_same_voxels_in_the_same_places(image, tmp_path, 
     np.testing.assert_allclose(mask.positions(marked), expected, atol=1e-4)
 
 
+@pytest.mark.parametrize("name", ["mask.nii", "mask.nii.gz"])
+@pytest.mark.parametrize("share", [0.9, 0.97])
+def test_a_file_that_ends_too_early_is_no_mask_with_less_inside(image, tmp_path, name, share):
+    path = written(image, tmp_path / name, compressed=name.endswith("gz"))
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(ShapeError, match=rf"{name} ends after \d+ of {352 + 7 * 5 * 4} bytes"):
+        read_mask(path)
+
+
 def test_one_label(image, tmp_path):
     path = written(image, tmp_path / "mask.nrrd")
     assert np.argwhere(read_mask(path, label=4).inside).tolist() == [[5, 1, 2]]
@@ -87,7 +97,7 @@ def test_files_that_cannot_be_read(image, tmp_path):
     (tmp_path / "mask.raw").unlink()
     (tmp_path / "rubbish.nii.gz").write_bytes(b"rubbish")
     for name, reason in (
-        ("mask.mhd", "cannot be read as a volume"),
+        ("mask.mhd", "mask.raw, which is not there"),
         ("rubbish.nii.gz", "cannot be read as a volume"),
         ("none.nrrd", "no such file"),
         ("mesh.ply", "is no volume"),

@@ -130,7 +130,8 @@ def check(
 
 
 def _summary(report: SetReport, described: SetDescription) -> Table:
-    verdict = f"{len(report.findings)} findings" if report.findings else "as it should be"
+    n = len(report.findings)
+    verdict = f"{n} finding{'s' if n > 1 else ''}" if n else "as it should be"
     title = f"{described.name} at {report.root}: {verdict}"
     table = Table("", "", title=escape(title), show_header=False, title_justify="left", title_style="bold")
     table.columns[1].overflow = "fold"  # a checksum that is cut short is none

@@ -9,11 +9,15 @@ import numpy as np
 import typer
 
 from homolog.cli.options import Quiet
-from homolog.files import all_or_nothing, atomic_path, made_folder
+from homolog.errors import ArgumentError
+from homolog.files import all_or_nothing, atomic_path, expanded, made_folder
 from homolog.shapes import Repaired, Shape, read_shape, repair, write_shape
 from homolog.synthesis import Part, cut, pierce, view
 
 Kind = Literal["cut", "holes", "view"]
+
+# All that is ever written.
+_FILES = ("part.ply", "part.npz", "cloud.ply", "cloud.npz")
 
 
 def part(
@@ -27,13 +31,16 @@ def part(
 
     Writes DIR/part.ply and DIR/part.npz, whose complete_index holds for each point of the part the point of FILE that
     it is. A view (of a shape that stands +y up) also gives what a depth camera takes, DIR/cloud.ply and DIR/cloud.npz:
-    there complete_index is the nearest corner, and corners and weights tell the exact place.
+    there complete_index is the nearest corner, and corners and weights tell the exact place. In Python,
+    homolog.synthesis also takes how much is cut away, how many holes and which camera, and adds noise, outliers and
+    uneven density.
 
     Examples:
       homolog synth part horse.ply --kind cut --seed 3 -o half_a_horse
 
       homolog synth part body.off --kind view -o scan
     """
+    _check_folder(output)
     repaired = repair(read_shape(file))
     parts = _parts(repaired.shape, kind, seed)
     place = made_folder(output)
@@ -42,8 +49,17 @@ def part(
             write_shape(place / f"{name}.ply", made.shape)
             with atomic_path(place / f"{name}.npz") as temporary:
                 np.savez_compressed(temporary, allow_pickle=False, **_way_back(made, repaired))
+    for name in _FILES:
+        if Path(name).stem not in parts:  # of another part that was made here before
+            (place / name).unlink(missing_ok=True)
     if not quiet:
         typer.echo(output)
+
+
+def _check_folder(output: Path) -> None:
+    place = expanded(output)
+    if place.is_dir() and any(path.name not in _FILES for path in place.glob("[!.]*")):
+        raise ArgumentError(f"{output} holds other things; give another folder with -o, a new or an empty one")
 
 
 def _parts(shape: Shape, kind: Kind, seed: int) -> dict[str, Part]:

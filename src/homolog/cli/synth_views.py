@@ -35,7 +35,8 @@ def views(
     processes: Processes = ONE_PER_CORE,
     quiet: Quiet = False,
 ) -> None:
-    """Make a set of views of complete meshes, each as a mesh and as a depth camera's cloud, paired with other bodies.
+    """Make a set of views of complete meshes, each as a mesh and as a depth camera's cloud, paired with one of
+    the bodies.
 
     Four fifths of the bodies, and of the views, are for training; the others for testing. The same seed gives the same
     bytes, and the same command goes on where it was interrupted. The shapes must stand +y up.

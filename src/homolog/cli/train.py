@@ -40,7 +40,7 @@ def train(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Train a network on meshes, without any ground truth.
+    """Train a network on meshes, or on clouds, without any ground truth.
 
     Writes RUN/weights.safetensors (for match and evaluate), RUN/last.safetensors and RUN/best.safetensors
     (checkpoints), RUN/report.json, and curves for TensorBoard. Ctrl-C saves first, and --resume goes on from there.
@@ -51,6 +51,8 @@ def train(
       homolog train quick --data FAUST_r --out run
 
       homolog train faust --data FAUST_r --set faust_r --out run
+
+      homolog train organs --data lungs --out run
 
       homolog train my_recipe.toml --data scans --out run --resume
 

@@ -1,4 +1,4 @@
-"""Which files of a folder are meshes."""
+"""Which files of a folder are meshes, or clouds."""
 
 from __future__ import annotations
 
@@ -7,21 +7,25 @@ from pathlib import Path
 from homolog.errors import DataError
 from homolog.shapes import READABLE
 
-# Suffixes of files that hold points alone, or anything at all.
-_NO_MESHES = (".xyz", ".txt", ".csv", ".npy", ".npz", ".pcd")
-_MESHES = tuple(suffix for suffix in READABLE if suffix not in _NO_MESHES)
+# Suffixes of files that hold points alone, and of those that may hold anything, such as the lists of a set.
+_CLOUDS = (".xyz", ".csv", ".npy", ".npz", ".pcd")
+_ANYTHING = (".txt",)
+_SHAPES = tuple(suffix for suffix in READABLE if suffix not in _ANYTHING)
+_MESHES = tuple(suffix for suffix in _SHAPES if suffix not in _CLOUDS)
 
 
-def mesh_files(folder: Path) -> dict[str, Path]:
-    """The file of each mesh in a folder by its name, in order. Hidden files do not count.
+def mesh_files(folder: Path, *, clouds: bool = False) -> dict[str, Path]:
+    """The file of each mesh in a folder by its name, in order, and of each cloud if asked for. No hidden ones.
 
     Raises:
         DataError: if there is none, or two have one name.
     """
-    found = sorted(path for path in folder.glob("[!.]*") if path.suffix.lower() in _MESHES)
+    wanted = _SHAPES if clouds else _MESHES
+    found = sorted(path for path in folder.glob("[!.]*") if path.suffix.lower() in wanted)
     files = {path.stem: path for path in found}
     if not files:
-        raise DataError(f"{folder}: no meshes; put files there whose suffix is one of {', '.join(_MESHES)}")
+        what = "shapes" if clouds else "meshes"
+        raise DataError(f"{folder}: no {what}; put files there whose suffix is one of {', '.join(wanted)}")
     if len(files) < len(found):
         twice = next(path for path in found if files[path.stem] != path)
         raise DataError(f"{folder}: {twice.name} and {files[twice.stem].name} have one name; keep one of them")

@@ -263,7 +263,9 @@ class ShapeFolder:
         unknown = sorted(set(names) - set(self.names) - set(self.complete))
         if unknown:
             file = PurePosixPath(self.description.shapes.replace("*", unknown[0]))
-            raise DataError(f"{listed} names {unknown[0]!r}, but {self.root / file.parent} has no {file.name}")
+            raise DataError(
+                f"{listed} names {unknown[0]!r}, but {self.root / file.parent} has no {file.name}; put it there"
+            )
         return names
 
 

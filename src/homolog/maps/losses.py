@@ -169,7 +169,7 @@ def elastic_loss(
     others'. For shapes that stand alike and differ by a deformation, such as organs.
 
     Args:
-        features_x: of the points of one cloud, of unit length.
+        features_x: of the points of one cloud.
         features_y: of those of the other.
         points_x: their positions.
         skin: where the points of y lie on x.

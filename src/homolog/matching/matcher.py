@@ -102,6 +102,8 @@ class Matcher:
                 self.info.name,
             )
             network, self.info = None, WeightsInfo()
+        if not self.info.near_isometric:
+            self.settings = replace(self.settings, refine=False)
         self.network = None if network is None else network.to(self.device).eval()
         if not callable(operators):
             raise ArgumentError(
@@ -413,7 +415,7 @@ class Matcher:
             maps = self._maps_by_features(source.features, target.features, partial=partial)
         else:
             maps = self._maps_by_functional_maps(source, target, partial=partial)
-        if not (self.settings.refine and self.info.near_isometric):
+        if not self.settings.refine:
             return maps
         return _refined_to_part(maps, source, target) if partial else _refined(maps, source, target)
 

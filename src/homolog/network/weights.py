@@ -163,8 +163,9 @@ def _found(name: str | Path) -> Path:
     shipped = shipped_weights()
     if str(name) in shipped:
         return shipped[str(name)]
-    names = f"one of the shipped weights ({', '.join(shipped)})" if shipped else "the path of a weight file"
-    raise WeightsError(f"there are no weights {str(name)!r}; give {names}, or none for the axiomatic method")
+    raise WeightsError(
+        f"there are no weights {str(name)!r}; give the path of a file, or one of those that ship: {', '.join(shipped)}"
+    )
 
 
 def shipped_weights() -> dict[str, Path]:

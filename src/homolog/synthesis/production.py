@@ -54,9 +54,9 @@ def synthesize_people(
     names = [folder.name(index) for index in range(n)]
     progress(0, n, "looking at what is there")
     missing = [index for index, name in enumerate(names) if not folder.is_whole(name)]
+    points = sample_evenly(template.rest, TEMPLATE_POINTS)
+    folder.write_template(template.rest, points)
     if missing:
-        points = sample_evenly(template.rest, TEMPLATE_POINTS)
-        folder.write_template(template.rest, points)
         make = _Making(points, settings, folder)
         tasks = [(names[index], partial(make, index)) for index in missing]
         there = n - len(missing)
@@ -65,6 +65,8 @@ def synthesize_people(
             processes=min(processes, len(missing)),
             progress=lambda done, _, what: progress(there + done, n, what),
         )
+    while folder.is_whole(folder.name(len(names))):  # of a larger set that was made before
+        names.append(folder.name(len(names)))
     folder.write_manifest(settings, names)
     return folder
 

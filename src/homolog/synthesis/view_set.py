@@ -89,8 +89,8 @@ def _manifest(bodies: Bodies, seed: int, settings: ViewSettings) -> dict[str, An
 def _write_body(file: Path, truth_root: Path | None, place: Path) -> None:
     """A complete shape, repaired, and where its common points are in it then."""
     name = file.stem
-    target = place / "off" / f"{name}.off"
-    if target.is_file():
+    target, common_file = place / "off" / f"{name}.off", place / "corres" / f"{name}.vts"
+    if _are_there([target, *([common_file] if truth_root is not None else [])]):
         return
     repaired = repair(read_shape(file))
     with all_or_nothing():
@@ -105,7 +105,11 @@ def _write_body(file: Path, truth_root: Path | None, place: Path) -> None:
 def _write_view(planned: PlannedView, place: Path, settings: ViewSettings) -> None:
     """A view as a mesh and as a cloud, its ground truth, and, last, the record of it."""
     record = _record(place, planned.name)
-    if record.is_file():
+    folders = {"off": ".off", "clouds": ".ply", "truth": ".npz", "corres": ".vts"}
+    files = [
+        place / folder / f"{planned.name}{suffix}" for folder, suffix in folders.items() if (place / folder).is_dir()
+    ]
+    if _are_there([*files, record]):
         return
     found = view(read_shape(place / "off" / f"{planned.own}.off"), settings, seed=planned.seed)
     with all_or_nothing():
@@ -171,6 +175,11 @@ def _write_common(place: Path, name: str, common: Int[np.ndarray, " p"]) -> None
 def _write_lines(path: Path, lines: Sequence[str]) -> None:
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _are_there(files: Sequence[Path]) -> bool:
+    """Whether all files are there, and something in each."""
+    return all(file.is_file() and file.stat().st_size for file in files)
 
 
 def _record(place: Path, name: str) -> Path:

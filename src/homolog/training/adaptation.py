@@ -73,11 +73,11 @@ def adapt_to_pair(
         TrainingError: if a loss is not finite.
     """
     if matcher.network is None:
-        raise ArgumentError("adapting needs a network; give weights, and another method than 'axiomatic'")
+        raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
     if settings.loss.orthogonality and not matcher.info.near_isometric:
         raise ArgumentError(
             f"the weights {matcher.info.name!r} are for shapes that keep no areas, but pairs are adapted to by losses "
-            "for those that do; match without adapting"
+            "for those that do; leave --adapt out, or in Python give other losses"
         )
     if partial == "source":
         source = matcher.placed(target, source)

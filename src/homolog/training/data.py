@@ -25,7 +25,7 @@ _HELD_OUT, _VALIDATION = 0, 1
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """Which meshes to train on, and in which pairs.
+    """Which shapes to train on, and in which pairs.
 
     Args:
         root: the folder.
@@ -54,7 +54,7 @@ class TrainingSet:
     def open(cls, root: str | Path, recipe: Recipe, description: SetDescription | None = None) -> TrainingSet:
         """Look into a folder: a set as its description has it, or one of one's own.
 
-        That is ``off/NAME.off`` with or without ground truth, complete shapes and parts, or any meshes.
+        That is ``off/NAME.off`` with or without ground truth, complete shapes and parts, or any meshes, or clouds.
 
         Raises:
             ArgumentError: if the recipe and the description do not fit each other.
@@ -62,7 +62,7 @@ class TrainingSet:
         """
         root = expanded(root)
         if not root.is_dir():
-            raise DataError(f"{root}: there is no such folder; give one that holds meshes")
+            raise DataError(f"{root}: there is no such folder; give one that holds shapes")
         recipe = recipe.for_set(description)
         up = recipe.data.up or "y"
         described = None if description is None else ShapeFolder.without_truth(root, description, up=up)
@@ -70,7 +70,7 @@ class TrainingSet:
         kept = sorted(name for name in files if not _left_out(name, recipe.data))
         chosen = _held_out(kept, recipe)
         trained = tuple(name for name in kept if name not in chosen)
-        listed = _parts(kept, complete) if complete else _listed_pairs(described or _own(root), kept, recipe)
+        listed = _parts(kept, complete) if complete else _listed_pairs(described or _own(root, recipe), kept, recipe)
         watched = tuple(pair for pair in listed if not chosen.isdisjoint(pair))
         pairs = tuple(pair for pair in listed if chosen.isdisjoint(pair))
         _check_numbers(root, trained, listed, pairs)
@@ -138,8 +138,8 @@ def _apart(complete: dict[str, Path], parts: dict[str, Path]) -> tuple[dict[str,
 
 def _split_files(root: Path, settings: DataSettings) -> dict[str, Path]:
     if not (root / "off").is_dir():
-        return mesh_files(root)
-    files = mesh_files(root / "off")
+        return mesh_files(root, clouds=settings.clouds)
+    files = mesh_files(root / "off", clouds=settings.clouds)
     if not any((root / name).exists() for name in ("corres", "train.txt", "test.txt", "pairs.txt")):
         return files  # nothing is kept for tests where nothing could be scored
     names = ShapeFolder(root, tuple(sorted(files))).split(settings.split)
@@ -156,9 +156,10 @@ def _held_out(names: Sequence[str], recipe: Recipe) -> set[str]:
     return {str(name) for name in random.permutation(np.array(names, dtype=object))[: recipe.validation.shapes]}
 
 
-def _own(root: Path) -> ShapeFolder:
-    """A folder of one's own with the names of all its meshes."""
-    return ShapeFolder(root, tuple(mesh_files(root / "off" if (root / "off").is_dir() else root)))
+def _own(root: Path, recipe: Recipe) -> ShapeFolder:
+    """A folder of one's own with the names of all its shapes."""
+    place = root / "off" if (root / "off").is_dir() else root
+    return ShapeFolder(root, tuple(mesh_files(place, clouds=recipe.data.clouds)))
 
 
 def _parts(names: Sequence[str], complete: dict[str, Path]) -> tuple[Pair, ...]:
@@ -192,7 +193,7 @@ def _check_numbers(root: Path, names: Sequence[str], listed: Sequence[Pair], pai
         raise DataError(f"{root}: no pair is left to train on; hold fewer [validation] shapes out, or leave fewer out")
     if not listed and len(names) < 2:
         raise DataError(
-            f"{root}: {len(names)} of its meshes are left to train on, but it takes at least 2; add meshes, hold fewer "
+            f"{root}: {len(names)} of its shapes are left to train on, but it takes at least 2; add some, hold fewer "
             "[validation] shapes out, or leave fewer out"
         )
 

@@ -284,6 +284,10 @@ class Recipe:
         _require(
             "[loss] map_eigenpairs", self.loss.map_eigenpairs, lambda size: size <= n, f"at most n_eigenpairs, {n}"
         )
+        if self.partial is not None and self.loss.elastic:
+            raise bad_value(
+                "[loss] elastic", self.loss.elastic, "0 with a section [partial], as skins are of whole shapes"
+            )
         # Coefficients of positions from as many samples as eigenpairs are off by a tenth, from twice as many by 2 %.
         _require(
             "[samples] points",

@@ -122,6 +122,6 @@ def _warn_of_differences(recipe: Recipe, info: WeightsInfo) -> None:
             )
     if info.licence != recipe.licence:
         _log.warning(
-            "%s are under %r, which holds for what comes of them; the recipe's licence is %r.",
+            "%s are under %r, which counts for what comes of them as well; the recipe's licence is %r.",
             *(info.name, info.licence, recipe.licence),
         )

@@ -52,6 +52,8 @@ def slice_cloud(
     if len(found) < FEWEST_POINTS:
         raise ShapeError(f"{mask.name}: {len(chosen)} slices have {len(found)} points in all; take more slices")
     if points is not None:
+        if not 1 <= points <= len(found):
+            raise bad_value("points", points, f"at most the number of points of these outlines, {len(found)}")
         found = found[farthest_points(found, points, seed=seed)]
     return Shape(found, None, name=mask.name)
 

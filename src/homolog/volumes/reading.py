@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,8 @@ _KINDS = {".mh": "MetaImageIO", ".nii": "NiftiImageIO", ".nrrd": "NrrdImageIO", 
 # A mask has few values. What has more is an image that a mask might be of.
 _MOST_LABELS = 256
 _LABELS_SHOWN = 12
+# Bytes that are looked at at once.
+_CHUNK = 2**22
 
 
 def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
@@ -54,17 +58,54 @@ def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
 def _read(file: Path) -> Any:
     reader = _simple_itk().ImageFileReader()
     reader.SetFileName(str(file))
-    reader.SetImageIO(next(kind for suffix, kind in _KINDS.items() if suffix in file.name.lower()))
+    kind = next(kind for suffix, kind in _KINDS.items() if suffix in file.name.lower())
+    reader.SetImageIO(kind)
+    if kind == "MetaImageIO":
+        _check_voxels_file(file)
     try:
         reader.ReadImageInformation()
         size = tuple(length for length in reader.GetSize() if length != 1)
         if len(size) != 3 or len(reader.GetSize()) != 3 or reader.GetNumberOfComponents() != 1:
             found = " x ".join(map(str, reader.GetSize()))
             raise ShapeError(f"{file} holds {found} voxels of {reader.GetNumberOfComponents()} values; give one volume")
+        if kind == "NiftiImageIO":
+            _check_length(file, reader)
         return reader.Execute()
     except RuntimeError as error:
         reason = str(error).strip().splitlines()[-1].strip()
         raise ShapeError(f"{file} cannot be read as a volume ({reason[:200]}); write it again") from None
+
+
+def _check_voxels_file(file: Path) -> None:
+    """The library would print of its own, and name no file."""
+    with file.open("rb") as header:
+        lines = header.read(_CHUNK).splitlines()
+    named = [line.partition(b"=")[2].strip() for line in lines if line.startswith(b"ElementDataFile")]
+    name = named[0].decode(errors="replace") if named else "LOCAL"
+    if name not in ("LOCAL", "LIST") and "%" not in name and not (file.parent / name).is_file():
+        raise ShapeError(f"{file}: its voxels are to be in {file.parent / name}, which is not there; put it there")
+
+
+def _check_length(file: Path, reader: Any) -> None:
+    """What is missing at the end of NIfTI files the library takes for zeros."""
+    n_voxels, bits = int(np.prod(reader.GetSize(), dtype=np.int64)), int(reader.GetMetaData("bitpix"))
+    needed, there = int(float(reader.GetMetaData("vox_offset"))) + n_voxels * bits // 8, _length(file)
+    if there < needed:
+        raise ShapeError(f"{file} ends after {there} of {needed} bytes; copy or write it again")
+
+
+def _length(file: Path) -> int:
+    """In bytes, unpacked, as far as it can be."""
+    if file.suffix.lower() != ".gz":
+        return file.stat().st_size
+    length = 0
+    try:
+        with gzip.open(file) as unpacked:
+            while chunk := unpacked.read(_CHUNK):
+                length += len(chunk)
+    except (EOFError, OSError, zlib.error):
+        pass
+    return length
 
 
 def _check_values(path: str | Path, values: np.ndarray) -> None:
