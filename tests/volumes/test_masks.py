@@ -62,6 +62,13 @@ def test_a_file_that_ends_too_early_is_no_mask_with_less_inside(image, tmp_path,
         read_mask(path)
 
 
+def test_a_header_that_promises_more_voxels_than_there_are(image, tmp_path):
+    path = written(sitk.Cast(image, sitk.sitkInt16), tmp_path / "mask.mhd")
+    path.write_text(path.read_text().replace("DimSize = 7 5 4", "DimSize = 7 5 6"))
+    with pytest.raises(ShapeError, match=r"mask.raw ends after 280 of 420 bytes"):
+        read_mask(path)
+
+
 def test_one_label(image, tmp_path):
     path = written(image, tmp_path / "mask.nrrd")
     assert np.argwhere(read_mask(path, label=4).inside).tolist() == [[5, 1, 2]]

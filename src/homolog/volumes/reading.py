@@ -60,36 +60,44 @@ def _read(file: Path) -> Any:
     reader.SetFileName(str(file))
     kind = next(kind for suffix, kind in _KINDS.items() if suffix in file.name.lower())
     reader.SetImageIO(kind)
-    if kind == "MetaImageIO":
-        _check_voxels_file(file)
     try:
+        voxels = _voxels_file(file) if kind == "MetaImageIO" else None
         reader.ReadImageInformation()
         size = tuple(length for length in reader.GetSize() if length != 1)
         if len(size) != 3 or len(reader.GetSize()) != 3 or reader.GetNumberOfComponents() != 1:
             found = " x ".join(map(str, reader.GetSize()))
             raise ShapeError(f"{file} holds {found} voxels of {reader.GetNumberOfComponents()} values; give one volume")
         if kind == "NiftiImageIO":
-            _check_length(file, reader)
+            bits, begin = int(reader.GetMetaData("bitpix")), int(float(reader.GetMetaData("vox_offset")))
+            _check_length(file, reader, bits // 8, begin)
+        elif voxels is not None:
+            _check_length(voxels, reader, _simple_itk().Image(1, 1, reader.GetPixelID()).GetSizeOfPixelComponent(), 0)
         return reader.Execute()
-    except RuntimeError as error:
+    except (OSError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1].strip()
         raise ShapeError(f"{file} cannot be read as a volume ({reason[:200]}); write it again") from None
 
 
-def _check_voxels_file(file: Path) -> None:
-    """The library would print of its own, and name no file."""
+def _voxels_file(file: Path) -> Path | None:
+    """The file of a MetaImage's voxels, if it is another one, of which the length can be told.
+
+    Of one that is missing or too short the library would print of its own, and name no file.
+    """
     with file.open("rb") as header:
-        lines = header.read(_CHUNK).splitlines()
-    named = [line.partition(b"=")[2].strip() for line in lines if line.startswith(b"ElementDataFile")]
-    name = named[0].decode(errors="replace") if named else "LOCAL"
-    if name not in ("LOCAL", "LIST") and "%" not in name and not (file.parent / name).is_file():
+        lines = (line.partition(b"=") for line in header.read(_CHUNK).splitlines())
+    told = {key.strip(): value.strip().decode(errors="replace") for key, _, value in lines}
+    name = told.get(b"ElementDataFile", "LOCAL")
+    if name.split(" ")[0] in ("LOCAL", "LIST") or "%" in name:
+        return None
+    if not (file.parent / name).is_file():
         raise ShapeError(f"{file}: its voxels are to be in {file.parent / name}, which is not there; put it there")
+    return None if told.get(b"CompressedData", "").upper()[:1] in ("T", "1") else file.parent / name
 
 
-def _check_length(file: Path, reader: Any) -> None:
+def _check_length(file: Path, reader: Any, voxel_bytes: int, begin: int) -> None:
     """What is missing at the end of NIfTI files the library takes for zeros."""
-    n_voxels, bits = int(np.prod(reader.GetSize(), dtype=np.int64)), int(reader.GetMetaData("bitpix"))
-    needed, there = int(float(reader.GetMetaData("vox_offset"))) + n_voxels * bits // 8, _length(file)
+    needed = begin + voxel_bytes * int(np.prod(reader.GetSize(), dtype=np.int64))
+    there = _length(file)
     if there < needed:
         raise ShapeError(f"{file} ends after {there} of {needed} bytes; copy or write it again")
 
