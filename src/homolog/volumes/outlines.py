@@ -53,7 +53,7 @@ def slice_cloud(
         raise ShapeError(f"{mask.name}: {len(chosen)} slices have {len(found)} points in all; take more slices")
     if points is not None:
         if not 1 <= points <= len(found):
-            raise bad_value("points", points, f"at most the number of points of these outlines, {len(found)}")
+            raise bad_value("points", points, f"from 1 to the number of points of these outlines, {len(found)}")
         found = found[farthest_points(found, points, seed=seed)]
     return Shape(found, None, name=mask.name)
 

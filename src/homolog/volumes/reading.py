@@ -95,7 +95,7 @@ def _voxels_file(file: Path) -> Path | None:
 
 
 def _check_length(file: Path, reader: Any, voxel_bytes: int, begin: int) -> None:
-    """What is missing at the end of NIfTI files the library takes for zeros."""
+    """Of files that end early the library takes the rest for zeros (NIfTI), or prints of its own (MetaImage)."""
     needed = begin + voxel_bytes * int(np.prod(reader.GetSize(), dtype=np.int64))
     there = _length(file)
     if there < needed:
