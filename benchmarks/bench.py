@@ -33,7 +33,9 @@ from rich.console import Console
 from rich.table import Table
 from torch.utils.flop_counter import FlopCounterMode
 
-from homolog.files import atomic_path
+from homolog.core.files import atomic_path
+from homolog.core.memory import keep_freed_memory
+from homolog.features import AugmentationSettings, DiffusionNet, WeightsInfo, save_weights
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import (
     functional_map,
@@ -43,8 +45,6 @@ from homolog.maps import (
     resolvent_mask,
     sinkhorn_matches,
 )
-from homolog.memory import keep_freed_memory
-from homolog.network import AugmentationSettings, DiffusionNet, WeightsInfo, save_weights
 from homolog.shapes import Shape, farthest_points, read_shape, write_shape
 from homolog.training import LossSettings, TrainingShape, pair_losses
 
@@ -181,8 +181,8 @@ def network_pass(name: str, n_points: int) -> Callable[[], object]:
 
 def training_shape(shape: Shape, n_samples: int) -> TrainingShape:
     """A mesh and its own points as a cloud, at so many samples of them."""
-    length = unit_frame(shape).length
-    bases = [compute_operators(each, length=length).basis for each in (shape, shape.as_cloud())]
+    length = unit_frame(shape).scale
+    bases = [compute_operators(each, scale=length).basis for each in (shape, shape.as_cloud())]
     if n_samples < shape.n_points:
         kept = torch.from_numpy(farthest_points(bases[0].points.numpy(), n_samples, seed=0))
         bases = [basis.sampled(kept) for basis in bases]

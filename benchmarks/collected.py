@@ -5,10 +5,10 @@
 
 Where a set's truth is its numbering, collect shapes whose points are shuffled, which this writes first::
 
-    python benchmarks/collected.py LUNGS lungs_shuffled --set lungs --shuffle
+    python benchmarks/collected.py LUNGS lungs_shuffled --dataset lungs --shuffle
     homolog collection lungs_shuffled/LLL-case0576.xyz lungs_shuffled/*.xyz -o lungs
-    python benchmarks/collected.py LUNGS lungs --set lungs
-    python benchmarks/collected.py LUNGS lungs --set lungs --nearest     # instead of the collection's own points
+    python benchmarks/collected.py LUNGS lungs --dataset lungs
+    python benchmarks/collected.py LUNGS lungs --dataset lungs --nearest     # instead of the collection's own points
 
 Distances are straight, between a placed point and where it truly belongs. Both ends of a truth of common points are
 vertices, so that some half of the distance between these stays in every error. Edges are those of the template, where
@@ -74,7 +74,7 @@ def by_nearest(template: Shape, shape: Shape) -> Float[np.ndarray, "n 3"]:
     """The template's points on a shape by nearest points both ways, with both middles in one place."""
     points, others = (one.points - one.points.mean(axis=0) for one in (template, shape))
     forth, back = KDTree(others).query(points)[1], KDTree(points).query(others)[1]
-    found = Correspondence(forth, back, np.ones(len(points)), np.ones(len(others)), "features")
+    found = Correspondence(forth, back, np.ones(len(points)), np.ones(len(others)), "nearest-features")
     return surface_map(template, shape, found).positions
 
 
@@ -140,7 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data")
     parser.add_argument("collection", type=Path)
-    parser.add_argument("--set", dest="name", help="one's own without")
+    parser.add_argument("--dataset", dest="name", help="one's own without")
     parser.add_argument("--shuffle", action="store_true", help="write the set's shapes, as they are to be matched")
     parser.add_argument("--nearest", action="store_true", help="score nearest points instead")
     given = parser.parse_args()

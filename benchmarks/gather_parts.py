@@ -29,7 +29,7 @@ _PAIRS_PER_SET = 60
 
 def written(shape: Shape, frame: Frame, file: Path) -> None:
     """Write a shape in the coordinates of a frame."""
-    write_shape(file, Shape(frame.inside(shape.points), shape.faces))
+    write_shape(file, Shape(frame.to_unit(shape.points), shape.faces))
 
 
 def gather_complete(root: Path, output: Path) -> Iterator[Pair]:

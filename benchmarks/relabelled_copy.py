@@ -21,8 +21,8 @@ from homolog.shapes import Shape
 
 ROUTES: tuple[tuple[str, Method, AsCloud | None], ...] = (
     ("functional map, meshes", "functional-map", None),
-    ("features, meshes", "features", None),
-    ("features, clouds", "features", "both"),
+    ("features, meshes", "nearest-features", None),
+    ("features, clouds", "nearest-features", "both"),
 )
 
 

@@ -1,6 +1,6 @@
 """What a rigid alignment and nearest neighbours reach on a set of clouds: the least that a learned map has to beat.
 
-    python benchmarks/rigid_alignment.py LUNGS --set lungs
+    python benchmarks/rigid_alignment.py LUNGS --dataset lungs
 
 For every pair of the test the target is laid on the source, by the middles alone and by iterated closest points from
 there (trimesh's), and each of its points goes to the nearest point of the source. Errors are
@@ -27,7 +27,7 @@ def main() -> None:
     """Print the mean of both alignments."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("data")
-    parser.add_argument("--set", dest="name", default="lungs")
+    parser.add_argument("--dataset", dest="name", default="lungs")
     given = parser.parse_args()
     folder = ShapeFolder.open(given.data, given.name)
     pairs = folder.pairs("test")

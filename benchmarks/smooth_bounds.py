@@ -1,6 +1,6 @@
 """How smooth the true maps of a set of clouds are: what the best map of a kind reaches that is fitted to the truth.
 
-    python benchmarks/smooth_bounds.py LUNGS --set lungs --split train
+    python benchmarks/smooth_bounds.py LUNGS --dataset lungs --split train
 
 For pairs of clouds the target's points are carried to where the source has them: by the best similarity, the best
 affine map, and the best thin-plate spline with so many centres. The first number is how far they then are from their
@@ -28,7 +28,7 @@ def main() -> None:
     """Print the means over the pairs."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("data")
-    parser.add_argument("--set", dest="name", default="lungs")
+    parser.add_argument("--dataset", dest="name", default="lungs")
     parser.add_argument("--split", choices=("train", "test"), default="train")
     parser.add_argument("--n-pairs", type=int, default=30)
     given = parser.parse_args()

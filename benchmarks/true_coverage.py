@@ -2,7 +2,7 @@
 
 Run from the root of the checkout, with the unpacked set::
 
-    python benchmarks/true_coverage.py SHREC16 --set shrec16_cuts --every 10
+    python benchmarks/true_coverage.py SHREC16 --dataset shrec16_cuts --every 10
 
 ``homolog evaluate`` gives the same figures for the maps that are found.
 """
@@ -16,7 +16,7 @@ import torch
 from homolog.datasets import GroundTruth, ShapeFolder
 from homolog.evaluation import Detection
 from homolog.geometry import OperatorCache
-from homolog.maps import covered
+from homolog.maps import overlap
 from homolog.matching import Matcher
 
 
@@ -26,8 +26,8 @@ def detection(matcher: Matcher, folder: ShapeFolder, truth: GroundTruth, source:
     if known is None:
         raise SystemExit(f"{folder.description.name} has no truth of this kind; take shrec16_cuts or shrec16_holes")
     whole = matcher.operators(folder.shape(source))
-    part = matcher.operators(folder.shape(target), length=whole.length)
-    found = covered(whole, part, torch.from_numpy(truth.between(source, target).source)).numpy()
+    part = matcher.operators(folder.shape(target), scale=whole.scale)
+    found = overlap(whole, part, torch.from_numpy(truth.between(source, target).source)).numpy()
     return Detection.of(~found[known.points], ~known.present)
 
 
@@ -35,7 +35,7 @@ def main() -> None:
     """Score the parts, pair by pair."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data")
-    parser.add_argument("--set", default="shrec16_cuts")
+    parser.add_argument("--dataset", default="shrec16_cuts")
     parser.add_argument("--every", type=int, default=1, help="take every so many-th of the pairs")
     given = parser.parse_args()
     folder = ShapeFolder.open(given.data, given.set)

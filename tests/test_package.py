@@ -179,7 +179,7 @@ def test_everything_public_has_a_docstring(path):
 
 
 def test_version_is_that_of_the_package():
-    from homolog.versions import version_of, versions
+    from homolog.core.versions import version_of, versions
 
     assert versions()["homolog"] == version_of("homolog") is not None
     assert version_of("no-such-package-as-this") is None

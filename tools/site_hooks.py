@@ -23,7 +23,7 @@ _ELSEWHERE = {
     "contributing.md": "CONTRIBUTING.md",
     "trained.md": "results/README.md",
     "demo-licence.md": "src/homolog/demo_data/LICENSE.md",
-    "weights-licence.md": "src/homolog/network/shipped/LICENSE.md",
+    "weights-licence.md": "src/homolog/features/pretrained/LICENSE.md",
 }
 _LINK = re.compile(r"(?<=\]\()([^)\s#:]+)(?=[)#])")
 

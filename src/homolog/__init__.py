@@ -26,12 +26,12 @@ if "OMP_WAIT_POLICY" not in os.environ:
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
 if TYPE_CHECKING:
-    from homolog.errors import HomologError
+    from homolog.core.errors import HomologError
+    from homolog.core.memory import get_working_memory, set_working_memory, working_memory
+    from homolog.features import load_weights
     from homolog.geometry import OperatorCache, Operators, compute_operators
     from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches
     from homolog.matching import Correspondence, Matcher, MatcherSettings
-    from homolog.memory import get_working_memory, set_working_memory, working_memory
-    from homolog.network import load_weights
     from homolog.shapes import Report, Shape, check, read_shape, repair, stand_upright, write_shape
 
 __all__ = [
@@ -65,7 +65,7 @@ _HOMES = ("errors", "memory", "shapes", "geometry", "maps", "network", "matching
 def __getattr__(name: str) -> Any:
     """Find a public name in the package that it comes from."""
     if name == "__version__":
-        return import_module("homolog.versions").version_of("homolog")
+        return import_module("homolog.core.versions").version_of("homolog")
     if name in __all__:
         for home in _HOMES:
             module = import_module(f"homolog.{home}")

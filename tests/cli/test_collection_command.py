@@ -28,18 +28,18 @@ OPTIONS = ("--method", "axiomatic", "--processes", 1)
 # A collection that stops in its second shape, says so, and waits to be interrupted.
 STUCK = """
 import time
-from homolog.collecting import Template
+from homolog.shape_models import Template
 
-placed_on, calls = Template.placed_on, []
+registered_to, calls = Template.registered_to, []
 
 def slow(self, *args, **kwargs):
     calls.append(1)
     if len(calls) > 1:
         print("working", flush=True)
         time.sleep(120)
-    return placed_on(self, *args, **kwargs)
+    return registered_to(self, *args, **kwargs)
 
-Template.placed_on = slow
+Template.registered_to = slow
 from homolog.cli.main import main
 main()
 """

@@ -4,7 +4,7 @@ import pytest
 from rich.console import Console
 
 from homolog.cli import data as data_module
-from homolog.datasets import shipped_descriptions
+from homolog.datasets import builtin_descriptions
 from homolog.shapes import write_shape
 
 
@@ -25,7 +25,7 @@ def test_list_is_plain_where_it_is_piped(homolog):
     assert (ended.code, ended.err) == (0, "")
     head, *rows = [line.split("\t") for line in ended.out.splitlines()]
     assert head == ["name", "title", "shapes", "truth", "terms"]
-    assert [row[0] for row in rows] == [one.name for one in shipped_descriptions()]
+    assert [row[0] for row in rows] == [one.name for one in builtin_descriptions()]
     assert next(row for row in rows if row[0] == "scape_r")[2:4] == ["71", "common-points"]
 
 
@@ -35,10 +35,10 @@ def test_list_is_a_table_on_a_terminal(homolog, monkeypatch):
     assert "┃ name" in out and "│ shrec16_holes" in out and "\t" not in out
 
 
-@pytest.mark.parametrize("name", [one.name for one in shipped_descriptions()])
+@pytest.mark.parametrize("name", [one.name for one in builtin_descriptions()])
 def test_show_says_where_to_get_it_and_on_which_terms(homolog, name):
     ended = homolog("data", "show", name)
-    described = next(one for one in shipped_descriptions() if one.name == name)
+    described = next(one for one in builtin_descriptions() if one.name == name)
     assert (ended.code, ended.err) == (0, "")
     shown = "".join(character for character in ended.out if character not in "│\n ")
     for text in (described.title, described.source, described.terms, described.citation):

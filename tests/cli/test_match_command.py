@@ -12,7 +12,7 @@ import torch
 import trimesh
 
 from homolog.cli import match as match_module
-from homolog.errors import ShapeError
+from homolog.core.errors import ShapeError
 from homolog.matching import Matcher, MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
 from homolog.shapes import reading as reading_module
@@ -95,15 +95,15 @@ def test_report(homolog, files, tmp_path):
     assert findings["duplicate faces"] == 1
     assert found["inputs"]["source"]["n_points"] == 165
     assert [entry["severity"] for entry in found["inputs"]["target"]["findings"]] in ([], ["note"])
-    assert found["route"] == "features"
+    assert found["route"] == "nearest-features"
     assert all("doubtful" in warning for warning in found["warnings"])
     assert found["options"] == {
         "method": "auto",
         "adapt": 0,
         "as_cloud": "target",
         "partial": "target",
-        "part_scale": 1.0,
-        "in_place": False,
+        "partial_scale": 1.0,
+        "pre_aligned": False,
         "up": {"source": "z", "target": "y"},
         "strict": False,
     }
@@ -159,14 +159,14 @@ def test_a_part_in_place_is_matched_as_such(homolog, files, tmp_path, monkeypatc
     prepare_pair = Matcher.prepare_pair
 
     def spy(self, *shapes, **options):
-        asked.append(options["in_place"])
+        asked.append(options["pre_aligned"])
         return prepare_pair(self, *shapes, **options)
 
     monkeypatch.setattr(Matcher, "prepare_pair", spy)
     common = (files.mesh, files.other, "--weights", files.weights, "--partial", "target", "-q")
-    for number, options in enumerate(((), ("--in-place",))):
+    for number, options in enumerate(((), ("--pre-aligned",))):
         assert homolog("match", *common, "-o", tmp_path / str(number), *options).code == 0
-        assert report(tmp_path / str(number))["options"]["in_place"] is bool(number)
+        assert report(tmp_path / str(number))["options"]["pre_aligned"] is bool(number)
     assert asked == [False, True]
 
 
@@ -180,16 +180,16 @@ def test_part_scale(homolog, files, tmp_path):
         ("match", files.mesh, tmp_path / name, "--partial", "target") for name in ("part.ply", "part_mm.ply")
     ]
     assert "units" not in homolog(*same, "-o", tmp_path / "same").err
-    weights = ["--weights", files.weights, "--method", "features"]
+    weights = ["--weights", files.weights, "--method", "nearest-features"]
     ended = homolog(*other, "-o", tmp_path / "wrong", *weights)
     (warning,) = (line for line in ended.err.splitlines() if "units" in line)
     assert warning.startswith("Warning: the partial shape's area is ")
-    assert "--part-scale" in warning
+    assert "--partial-scale" in warning
     assert report(tmp_path / "wrong")["warnings"][0] == warning.removeprefix("Warning: ")
     assert homolog(*other, "-o", tmp_path / "strict", "--strict").code == 2
-    ended = homolog(*other, "--part-scale", "0.001", "-o", tmp_path / "right")
+    ended = homolog(*other, "--partial-scale", "0.001", "-o", tmp_path / "right")
     assert "units" not in ended.err
-    assert report(tmp_path / "right")["options"]["part_scale"] == 0.001
+    assert report(tmp_path / "right")["options"]["partial_scale"] == 0.001
     for name in ("source_to_target", "target_to_source"):
         right, expected = (maps(tmp_path / folder)[name] for folder in ("right", "same"))
         assert np.mean(right == expected) > 0.99
@@ -202,7 +202,7 @@ def test_a_match_that_fails_for_its_units_says_so(homolog, files, tmp_path, monk
     monkeypatch.setattr(Matcher, "match_prepared", raising(ShapeError("it falls into pieces")))
     ended = homolog("match", files.mesh, tmp_path / "large.ply", "--partial", "target", "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint()
-    assert "their units seem to differ; give part_scale (--part-scale)" in ended.err
+    assert "their units seem to differ; give partial_scale (--partial-scale)" in ended.err
     ended = homolog("match", files.mesh, files.other, "--partial", "target", "-o", tmp_path / "out")
     assert ended.err == "Error: it falls into pieces\n"
 
@@ -210,9 +210,9 @@ def test_a_match_that_fails_for_its_units_says_so(homolog, files, tmp_path, monk
 @pytest.mark.parametrize("options", [["0"], ["-1"], ["nan"], ["inf"], ["2"]])
 def test_part_scales_that_cannot_be(homolog, files, tmp_path, options):
     partial = [] if options == ["2"] else ["--partial", "target"]
-    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--part-scale", *options, *partial)
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--partial-scale", *options, *partial)
     assert ended.is_one_line_of_complaint(), ended
-    assert "part_scale is " in ended.err
+    assert "partial_scale is " in ended.err
     assert not (tmp_path / "out").exists()
 
 
@@ -233,9 +233,9 @@ def test_weights_that_the_method_does_not_use_are_said_and_leave_no_trace(homolo
 
 def test_the_map_is_that_of_the_adapted_network(homolog, files, tmp_path):
     before = files.weights.read_bytes()
-    options = "--weights", files.weights, "--method", "features", "--adapt", 3
+    options = "--weights", files.weights, "--method", "nearest-features", "--adapt", 3
     assert homolog("match", files.mesh, files.other, "-o", tmp_path, *options).code == 0
-    matcher = Matcher.from_weights(files.weights, settings=MatcherSettings(method="features"))
+    matcher = Matcher.from_weights(files.weights, settings=MatcherSettings(method="nearest-features"))
     pair = matcher.prepare_pair(read_shape(files.mesh), read_shape(files.other))
     adapted, *pair = adapt_to_pair(matcher, *pair, AdaptationSettings(steps=3))
     expected, found = adapted.match_prepared(*pair), maps(tmp_path)
@@ -272,8 +272,8 @@ def test_report_without_weights(homolog, files, tmp_path):
     ("options", "route"),
     [
         ([], "functional-map"),
-        (["--as-cloud", "both"], "features"),
-        (["--method", "features"], "features"),
+        (["--as-cloud", "both"], "nearest-features"),
+        (["--method", "nearest-features"], "nearest-features"),
         (["--method", "axiomatic"], "axiomatic"),
     ],
 )
@@ -289,7 +289,7 @@ def test_up(homolog, files, tmp_path, up, turn):
     write_shape(tmp_path / "turned.off", turned)
     highest = files.upright.points[:, 1].argmax()
     assert turned.points[highest, "xyz".index(up)] == files.upright.points[highest, 1]
-    turned_file, features = tmp_path / "turned.off", ["--weights", files.weights, "--method", "features"]
+    turned_file, features = tmp_path / "turned.off", ["--weights", files.weights, "--method", "nearest-features"]
     for name, *arguments in (
         ("plain", files.mesh, files.other),
         ("told", turned_file, files.other, "--source-up", up),
@@ -298,10 +298,10 @@ def test_up(homolog, files, tmp_path, up, turn):
         ("untold", turned_file, files.other),
     ):
         assert homolog("match", *arguments, *features, "-o", tmp_path / name).code == 0
-    plain, told, untold, swapped = (maps(tmp_path / name) for name in ("plain", "told", "untold", "swapped"))
+    plain, told, untold, inverse = (maps(tmp_path / name) for name in ("plain", "told", "untold", "swapped"))
     np.testing.assert_array_equal(told["source_to_target"], plain["source_to_target"])
     np.testing.assert_array_equal(maps(tmp_path / "told both")["source_to_target"], plain["source_to_target"])
-    assert np.mean(swapped["target_to_source"] == plain["source_to_target"]) > 0.9
+    assert np.mean(inverse["target_to_source"] == plain["source_to_target"]) > 0.9
     assert np.mean(untold["source_to_target"] == plain["source_to_target"]) < 0.5
     np.testing.assert_array_equal(read_shape(tmp_path / "told" / "source.ply").points, turned.points)
 

@@ -17,7 +17,7 @@ from homolog.cli import demo as demo_module
 from homolog.cli import doctor as doctor_module
 from homolog.cli import evaluate as evaluate_module
 from homolog.cli.options import check_file
-from homolog.errors import DataError
+from homolog.core.errors import DataError
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
 from homolog.training import adapt_to_pair
@@ -73,7 +73,7 @@ def test_evaluate(homolog, data, tmp_path):
         "pairs_file": None,
         "n_pairs": None,
         "partial": False,
-        "in_place": False,
+        "pre_aligned": False,
         "noise": 0.0,
         "seed": 0,
     }
@@ -110,7 +110,7 @@ def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
     assert first["protocol"]["noise"] == 0.01
     assert first["protocol"]["seed"] == 3
     assert [(pair["source"], pair["target"]) for pair in first["pairs"]] == [("two", "one")]
-    assert first["route"] == "features"
+    assert first["route"] == "nearest-features"
     assert first["mean_geodesic_error"] == second["mean_geodesic_error"] > 0
 
 
@@ -250,7 +250,7 @@ def test_evaluate_parts_as_their_set_has_them(homolog, parts_set, tmp_path, monk
     asked = []
 
     def noted(matcher, folder, protocol, **options):
-        asked.append((folder.up, protocol.partial, protocol.in_place, protocol.modality))
+        asked.append((folder.up, protocol.partial, protocol.pre_aligned, protocol.modality))
         raise DataError("enough")
 
     monkeypatch.setattr(evaluate_module, "evaluate_folder", noted)
@@ -260,9 +260,9 @@ def test_evaluate_parts_as_their_set_has_them(homolog, parts_set, tmp_path, monk
         ["--whole"],
         ["--not-in-place"],
         ["--modality", "cloud"],
-        ["--whole", "--partial", "--in-place"],
+        ["--whole", "--partial", "--pre-aligned"],
     ):
-        assert homolog("evaluate", root, "--set", "shrec16_cuts", *options).is_one_line_of_complaint()
+        assert homolog("evaluate", root, "--dataset", "shrec16_cuts", *options).is_one_line_of_complaint()
     assert asked == [
         ("z", True, True, "mesh"),
         ("x", True, True, "mesh"),
@@ -271,8 +271,8 @@ def test_evaluate_parts_as_their_set_has_them(homolog, parts_set, tmp_path, monk
         ("z", True, True, "cloud"),
         ("z", True, True, "mesh"),
     ]
-    ended = homolog("evaluate", root, "--set", "shrec16_cuts", "--whole", "--in-place")
-    assert ended.is_one_line_of_complaint() and "in_place is for parts" in ended.err
+    ended = homolog("evaluate", root, "--dataset", "shrec16_cuts", "--whole", "--pre-aligned")
+    assert ended.is_one_line_of_complaint() and "pre_aligned is for parts" in ended.err
 
 
 def test_evaluate_parts(homolog, data, tmp_path):
@@ -291,7 +291,7 @@ def test_evaluate_parts(homolog, data, tmp_path):
         for point in kept
     ]
     (tmp_path / "cuts" / "cuts_blob_1.baryc_gt").write_text("".join("{} {:d} {:d} {:d}\n".format(*row) for row in rows))
-    ended = homolog("evaluate", tmp_path, "--set", "shrec16_cuts", "--json", tmp_path / "score.json")
+    ended = homolog("evaluate", tmp_path, "--dataset", "shrec16_cuts", "--json", tmp_path / "score.json")
     assert ended.code == 0, ended
     assert "shrec16_cuts, mesh, partial, in place" in ended.out
     found = strictly((tmp_path / "score.json").read_text())
@@ -303,7 +303,7 @@ def test_evaluate_parts(homolog, data, tmp_path):
 
 def test_evaluate_clouds_in_their_own_unit(homolog, clouds_set, tmp_path, caplog):
     root, _ = clouds_set
-    ended = homolog("evaluate", root, "--set", "lungs", "--n-pairs", 1, "--json", tmp_path / "score.json")
+    ended = homolog("evaluate", root, "--dataset", "lungs", "--n-pairs", 1, "--json", tmp_path / "score.json")
     assert ended.code == 0, ended
     assert "has 3 shapes, but lungs has 48; homolog data check lungs says which differ." in caplog.text
     found = strictly((tmp_path / "score.json").read_text())
@@ -322,7 +322,7 @@ def test_evaluate_clouds_in_their_own_unit(homolog, clouds_set, tmp_path, caplog
     ],
 )
 def test_sets_that_are_not_there_are_one_line(homolog, data, name, said, caplog):
-    ended = homolog("evaluate", data, "--set", name, "--quiet")
+    ended = homolog("evaluate", data, "--dataset", name, "--quiet")
     assert ended.is_one_line_of_complaint(), ended
     assert re.search(said, ended.err)
 

@@ -55,7 +55,7 @@ def test_from_meshes_to_weights_that_match(homolog, data, recipe, tmp_path):
 def test_parts_of_a_set_by_its_name(homolog, parts_set, recipe, tmp_path):
     """The set's description says where parts lie, and which axis is up."""
     root, _ = parts_set
-    options = "--data", root, "--set", "shrec16_cuts", "--out", tmp_path / "run", "--device", "cpu", "-q"
+    options = "--data", root, "--dataset", "shrec16_cuts", "--out", tmp_path / "run", "--device", "cpu", "-q"
     ended = homolog("train", recipe, *options)
     assert ended.is_one_line_of_complaint()
     assert "shrec16_cuts is a set of parts, but the recipe 'tiny' has no section [partial]" in ended.err
@@ -63,7 +63,7 @@ def test_parts_of_a_set_by_its_name(homolog, parts_set, recipe, tmp_path):
     assert homolog("train", recipe, *options).code == 0
     told = json.loads((tmp_path / "run" / "report.json").read_text())["recipe"]
     assert told["data"]["up"] == "z"
-    assert told["partial"] == {"complete": "null", "parts": "cuts", "in_place": True}
+    assert told["partial"] == {"complete": "null", "parts": "cuts", "pre_aligned": True}
     recipe.write_text(TINY + '[partial]\nparts = "holes"\n')
     ended = homolog("train", recipe, *options)
     assert "[partial] parts is 'holes', but shrec16_cuts has 'cuts'; leave it out of the recipe" in ended.err
@@ -80,7 +80,7 @@ MISTAKES = {
     "recipe": (lambda d, r, t: ["qick", "--data", d, "--out", t / "run"], "did you mean 'quick'?"),
     "data": (lambda d, r, t: [r, "--data", t / "gone", "--out", t / "run"], "no such folder"),
     "no option": (lambda d, r, t: [r, "--out", t / "run"], "--data"),
-    "set": (lambda d, r, t: [r, "--data", d, "--set", "fasut_r", "--out", t / "run"], "did you mean 'faust_r'?"),
+    "set": (lambda d, r, t: [r, "--data", d, "--dataset", "fasut_r", "--out", t / "run"], "did you mean 'faust_r'?"),
     "place": (lambda d, r, t: [r, "--data", d, "--out", r], "cannot be made a folder"),
     "processes": (lambda d, r, t: [r, "--data", d, "--out", t / "run", "--processes", "0"], "--processes"),
 }

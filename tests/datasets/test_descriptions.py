@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from homolog.datasets import SetDescription, ShapeFolder, read_description, shipped_descriptions
-from homolog.errors import ArgumentError, DataError
+from homolog.core.errors import ArgumentError, DataError
+from homolog.datasets import DatasetDescription, ShapeFolder, builtin_descriptions, read_description
 
 # Shapes, for training, for testing, and pairs of the test, as the field's tables have them.
 PUBLISHED = {
@@ -39,7 +39,7 @@ def empty(root, description):
 
 
 def test_all_are_there_and_say_where_to_get_what_on_which_terms():
-    found = shipped_descriptions()
+    found = builtin_descriptions()
     assert {one.name for one in found} == WANTED
     for one in found:
         assert all([one.title, one.citation, one.source, one.terms]), one.name
@@ -49,7 +49,7 @@ def test_all_are_there_and_say_where_to_get_what_on_which_terms():
 
 def test_the_table_for_people_has_every_set():
     table = (Path(__file__).parents[2] / "docs" / "data.md").read_text(encoding="utf-8")
-    assert {one.name for one in shipped_descriptions()} <= set(re.findall(r"`(\w+)`", table))
+    assert {one.name for one in builtin_descriptions()} <= set(re.findall(r"`(\w+)`", table))
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -87,7 +87,7 @@ def test_faust_is_split_in_the_order_of_names(tmp_path):
 
 
 def test_names_with_ranges():
-    described = SetDescription(names=("a{08..11}", "b", "{1..2}"))
+    described = DatasetDescription(names=("a{08..11}", "b", "{1..2}"))
     assert described.expected_names == ("a08", "a09", "a10", "a11", "b", "1", "2")
     assert described.expected_shapes == 7
     assert "mesh051" not in read_description("scape_r").expected_names
@@ -96,7 +96,7 @@ def test_names_with_ranges():
 def test_shrec16_is_partial_in_place_and_z_up():
     for kind in ("cuts", "holes"):
         found = read_description(f"shrec16_{kind}")
-        assert (found.up, found.partial, found.in_place, found.truth) == ("z", True, True, "barycentric")
+        assert (found.up, found.partial, found.pre_aligned, found.truth) == ("z", True, True, "barycentric")
         assert found.folders == ("null", kind)
 
 
@@ -119,7 +119,7 @@ MISTAKES = {
     'truth = "common"': "truth is 'common', but must be one of .*did you mean 'common-points'",
     'shapes = "off/a.off"': r"shapes is 'off/a.off', but must have one star, for a shape's name",
     'truth_files = "*/*.vts"': "truth_files is .* must have one star",
-    "in_place = true": "in_place is true, which needs partial to be true",
+    "pre_aligned = true": "pre_aligned is true, which needs partial to be true",
     "shuffled = true": "shuffled is true, which needs truth to be 'same-numbering'",
     'truth = "barycentric"': "truth is 'barycentric', which needs pairs to be 'parts'",
     'pairs = "parts"\npartial = true': "complete and pairs = 'parts' belong together",

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homolog.datasets import SetDescription, check_set, read_description
+from homolog.datasets import DatasetDescription, check_dataset, read_description
 from homolog.shapes import write_shape
 from homolog.synthesis import ViewSettings, write_view_set
 
@@ -25,7 +25,7 @@ def own(tmp_path, make):
     return root
 
 
-LISTED = SetDescription(
+LISTED = DatasetDescription(
     name="own",
     names=("a", "b", "c", "d"),
     split="listed",
@@ -39,7 +39,7 @@ LISTED = SetDescription(
 
 def test_a_set_as_it_should_be(own):
     told = []
-    found = check_set(own, LISTED, progress=lambda *state: told.append(state))
+    found = check_dataset(own, LISTED, progress=lambda *state: told.append(state))
     assert found.findings == []
     assert (found.n_shapes, found.n_complete, found.n_points, found.n_truth) == (4, 0, (42, 162), (3, 3))
     assert found.splits == {"train": 3, "test": 2, "all": 4}
@@ -50,11 +50,11 @@ def test_a_set_as_it_should_be(own):
 def test_the_checksum_is_that_of_sha256sum(own):
     command = "sha256sum $(find corres off -type f | LC_ALL=C sort) | sha256sum"
     said = subprocess.run(command, shell=True, cwd=own, capture_output=True, text=True, check=True).stdout
-    checksum = check_set(own, LISTED).sha256
+    checksum = check_dataset(own, LISTED).sha256
     assert checksum == said.split()[0]
-    assert check_set(own, replace(LISTED, sha256=checksum)).findings == []
+    assert check_dataset(own, replace(LISTED, sha256=checksum)).findings == []
     (own / "corres" / "a.vts").write_text("1\n42\n8\n")
-    (finding,) = check_set(own, replace(LISTED, sha256=checksum)).findings
+    (finding,) = check_dataset(own, replace(LISTED, sha256=checksum)).findings
     assert finding.endswith(f", but the set's is {checksum}")
 
 
@@ -94,7 +94,7 @@ FAULTS = {
 def test_each_fault_is_a_line(own, fault):
     spoil, wanted = FAULTS[fault]
     spoil(own)
-    findings = check_set(own, LISTED).findings
+    findings = check_dataset(own, LISTED).findings
     for words in wanted:
         assert any(words.replace("ROOT", str(own)) in finding for finding in findings), findings
     assert not any("\n" in finding for finding in findings)
@@ -103,9 +103,9 @@ def test_each_fault_is_a_line(own, fault):
 
 def test_counts_where_names_are_not_known(own):
     described = replace(LISTED, names=(), n_shapes=6)
-    assert check_set(own, described).findings == [f"put the 2 missing of 6 shapes at {own / 'off' / 'NAME.off'}"]
+    assert check_dataset(own, described).findings == [f"put the 2 missing of 6 shapes at {own / 'off' / 'NAME.off'}"]
     described = replace(LISTED, names=(), n_shapes=3)
-    assert check_set(own, described).findings == [
+    assert check_dataset(own, described).findings == [
         f"take 1 of the 4 shapes at {own / 'off' / 'NAME.off'} away; the set has 3"
     ]
 
@@ -113,35 +113,35 @@ def test_counts_where_names_are_not_known(own):
 def test_a_folder_of_one_s_own_needs_no_counts(own):
     (own / "train.txt").unlink()
     (own / "test.txt").unlink()
-    found = check_set(own, SetDescription())
+    found = check_dataset(own, DatasetDescription())
     assert found.findings == []
     assert found.splits == {"test": 4, "all": 4}
 
 
 def test_no_folder_and_an_empty_one(tmp_path):
-    (finding,) = check_set(tmp_path / "gone", read_description("faust_r")).findings
+    (finding,) = check_dataset(tmp_path / "gone", read_description("faust_r")).findings
     assert finding.startswith(f"put the set at {tmp_path / 'gone'}; get it from the link FAUST")
     (tmp_path / "empty").mkdir()
-    assert check_set(tmp_path / "empty", SetDescription()).findings == [
+    assert check_dataset(tmp_path / "empty", DatasetDescription()).findings == [
         f"put the shapes at {tmp_path / 'empty' / 'off' / 'NAME.off'}"
     ]
-    assert len(check_set(tmp_path / "empty", read_description("faust_r")).findings) == 100
+    assert len(check_dataset(tmp_path / "empty", read_description("faust_r")).findings) == 100
 
 
 def test_parts(parts_set):
     root, _ = parts_set
     described = replace(read_description("shrec16_cuts"), complete_names=("cat", "dog"))
-    found = check_set(root, described)
+    found = check_dataset(root, described)
     assert found.findings == []
     assert (found.n_shapes, found.n_complete) == (3, 2)
     assert found.n_truth == (40, 90)
     assert found.pairs["test"] == 3
-    assert len(check_set(root, read_description("shrec16_cuts")).findings) == 6  # the other complete shapes
+    assert len(check_dataset(root, read_description("shrec16_cuts")).findings) == 6  # the other complete shapes
     path = root / "cuts" / "cuts_dog_2.baryc_gt"
     path.write_text("321 1 0 0\n" * 40)
-    assert check_set(root, described).findings == [f"{path} names triangle 321, but dog.off has 320"]
+    assert check_dataset(root, described).findings == [f"{path} names triangle 321, but dog.off has 320"]
     (root / "null" / "dog.off").unlink()
-    findings = check_set(root, described).findings
+    findings = check_dataset(root, described).findings
     assert f"put dog.off at {root / 'null' / 'dog.off'}" in findings
     assert any("cuts_dog_2: no complete shape" in finding for finding in findings)
 
@@ -150,10 +150,10 @@ def test_clouds(clouds_set):
     root, _ = clouds_set
     small = {"split": "test", "n_shapes": 3, "n_train": 0, "n_test": 0, "n_pairs": 9, "n_points": (50, 50)}
     described = replace(read_description("lungs"), **small)
-    assert check_set(root, described).findings == []
+    assert check_dataset(root, described).findings == []
     with (root / "landmarksC.csv").open("a") as file:
         file.write("1,2,3\n")
-    findings = check_set(root, described).findings
+    findings = check_dataset(root, described).findings
     assert any("A has 50 points and C 51" in finding for finding in findings)
     assert any("50 to 51 points, but those of the set have 50" in finding for finding in findings)
 
@@ -167,15 +167,15 @@ def test_clouds_of_views(tmp_path, make):
         (tmp_path / "in" / "corres" / f"{name}.vts").write_text("\n".join(vertices))
     root, described = tmp_path / "out", read_description("views")
     write_view_set(tmp_path / "in", root, views=5, seed=0, settings=ViewSettings(pixels=(24, 18)))
-    assert check_set(root, described).findings == []
+    assert check_dataset(root, described).findings == []
     path = root / "truth" / "view_000003.npz"
     with np.load(path) as arrays:
         changed = {**arrays, "cloud_to_complete": arrays["cloud_to_complete"] + 10_000}
     np.savez(path, **changed)
-    (finding,) = check_set(root, described).findings
+    (finding,) = check_dataset(root, described).findings
     assert finding.startswith(f"{path} names point 1")
     path.write_bytes(b"no arrays")
-    (finding,) = check_set(root, described).findings
+    (finding,) = check_dataset(root, described).findings
     assert finding.startswith(f"{path} must hold cloud_to_complete")
 
 
@@ -186,11 +186,11 @@ def test_volumes(tmp_path):
         (place / f"{name}.mhd").write_text(f"NDims = 3\nElementDataFile = {name}.zraw\n")
         (place / f"{name}.zraw").write_bytes(b"0")
     described = replace(read_description("luna16"), n_shapes=2)
-    found = check_set(tmp_path, described)
+    found = check_dataset(tmp_path, described)
     assert (found.findings, found.n_shapes) == ([], 2)
     (place / "b.zraw").unlink()
     (place / "a.mhd").write_bytes(b"\xff\xfe")
-    findings = check_set(tmp_path, described).findings
+    findings = check_dataset(tmp_path, described).findings
     assert findings == [
         f"{place / 'a.mhd'} is no MetaImage header that names its ElementDataFile; get it again",
         f"put b.zraw at {place / 'b.zraw'}",
@@ -204,10 +204,10 @@ def test_maps_that_do_not_fit(tmp_path, make):
         write_shape(tmp_path / "off" / f"{name}.off", make.sphere(1))
     (tmp_path / "corres" / "1_2.map").write_text("".join(f"{number}\n" for number in range(1, 43)))
     described = replace(read_description("shrec19_maps"), names=("1", "2"), n_pairs=1)
-    found = check_set(tmp_path, described)
+    found = check_dataset(tmp_path, described)
     assert (found.findings, found.n_truth) == ([], (42, 42))
     (tmp_path / "corres" / "2_1.map").write_text("43\n" * 42)
-    findings = check_set(tmp_path, described).findings
+    findings = check_dataset(tmp_path, described).findings
     assert f"{tmp_path / 'corres' / '2_1.map'} names vertex 43, but the shape has 42" in findings
     assert any("has 2 pairs, but that of the set has 1" in finding for finding in findings)
 
@@ -222,7 +222,7 @@ def test_maps_that_do_not_fit(tmp_path, make):
     ],
 )
 def test_the_real_files(benchmark_set, folder, name, n_shapes, n_pairs):
-    found = check_set(benchmark_set(folder), read_description(name))
+    found = check_dataset(benchmark_set(folder), read_description(name))
     assert found.findings == []
     assert (found.n_shapes, found.pairs["test"]) == (n_shapes, n_pairs)
 
@@ -230,7 +230,7 @@ def test_the_real_files(benchmark_set, folder, name, n_shapes, n_pairs):
 @pytest.mark.reference
 def test_a_part_of_the_real_files(benchmark_set):
     root = benchmark_set("SHREC19_sample")
-    found = check_set(root, read_description("shrec19"))
+    found = check_dataset(root, read_description("shrec19"))
     assert found.n_truth == (6890, 6890)
     assert f"put 40.off at {root / 'off' / '40.off'}" in found.findings
     assert len(found.findings) == 41 + 1 and "has 2 pairs, but that of the set has 407" in found.findings[-1]

@@ -6,8 +6,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from homolog.core.errors import ArgumentError, DataError
 from homolog.datasets import ShapeFolder, drawn_pairs
-from homolog.errors import ArgumentError, DataError
 from homolog.shapes import write_shape
 
 

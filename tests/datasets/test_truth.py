@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homolog.datasets import SetDescription, ShapeFolder, read_description
+from homolog.core.errors import DataError
+from homolog.datasets import DatasetDescription, ShapeFolder, read_description
 from homolog.datasets import truth as truth_module
 from homolog.datasets.truth import read_vertices
-from homolog.errors import DataError
 from homolog.shapes import Shape, read_shape, write_shape
 
 
@@ -143,7 +143,7 @@ def test_meshes_with_the_same_numbering_may_be_shuffled(tmp_path, make):
     blob = make.blob(2)
     (tmp_path / "off").mkdir()
     write_shape(tmp_path / "off" / "a.off", blob)
-    described = SetDescription(truth="same-numbering", shuffled=True)
+    described = DatasetDescription(truth="same-numbering", shuffled=True)
     found = ShapeFolder.open(tmp_path, described).shape("a")
     assert not np.allclose(found.points, blob.points)
     np.testing.assert_allclose(found.points[found.faces], blob.points[blob.faces], atol=1e-6)
@@ -259,5 +259,5 @@ def test_pairs_within_classes_alone(tmp_path):
 def test_no_truth_is_no_score(tmp_path, make):
     (tmp_path / "off").mkdir()
     write_shape(tmp_path / "off" / "a.off", Shape(make.sphere(1).points))
-    truth = ShapeFolder.open(tmp_path, SetDescription(truth="none")).ground_truth()
+    truth = ShapeFolder.open(tmp_path, DatasetDescription(truth="none")).ground_truth()
     assert "this set has no ground truth" in message(lambda: truth.between("a", "a"))

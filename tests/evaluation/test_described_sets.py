@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
+from homolog.core.errors import DataError
 from homolog.datasets import ShapeFolder
-from homolog.errors import DataError
 from homolog.evaluation import Detection, Protocol, evaluate
 from homolog.matching import Correspondence, Matcher
 from homolog.shapes import Shape, read_shape, stand_upright, upright_rotation, write_shape
 from homolog.synthesis import ViewSettings, write_view_set
 
-PARTS = Protocol(partial=True, in_place=True)
+PARTS = Protocol(partial=True, pre_aligned=True)
 
 
 @dataclass
@@ -37,19 +37,19 @@ class Stub:
         self.back, self.forth = back, forth
         self.prepared, self.frames, self.matched = [], [], []
 
-    def prepare(self, shape, *, as_cloud=False, length=None, centre=None):
+    def prepare(self, shape, *, as_cloud=False, scale=None, centre=None):
         self.prepared.append(shape)
-        self.frames.append((length, centre))
+        self.frames.append((scale, centre))
         return Ready(shape, "cloud" if as_cloud else "mesh")
 
     def route(self, source, target):
-        return "features"
+        return "nearest-features"
 
     def match_prepared(self, source, target, *, partial=None):
         self.matched.append((source.name, target.name, partial))
         back = np.asarray(self.back(source, target))
         forth = np.zeros(source.shape.n_points, int) if self.forth is None else self.forth(source, target)
-        return Correspondence(forth, back, np.zeros(len(forth)), np.ones(len(back)), "features")
+        return Correspondence(forth, back, np.zeros(len(forth)), np.ones(len(back)), "nearest-features")
 
 
 def distances_along_edges(shape):
@@ -102,7 +102,7 @@ def test_parts_take_unit_and_place_of_their_complete_shapes_stood_upright(parts_
     root, _ = parts_set
     stub = Stub(random_answer)
     evaluate(stub, ShapeFolder.open(root, "shrec16_cuts"), PARTS)
-    for shape, (length, centre) in zip(stub.prepared, stub.frames, strict=True):
+    for shape, (scale, centre) in zip(stub.prepared, stub.frames, strict=True):
         name = Path(shape.name).stem
         place = "null" if name in ("cat", "dog") else "cuts"
         standing = stand_upright(read_shape(root / place / f"{name}.off"), "z")
@@ -110,10 +110,10 @@ def test_parts_take_unit_and_place_of_their_complete_shapes_stood_upright(parts_
         if place == "cuts":
             partner = stand_upright(read_shape(root / "null" / f"{name.split('_')[1]}.off"), "z")
             a, b, c = (partner.points[partner.faces[:, i]] for i in range(3))
-            assert length == pytest.approx(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2))
+            assert scale == pytest.approx(np.sqrt(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2))
             np.testing.assert_allclose(centre, partner.points.mean(axis=0), atol=1e-9)
         else:
-            assert length is centre is None
+            assert scale is centre is None
 
 
 def test_points_without_a_counterpart_are_counted_over_all_pairs(parts_set):
@@ -333,6 +333,6 @@ def test_all_truth_is_looked_at_before_anything_is_matched(parts_set):
 def test_a_set_without_truth_is_not_scored(parts_set):
     root, _ = parts_set
     folder = ShapeFolder.open(root, "shrec16_cuts")
-    described = replace(folder.description, truth="none", complete="", pairs="every", partial=False, in_place=False)
+    described = replace(folder.description, truth="none", complete="", pairs="every", partial=False, pre_aligned=False)
     with pytest.raises(DataError, match="this set has no ground truth"):
         evaluate(Stub(random_answer), ShapeFolder.open(root, described), Protocol())

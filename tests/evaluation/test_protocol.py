@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
+from homolog.core.errors import ArgumentError, DataError
 from homolog.datasets import ShapeFolder
-from homolog.errors import ArgumentError, DataError
 from homolog.evaluation import Evaluation, Protocol, evaluate, geodesic_errors
 from homolog.evaluation.protocol import PairErrors
 from homolog.geometry import compute_operators
@@ -89,8 +89,8 @@ class Stub:
         self.answer, self.confidence = answer, confidence
         self.prepared, self.centres, self.matched, self.partial = [], [], [], []
 
-    def prepare(self, shape, *, as_cloud=False, length=None, centre=None):
-        self.prepared.append((shape, as_cloud, length))
+    def prepare(self, shape, *, as_cloud=False, scale=None, centre=None):
+        self.prepared.append((shape, as_cloud, scale))
         self.centres.append(centre)
         return Ready(shape.name.removesuffix(".off"), "cloud" if as_cloud else "mesh")
 
@@ -103,7 +103,7 @@ class Stub:
         back = np.asarray(self.answer(source.name, target.name))
         confidence = np.ones(len(back)) if self.confidence is None else self.confidence(source.name, target.name)
         nonsense = np.zeros(BASE_POINTS, int)
-        return Correspondence(nonsense, back, np.zeros(BASE_POINTS), confidence, "features")
+        return Correspondence(nonsense, back, np.zeros(BASE_POINTS), confidence, "nearest-features")
 
 
 ALL = Protocol(split="all")
@@ -238,14 +238,14 @@ def test_every_shape_is_prepared_once_per_role_that_differs(family, modality, no
     stub = Stub(family.truth)
     found = evaluate(stub, family.folder, Protocol(modality=modality, split="all", noise=noise))
     counts = {}
-    for shape, as_cloud, length in stub.prepared:
+    for shape, as_cloud, scale in stub.prepared:
         name = shape.name.removesuffix(".off")
         counts[name, as_cloud] = counts.get((name, as_cloud), 0) + 1
         np.testing.assert_array_equal(shape.faces, family.shapes[name].faces)
         if as_cloud and noise:
-            assert length == pytest.approx(np.sqrt(brute_area(family.shapes[name])))
+            assert scale == pytest.approx(np.sqrt(brute_area(family.shapes[name])))
         else:
-            assert length is None
+            assert scale is None
             np.testing.assert_array_equal(shape.points, family.shapes[name].points)
     assert counts == expected
     source, _, target = modality.partition("-to-")
@@ -257,8 +257,8 @@ def noise_of(family, protocol):
     stub = Stub(family.truth)
     evaluate(stub, family.folder, protocol)
     return {
-        (shape.name, number): (shape.points - family.shapes[shape.name.removesuffix(".off")].points) / length
-        for number, (shape, as_cloud, length) in enumerate(stub.prepared)
+        (shape.name, number): (shape.points - family.shapes[shape.name.removesuffix(".off")].points) / scale
+        for number, (shape, as_cloud, scale) in enumerate(stub.prepared)
         if as_cloud
     }
 
@@ -301,9 +301,9 @@ def test_noise_does_not_depend_on_what_else_is_evaluated(family, tmp_path):
 def test_meshes_get_no_noise(family):
     stub = Stub(family.truth)
     evaluate(stub, family.folder, Protocol(modality="mesh-to-cloud", split="all", noise=0.05))
-    for shape, as_cloud, length in stub.prepared:
+    for shape, as_cloud, scale in stub.prepared:
         moved = np.abs(shape.points - family.shapes[shape.name.removesuffix(".off")].points).max()
-        assert (moved > 0.05 * length) if as_cloud else (moved == 0)
+        assert (moved > 0.05 * scale) if as_cloud else (moved == 0)
 
 
 def test_progress_counts_to_its_total(family):
@@ -363,10 +363,10 @@ def test_the_scale_is_that_of_the_repaired_shape(family, soiled_folder):
     stub = Stub(family.truth)
     evaluate(stub, soiled_folder, TINY)
     assert len(stub.prepared) == 10
-    for shape, _, length in stub.prepared:
+    for shape, _, scale in stub.prepared:
         clean = family.shapes[shape.name.removesuffix(".off")]
-        assert length == pytest.approx(np.sqrt(brute_area(clean)))
-        assert (shape.points[:BASE_POINTS] - clean.points).std() == pytest.approx(0.01 * length, rel=0.12)
+        assert scale == pytest.approx(np.sqrt(brute_area(clean)))
+        assert (shape.points[:BASE_POINTS] - clean.points).std() == pytest.approx(0.01 * scale, rel=0.12)
 
 
 def test_errors_are_those_on_the_repaired_shape(family, soiled_folder, shifted):
@@ -487,28 +487,28 @@ def test_a_part_takes_the_scale_of_each_of_its_complete_shapes(family, tmp_path,
     assert stub.matched == [("a", "b"), ("c", "b"), ("a", "c"), ("a", "a")]
     assert stub.partial == ["target"] * 4
     unit = {name: np.sqrt(face_areas(shape.points, shape.faces).sum()) for name, shape in family.shapes.items()}
-    prepared = [(shape.name.removesuffix(".off"), length) for shape, _, length in stub.prepared]
+    prepared = [(shape.name.removesuffix(".off"), scale) for shape, _, scale in stub.prepared]
     # Without noise a complete shape's own scale is left to the matcher, and source and target a are one.
     expected = [("a", "a"), ("b", "a"), ("c", "c"), ("b", "c"), ("c", "a"), *([("a", "a")] if protocol.noise else [])]
     assert [name for name, _ in prepared] == [name for name, _ in expected]
-    for (name, length), (_, scaled_by) in zip(prepared, expected, strict=True):
+    for (name, scale), (_, scaled_by) in zip(prepared, expected, strict=True):
         own = name == scaled_by and not protocol.noise
-        assert length is None if own else length == pytest.approx(unit[scaled_by], rel=1e-9)
+        assert scale is None if own else scale == pytest.approx(unit[scaled_by], rel=1e-9)
 
 
 def test_parts_in_place_take_the_middle_of_their_complete_shapes_too(family, tmp_path):
     root = copied(family, tmp_path)
     (root / "pairs.txt").write_text("a,b\nc,b\n")
     stub = Stub(family.truth)
-    evaluate(stub, ShapeFolder.open(root), Protocol(split="all", partial=True, in_place=True))
+    evaluate(stub, ShapeFolder.open(root), Protocol(split="all", partial=True, pre_aligned=True))
     middle = {name: shape.points.mean(axis=0) for name, shape in family.shapes.items()}
     names = [shape.name.removesuffix(".off") for shape, _, _ in stub.prepared]
     assert names == ["a", "b", "c", "b"]
     assert stub.centres[0] is None and stub.centres[2] is None
     np.testing.assert_allclose(stub.centres[1], middle["a"], atol=1e-9)
     np.testing.assert_allclose(stub.centres[3], middle["c"], atol=1e-9)
-    with pytest.raises(ArgumentError, match="in_place is for parts, but partial is False"):
-        Protocol(in_place=True)
+    with pytest.raises(ArgumentError, match="pre_aligned is for parts, but partial is False"):
+        Protocol(pre_aligned=True)
 
 
 def test_common_points_that_a_part_lacks_are_not_scored(family, tmp_path):
@@ -577,19 +577,19 @@ def pair_of(error, confidence, *, flipped=None):
 
 def test_figures_of_quality_are_ranked_against_the_errors():
     errors = np.random.default_rng(0).permutation(12) + 1.0
-    found = Evaluation(tuple(pair_of(error, -np.exp(error)) for error in errors), "features", 0, {})
+    found = Evaluation(tuple(pair_of(error, -np.exp(error)) for error in errors), "nearest-features", 0, {})
     correlations = found.to_dict()["quality_rank_correlations"]
     assert correlations["dirichlet_energy"] == pytest.approx(1)
     assert correlations["confidence"] == pytest.approx(-1)
     assert correlations["coverage"] is correlations["flipped_triangles"] is None
     # Ranks 1 to 12 against eight and four that tie.
     ranks, tied = np.arange(1, 13), np.where(np.arange(1, 13) < 5, 10.5, 4.5)
-    assert correlations["there_and_back"] == pytest.approx(np.corrcoef(ranks, tied)[0, 1])
+    assert correlations["cycle_error"] == pytest.approx(np.corrcoef(ranks, tied)[0, 1])
     assert found.to_dict()["pairs"][0]["quality"]["source"]["coverage"] == 1
 
 
 def test_few_pairs_are_not_ranked_nor_those_that_say_nothing(family):
-    few = Evaluation(tuple(pair_of(error, 0.5) for error in np.arange(1.0, 10)), "features", 0, {})
+    few = Evaluation(tuple(pair_of(error, 0.5) for error in np.arange(1.0, 10)), "nearest-features", 0, {})
     assert "quality_rank_correlations" not in few.to_dict()
     silent = evaluate(Stub(family.truth), family.folder, ALL).to_dict()
     assert "quality" not in silent["pairs"][0]

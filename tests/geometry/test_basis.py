@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from homolog.features import DiffusionNet, NetworkSettings
 from homolog.geometry import Basis, Operators, OperatorSettings, compute_operators
-from homolog.network import DiffusionNet, NetworkSettings
 from homolog.shapes.sampling import farthest_points
 
 WANTED = OperatorSettings(n_eigenpairs=24)
@@ -51,8 +51,8 @@ def test_a_basis_takes_coefficients_to_functions_and_their_gradients_and_back(op
     for component, gradient in ((1, operators.gradient_x), (2, operators.gradient_y)):
         expected = gradient.to_dense() @ functions
         torch.testing.assert_close(synthesis(basis)[:, component] @ coefficients, expected, atol=1e-3, rtol=1e-4)
-    torch.testing.assert_close(basis.analysis @ values, operators.coefficients(values))
-    torch.testing.assert_close(basis.analysis @ functions, coefficients, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(basis.pseudo_inverse @ values, operators.coefficients(values))
+    torch.testing.assert_close(basis.pseudo_inverse @ functions, coefficients, atol=1e-4, rtol=1e-4)
     assert basis.n_points == operators.n_points and operators.basis is basis
     assert synthesis(operators.truncated(7).basis).shape == (operators.n_points, 3, 7)
 
@@ -61,7 +61,7 @@ def test_samples_keep_eigenvectors_gradients_and_order(basis: Basis) -> None:
     kept = torch.tensor([7, 400, 3, 200, *range(500, 600)])
     samples = basis.sampled(kept)
     assert torch.equal(synthesis(samples), synthesis(basis)[kept]) and torch.equal(samples.points, basis.points[kept])
-    assert torch.equal(samples.eigenvalues, basis.eigenvalues) and samples.analysis.shape == (24, 104)
+    assert torch.equal(samples.eigenvalues, basis.eigenvalues) and samples.pseudo_inverse.shape == (24, 104)
 
 
 @pytest.mark.parametrize("count", [30, 100, 400])
@@ -69,9 +69,9 @@ def test_samples_give_the_coefficients_of_what_the_eigenvectors_span(count: int,
     kept, coefficients = spread(basis, count), random(24, 5)
     functions = basis.eigenvectors @ coefficients
     # But for the ridge, of 1e-4.
-    assert relative_error(basis.sampled(kept).analysis @ functions[kept], coefficients) < 3e-4
+    assert relative_error(basis.sampled(kept).pseudo_inverse @ functions[kept], coefficients) < 3e-4
     everywhere = basis.sampled(torch.arange(basis.n_points))
-    assert relative_error(everywhere.analysis, basis.analysis) < 2e-4
+    assert relative_error(everywhere.pseudo_inverse, basis.pseudo_inverse) < 2e-4
 
 
 def test_other_functions_are_fitted_by_least_squares_weighted_with_the_mass(basis: Basis) -> None:
@@ -79,16 +79,16 @@ def test_other_functions_are_fitted_by_least_squares_weighted_with_the_mass(basi
     samples, values = basis.sampled(kept), random(90, 4)
     root = samples.mass.double().sqrt()[:, None]
     expected = torch.linalg.lstsq(root * samples.eigenvectors.double(), root * values.double()).solution
-    assert relative_error((samples.analysis @ values).double(), expected) < 1e-2
+    assert relative_error((samples.pseudo_inverse @ values).double(), expected) < 1e-2
     unweighted = torch.linalg.lstsq(samples.eigenvectors.double(), values.double()).solution
-    assert relative_error((samples.analysis @ values).double(), unweighted) > 0.1
+    assert relative_error((samples.pseudo_inverse @ values).double(), unweighted) > 0.1
 
 
 def test_fewer_samples_than_eigenvectors_still_give_bounded_coefficients(basis: Basis) -> None:
     samples = basis.sampled(spread(basis, 10))
     values = samples.eigenvectors @ random(24, 3)
-    assert relative_error(samples.eigenvectors @ (samples.analysis @ values), values) < 1e-2
-    assert (samples.analysis @ values).norm() < 2 * random(24, 3).norm()
+    assert relative_error(samples.eigenvectors @ (samples.pseudo_inverse @ values), values) < 1e-2
+    assert (samples.pseudo_inverse @ values).norm() < 2 * random(24, 3).norm()
 
 
 def test_samples_of_a_small_part_give_bounded_coefficients_even_for_noise(basis: Basis) -> None:
@@ -97,7 +97,7 @@ def test_samples_of_a_small_part_give_bounded_coefficients_even_for_noise(basis:
     weighted = samples.mass.sqrt()[:, None] * samples.eigenvectors
     # No singular value s of these leads to more than s / (s^2 + ridge), which is at most 1 / (2 sqrt(ridge)).
     ridge = 1e-4 * weighted.square().sum() / 24
-    gain = torch.linalg.matrix_norm(samples.analysis / samples.mass.sqrt(), ord=2)
+    gain = torch.linalg.matrix_norm(samples.pseudo_inverse / samples.mass.sqrt(), ord=2)
     assert gain <= 1.001 / (2 * ridge.sqrt())
     assert 1 / torch.linalg.svdvals(weighted).min() > 10 * gain
 
@@ -143,6 +143,6 @@ def test_a_basis_made_in_inference_mode_can_be_trained_with(make) -> None:
 
 def test_a_basis_goes_to_a_device_whole(basis: Basis) -> None:
     moved = basis.to("meta")
-    tensors = moved.points, moved.mass, moved.eigenvalues, moved.eigenvectors, moved.gradients, moved.analysis
+    tensors = moved.points, moved.mass, moved.eigenvalues, moved.eigenvectors, moved.gradients, moved.pseudo_inverse
     assert all(tensor.device.type == "meta" for tensor in tensors)
-    assert moved.analysis.shape == basis.analysis.shape and moved.gradients.shape == basis.gradients.shape
+    assert moved.pseudo_inverse.shape == basis.pseudo_inverse.shape and moved.gradients.shape == basis.gradients.shape

@@ -17,8 +17,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from homolog.errors import ArgumentError
-from homolog.files import atomic_path
+from homolog.core.errors import ArgumentError
+from homolog.core.files import atomic_path
 from homolog.geometry import OperatorCache, Operators, OperatorSettings, cache, cache_folder
 from homolog.shapes import Shape
 
@@ -92,8 +92,8 @@ def test_whatever_changes_the_operators_makes_another_entry(shape, tmp_path, com
         (Shape(shape.points, shape.faces[:, ::-1]), SETTINGS, None),
     ]
     for _ in range(2):
-        for given, settings, length in asked:
-            store.operators(given, settings=settings, length=length)
+        for given, settings, scale in asked:
+            store.operators(given, settings=settings, scale=scale)
     assert len(computed) == len(asked) == store.size()[0]
 
 
@@ -199,7 +199,7 @@ def test_the_length_in_an_entry_is_checked_too(shape, tmp_path, computed) -> Non
     store = OperatorCache(tmp_path)
     first = store.operators(shape, settings=SETTINGS)
     entry = entry_of(tmp_path)
-    written = first.length.hex().encode()
+    written = first.scale.hex().encode()
     other = written.replace(b"0x1.", b"0x1.0", 1)[: len(written) - 4] + written[-4:]
     assert len(other) == len(written)
     assert entry.read_bytes().count(written) == 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.geometry import edge_graph, geodesics, pair_distances
 
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sparse
 import trimesh
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry import cloud_laplacian, mesh_laplacian, surface_area
 from homolog.shapes import Shape
 

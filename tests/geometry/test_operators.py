@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry import Operators, OperatorSettings, compute_operators, mesh_laplacian
 from homolog.geometry.scale import Frame
 from homolog.shapes import Shape
@@ -15,8 +15,8 @@ SETTINGS = OperatorSettings(n_eigenpairs=20)
 MODALITIES = ("mesh", "cloud")
 
 
-def operators_of(shape: Shape, modality: str, *, length: float | None = None) -> Operators:
-    return compute_operators(shape.as_cloud() if modality == "cloud" else shape, settings=SETTINGS, length=length)
+def operators_of(shape: Shape, modality: str, *, scale: float | None = None) -> Operators:
+    return compute_operators(shape.as_cloud() if modality == "cloud" else shape, settings=SETTINGS, scale=scale)
 
 
 def dense_gradient_size(operators: Operators, values: torch.Tensor) -> torch.Tensor:
@@ -44,7 +44,7 @@ def test_what_they_are(modality: str, blob: Shape) -> None:
     residual = operators.laplacian.double() @ phi - mass[:, None] * phi * operators.eigenvalues.double()
     assert (residual.square() / mass[:, None]).sum(dim=0).sqrt().max() < 1e-3 * operators.eigenvalues[-1]
     np.testing.assert_allclose(operators.points.mean(dim=0), 0, atol=1e-6)
-    restored = operators.points.double() * operators.length + operators.centre
+    restored = operators.points.double() * operators.scale + operators.centre
     np.testing.assert_allclose(restored, blob.points, atol=1e-5)
     if modality == "mesh":
         assert operators.mass.sum() == pytest.approx(1, rel=1e-4)
@@ -88,7 +88,7 @@ def test_moving_and_scaling_change_nothing_but_centre_and_length(modality: str, 
     first = operators_of(blob, modality)
     offset = np.array([3.0, -40.0, 7.0])
     second = operators_of(Shape(25.0 * blob.points + offset, blob.faces), modality)
-    assert second.length == pytest.approx(25 * first.length, rel=1e-6)
+    assert second.scale == pytest.approx(25 * first.scale, rel=1e-6)
     np.testing.assert_allclose(second.centre, 25 * first.centre.numpy() + offset, atol=1e-6)
     torch.testing.assert_close(second.points, first.points, atol=1e-5, rtol=0)
     torch.testing.assert_close(second.mass, first.mass, rtol=1e-4, atol=0)
@@ -112,8 +112,8 @@ def test_turning_the_shape_leaves_the_intrinsic_operators(modality: str, blob: S
 @pytest.mark.parametrize("modality", MODALITIES)
 def test_a_given_length_is_the_inner_unit(modality: str, blob: Shape) -> None:
     own = operators_of(blob, modality)
-    half = operators_of(blob, modality, length=2 * own.length)
-    assert half.length == 2 * own.length
+    half = operators_of(blob, modality, scale=2 * own.scale)
+    assert half.scale == 2 * own.scale
     torch.testing.assert_close(half.points, own.points / 2)
     torch.testing.assert_close(half.mass.sum(), own.mass.sum() / 4, rtol=1e-3, atol=0)
     torch.testing.assert_close(half.eigenvalues, 4 * own.eigenvalues, rtol=1e-3, atol=1e-3)
@@ -140,10 +140,10 @@ def test_a_shape_of_few_points_has_as_many_eigenpairs_as_points(make) -> None:
 def test_moving_to_a_device_keeps_all_and_the_frame_can_be_read_back(blob: Shape) -> None:
     operators = operators_of(blob, "mesh")
     moved = operators.to("cpu")
-    assert (moved.length, moved.method) == (operators.length, operators.method)
+    assert (moved.scale, moved.method) == (operators.scale, operators.method)
     torch.testing.assert_close(moved.points, operators.points, atol=0, rtol=0)
-    frame = Frame(centre=moved.centre.numpy(), length=moved.length)
-    np.testing.assert_allclose(frame.inside(blob.points), operators.points, atol=1e-6)
+    frame = Frame(centre=moved.centre.numpy(), scale=moved.scale)
+    np.testing.assert_allclose(frame.to_unit(blob.points), operators.points, atol=1e-6)
 
 
 def test_bad_settings_and_degenerate_shapes_are_refused(blob: Shape) -> None:
@@ -175,9 +175,9 @@ def test_settings_that_cannot_be_are_refused(wrong: dict) -> None:
 @pytest.mark.parametrize("modality", ["mesh", "cloud"])
 def test_scaled_operators_are_those_of_the_scaled_shape(make, modality):
     blob = make.blob(2)
-    own = operators_of(blob, modality, length=1.0)
-    found, wanted = own.scaled(2.5), operators_of(blob, modality, length=own.length / 2.5)
-    assert found.length == pytest.approx(wanted.length)
+    own = operators_of(blob, modality, scale=1.0)
+    found, wanted = own.scaled(2.5), operators_of(blob, modality, scale=own.scale / 2.5)
+    assert found.scale == pytest.approx(wanted.scale)
     for name in ("points", "mass", "eigenvalues"):
         torch.testing.assert_close(getattr(found, name), getattr(wanted, name), rtol=1e-4, atol=1e-4)
     for name in ("laplacian", "gradient_x", "gradient_y"):

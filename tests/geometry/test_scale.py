@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry import cloud_area, surface_area, unit_frame
 from homolog.shapes import Shape
 
@@ -34,24 +34,24 @@ def test_the_frame_centres_and_scales_to_unit_area_and_comes_back(make) -> None:
     blob = make.blob(3)
     moved = Shape(31.0 * blob.points + [5, -7, 900], blob.faces)
     frame = unit_frame(moved)
-    inside = Shape(frame.inside(moved.points), blob.faces)
+    inside = Shape(frame.to_unit(moved.points), blob.faces)
     assert surface_area(inside) == pytest.approx(1.0)
     np.testing.assert_allclose(inside.points.mean(axis=0), 0, atol=1e-10)
-    np.testing.assert_allclose(inside.points * frame.length + frame.centre, moved.points)
-    assert frame.length == pytest.approx(np.sqrt(surface_area(moved)))
+    np.testing.assert_allclose(inside.points * frame.scale + frame.centre, moved.points)
+    assert frame.scale == pytest.approx(np.sqrt(surface_area(moved)))
 
 
 def test_a_given_length_is_taken_and_the_centre_stays_its_own(make) -> None:
     blob = make.blob(1)
-    frame = unit_frame(blob, length=2.5)
-    assert frame.length == 2.5
+    frame = unit_frame(blob, scale=2.5)
+    assert frame.scale == 2.5
     np.testing.assert_allclose(frame.centre, blob.points.mean(axis=0))
 
 
-@pytest.mark.parametrize("length", [0, -1.0, float("nan"), float("inf")])
-def test_a_length_that_is_none_is_refused(length: float, make) -> None:
-    with pytest.raises(ArgumentError, match="length"):
-        unit_frame(make.grid(3), length=length)
+@pytest.mark.parametrize("scale", [0, -1.0, float("nan"), float("inf")])
+def test_a_length_that_is_none_is_refused(scale: float, make) -> None:
+    with pytest.raises(ArgumentError, match="scale"):
+        unit_frame(make.grid(3), scale=scale)
 
 
 def test_a_shape_without_area_has_no_scale() -> None:

@@ -10,7 +10,7 @@ import scipy.sparse.linalg as sparse_linalg
 import torch
 import trimesh
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry import (
     Spectrum,
     cloud_laplacian,

@@ -9,12 +9,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import (
     confidence,
     coverage_density,
-    covered,
+    overlap,
     smoothed_positions,
     wave_kernel_signature,
 )
@@ -97,8 +97,8 @@ def test_a_cut_is_found_given_the_true_map(name: str, modality: str, demo, make)
         whole, part = whole.as_cloud(), part.as_cloud()
     few = OperatorSettings(n_eigenpairs=5)
     complete = compute_operators(whole, settings=few)
-    partial = compute_operators(part, settings=few, length=complete.length)
-    found = covered(complete, partial, torch.from_numpy(kept)).numpy()
+    partial = compute_operators(part, settings=few, scale=complete.scale)
+    found = overlap(complete, partial, torch.from_numpy(kept)).numpy()
     missing = np.ones(whole.n_points, dtype=bool)
     missing[kept] = False
     assert f1(~found, missing) >= 0.9
@@ -109,13 +109,13 @@ def test_a_whole_shape_covers_itself_and_a_coarse_one_the_fine_one(make) -> None
     few = OperatorSettings(n_eigenpairs=5)
     coarse, fine = (compute_operators(make.sphere(level), settings=few) for level in (3, 4))
     identity = torch.arange(fine.n_points)
-    assert covered(fine, fine, identity).all()
+    assert overlap(fine, fine, identity).all()
     # Points of the coarse sphere are the first ones of the fine: a quarter of them hold all of the mass.
-    assert covered(fine, coarse, identity[: coarse.n_points]).float().mean() > 0.99
+    assert overlap(fine, coarse, identity[: coarse.n_points]).float().mean() > 0.99
     nowhere = identity[: coarse.n_points].clone()
     nowhere[3] = -1
     with pytest.raises(ArgumentError, match="partial_to_complete holds -1"):
-        covered(fine, coarse, nowhere)
+        overlap(fine, coarse, nowhere)
 
 
 def test_smoothing_keeps_the_mass_and_uniform_density_is_one(blob: Operators) -> None:

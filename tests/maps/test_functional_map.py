@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import (
     functional_map,
@@ -206,7 +206,7 @@ def test_maps_between_meshes_are_those_of_the_published_code(faust, stored_opera
 def test_operators_of_the_same_shape_are_those_of_the_published_code(which: str, faust, stored_operators) -> None:
     stored, side = stored_operators(which), which[0]
     shape = Shape(faust[f"{side}_vertices"], faust[f"{side}_faces"] if which == "x_mesh" else None)
-    own = compute_operators(shape, length=1.0, settings=OperatorSettings(laplacian="cotangent", n_neighbours=30))
+    own = compute_operators(shape, scale=1.0, settings=OperatorSettings(laplacian="cotangent", n_neighbours=30))
     torch.testing.assert_close(own.mass, stored.mass, rtol=1e-4, atol=0)
     # Theirs is shifted by some 1e-8 of the Laplacian's size, which shows in the lowest.
     torch.testing.assert_close(own.eigenvalues, stored.eigenvalues, rtol=1e-4, atol=1e-4)

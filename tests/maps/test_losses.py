@@ -11,21 +11,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
+from homolog.core.memory import working_memory
 from homolog.maps.losses import (
     alignment_loss,
     bijectivity_loss,
     commutativity_loss,
-    contrastive_loss,
-    displacement_loss,
-    elastic_loss,
+    infonce_loss,
     orthogonality_loss,
     partial_alignment_loss,
     partial_bijectivity_loss,
     partial_orthogonality_loss,
     partial_rank,
+    registration_loss,
+    smoothness_loss,
 )
-from homolog.memory import working_memory
 
 MEMORIES = (1e-6, 0.01, 1024.0)
 
@@ -64,7 +64,7 @@ def test_losses_of_maps_are_sums_over_their_entries() -> None:
     here, there = random(4, 3, seed=4).numpy(), random(3, 3, seed=5).numpy()
     moved = [[sum(c_xy[i, j] * here[j, a] for j in range(4)) - there[i, a] for a in range(3)] for i in range(3)]
     rough = sum(y[i] * moved[i][a] ** 2 for i in range(3) for a in range(3))
-    np.testing.assert_allclose(displacement_loss(c_xy, here, there, y), rough)
+    np.testing.assert_allclose(smoothness_loss(c_xy, here, there, y), rough)
 
 
 def test_maps_that_do_what_is_asked_cost_nothing() -> None:
@@ -90,20 +90,22 @@ def test_a_displacement_costs_its_dirichlet_energy() -> None:
     positions = torch.cat([torch.zeros(1, 3), (square / 3) ** 0.5 * torch.eye(3)]).double()
     eye = torch.eye(4, dtype=torch.float64)
     shifted = positions + torch.tensor([[5.0, -2, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
-    assert displacement_loss(eye, positions, shifted, values) < 1e-20
+    assert smoothness_loss(eye, positions, shifted, values) < 1e-20
     for turn in (1.3 * torch.eye(3), -torch.eye(3), orthogonal(3)):
         energy = (turn - torch.eye(3)).square().sum().item() * 2 / 3  # that of a linear function, over unit area
         moved = positions @ turn.double().T
-        assert displacement_loss(eye, moved, positions, values).item() == pytest.approx(energy)
+        assert smoothness_loss(eye, moved, positions, values).item() == pytest.approx(energy)
 
 
 def test_positions_on_a_sphere_are_the_features_that_the_elastic_loss_wants() -> None:
     """There a product of positions falls off with their squared distance: |s - x|^2 = 2 - 2 s x."""
     x, skin, reach, temperature = unit(9, 3), unit(6, 3, seed=1), 0.4, 0.2
     right = x * temperature**0.5 / reach, skin * temperature**0.5 / reach
-    assert elastic_loss(*right, x, skin, reach=reach, temperature=temperature).item() == pytest.approx(0, abs=1e-12)
+    assert registration_loss(*right, x, skin, reach=reach, temperature=temperature).item() == pytest.approx(
+        0, abs=1e-12
+    )
     for wrong in ((right[0].flip(0), right[1]), (right[0], right[1].flip(0)), (1.1 * right[0], right[1])):
-        assert elastic_loss(*wrong, x, skin, reach=reach, temperature=temperature) > 1e-3
+        assert registration_loss(*wrong, x, skin, reach=reach, temperature=temperature) > 1e-3
 
 
 def test_the_elastic_loss_is_the_mean_divergence_of_its_rows() -> None:
@@ -116,13 +118,13 @@ def test_the_elastic_loss_is_the_mean_divergence_of_its_rows() -> None:
         wanted = [math.exp(-(math.dist(place, other) ** 2) / (2 * 0.7**2)) for other in x.tolist()]
         for p, q in zip(found, wanted, strict=True):
             total += q / sum(wanted) * math.log(q / sum(wanted) / (p / sum(found))) / len(skin)
-    assert elastic_loss(*features, x, skin, reach=0.7, temperature=0.3).item() == pytest.approx(total)
+    assert registration_loss(*features, x, skin, reach=0.7, temperature=0.3).item() == pytest.approx(total)
 
 
 @pytest.mark.parametrize("wrong", [{"reach": 0.0}, {"reach": -1.0}, {"temperature": 0.0}])
 def test_a_reach_or_temperature_of_nothing_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ArgumentError, match=f"{next(iter(wrong))} is .*positive"):
-        elastic_loss(random(3, 2), random(3, 2), random(3, 3), random(3, 3), **wrong)
+        registration_loss(random(3, 2), random(3, 2), random(3, 3), random(3, 3), **wrong)
 
 
 def test_full_rank_is_half_of_the_complete_losses() -> None:
@@ -195,7 +197,7 @@ def test_the_softmax_keeps_nothing_of_all_points_of_both_shapes(large_tensors) -
     c, phi, x = random(k, k).float(), random(n, k).float(), unit(n, 6).float().requires_grad_()
     with large_tensors(4 * n * n / 2) as seen:
         partial_alignment_loss(c, phi, phi, x, x.detach()).backward()
-        contrastive_loss(x, x.detach()).backward()
+        infonce_loss(x, x.detach()).backward()
     assert seen.most_alive == 0
 
 
@@ -224,7 +226,7 @@ def test_contrast_is_cross_entropy(kind: str, scale: float, memory: float) -> No
     for dtype, rounding in ((torch.float64, 1e-15), (torch.float32, 3e-7)):
         own = [tensor.detach().to(dtype).requires_grad_() for tensor in features]
         with working_memory(memory):
-            found = contrastive_loss(*own, temperature=temperature)
+            found = infonce_loss(*own, temperature=temperature)
         assert found.dtype == dtype
         most = rounding * (10 + logit)
         torch.testing.assert_close(found.double(), expected, rtol=rounding * 10, atol=most)
@@ -236,26 +238,26 @@ def test_contrast_is_cross_entropy(kind: str, scale: float, memory: float) -> No
 @given(n=st.integers(1, 20), scale=st.floats(0.1, 8), seed=st.integers(0, 1000))
 def test_contrast_lies_between_nothing_and_the_logarithm_for_equal_features(n: int, scale: float, seed: int) -> None:
     same = torch.ones(n, 3).double()
-    torch.testing.assert_close(contrastive_loss(same, same), torch.tensor(n).double().log(), atol=1e-9, rtol=0)
+    torch.testing.assert_close(infonce_loss(same, same), torch.tensor(n).double().log(), atol=1e-9, rtol=0)
     features = scale * unit(n, 3, seed=seed)
-    assert contrastive_loss(features, features) >= 0
+    assert infonce_loss(features, features) >= 0
     # In another order it is the same mean.
     order = torch.randperm(n, generator=torch.Generator().manual_seed(seed))
     other = unit(n, 3, seed=seed + 1)
-    torch.testing.assert_close(contrastive_loss(features[order], other[order]), contrastive_loss(features, other))
+    torch.testing.assert_close(infonce_loss(features[order], other[order]), infonce_loss(features, other))
 
 
 def test_contrast_scales_its_gradient_with_what_comes_in() -> None:
     features, other = unit(9, 4).requires_grad_(), unit(9, 4, seed=1)
-    (once,) = torch.autograd.grad(contrastive_loss(features, other), features)
-    (thrice,) = torch.autograd.grad(-3 * contrastive_loss(features, other), features)
+    (once,) = torch.autograd.grad(infonce_loss(features, other), features)
+    (thrice,) = torch.autograd.grad(-3 * infonce_loss(features, other), features)
     torch.testing.assert_close(thrice, -3 * once)
 
 
 @pytest.mark.parametrize("temperature", [0.0, -0.07, float("nan")])
 def test_a_temperature_that_is_not_positive_is_refused(temperature: float) -> None:
     with pytest.raises(ArgumentError, match="temperature"):
-        contrastive_loss(unit(3, 2), unit(3, 2), temperature=temperature)
+        infonce_loss(unit(3, 2), unit(3, 2), temperature=temperature)
     for loss in (alignment_loss, partial_alignment_loss):
         with pytest.raises(ArgumentError, match="temperature"):
             loss(random(2, 2), random(3, 2), random(3, 2), unit(3, 2), unit(3, 2), temperature=temperature)
@@ -275,11 +277,11 @@ def test_gradients_of_every_loss_are_right() -> None:
         (lambda c_xy, c_yx: partial_bijectivity_loss(c_xy, c_yx, rank=2), maps),
         (lambda c_xy: partial_orthogonality_loss(c_xy, rank=2), maps[:1]),
         (lambda c_xy: commutativity_loss(c_xy, *values), maps[:1]),
-        (lambda c_xy: displacement_loss(c_xy, phi_x[:3], phi_y[:3], values[1]), maps[:1]),
+        (lambda c_xy: smoothness_loss(c_xy, phi_x[:3], phi_y[:3], values[1]), maps[:1]),
         (lambda x, y: alignment_loss(c, phi_x, phi_y, x, y, temperature=0.3, iterations=3), features),
         (lambda x, y: partial_alignment_loss(c, phi_x, phi_y, x, y, temperature=0.3), features),
-        (lambda x, y: elastic_loss(x, y, phi_x, phi_y, reach=0.5, temperature=0.3), features),
-        (lambda x, y: contrastive_loss(x, y, temperature=0.3), features),
+        (lambda x, y: registration_loss(x, y, phi_x, phi_y, reach=0.5, temperature=0.3), features),
+        (lambda x, y: infonce_loss(x, y, temperature=0.3), features),
     )
     for loss, inputs in losses:
         assert torch.autograd.gradcheck(loss, inputs, eps=1e-6, atol=1e-7, rtol=1e-5)
@@ -304,7 +306,7 @@ def test_losses_of_given_maps_and_features_are_those_of_the_published_code(faust
 
     # The clouds' rows are those that must find their partners among the meshes'.
     pairs = [(unit_features(f"{side}_cloud"), unit_features(f"{side}_mesh")) for side in "xy"]
-    forward, backward = (10 * sum(float(contrastive_loss(*pair[::step])) for pair in pairs) for step in (1, -1))
+    forward, backward = (10 * sum(float(infonce_loss(*pair[::step])) for pair in pairs) for step in (1, -1))
     assert forward == pytest.approx(float(faust["l_nce"]), rel=1e-4)
     assert backward != pytest.approx(float(faust["l_nce"]), rel=1e-3)
 

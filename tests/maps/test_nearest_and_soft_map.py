@@ -8,9 +8,9 @@ import torch
 from scipy.special import logsumexp, softmax
 from torch import Tensor
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
+from homolog.core.memory import working_memory
 from homolog.maps import SoftMatches, most_similar, nearest_neighbour, normalised, sinkhorn_matches
-from homolog.memory import working_memory
 
 MEMORIES = (1e-6, 0.005, 0.05, 1.0, 1024.0)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.geometry import OperatorSettings, Surface, compute_operators
-from homolog.maps import coverage, dirichlet_energy, flipped_triangles, there_and_back
+from homolog.maps import coverage, cycle_error, dirichlet_energy, flipped_triangles
 from homolog.shapes import Shape
 
 FEW = OperatorSettings(n_eigenpairs=5)
@@ -30,7 +30,7 @@ def blob(request, make):
 def test_the_identity_is_perfect(blob, make):
     identity = torch.arange(blob.n_points)
     assert coverage(blob, blob, identity) == pytest.approx(1)
-    assert there_and_back(blob.points, identity, identity).max() == 0
+    assert cycle_error(blob.points, identity, identity).max() == 0
     assert dirichlet_energy(blob, blob.points, identity) == pytest.approx(1)
     shape = make.blob(3)
     assert not flipped_triangles(surface(shape), surface(shape), identity.numpy()).any()
@@ -43,7 +43,7 @@ def test_a_constant_map_has_no_energy_and_covers_next_to_nothing(blob, make):
     assert coverage(blob, blob, constant) == pytest.approx(expected, rel=1e-5)
     assert 0 < expected < 0.1
     assert dirichlet_energy(blob, blob.points, constant) == pytest.approx(0, abs=1e-5)
-    misses = there_and_back(blob.points, constant, constant)
+    misses = cycle_error(blob.points, constant, constant)
     torch.testing.assert_close(misses, (blob.points - blob.points[7]).norm(dim=1))
     shape = make.blob(3)
     assert not flipped_triangles(surface(shape), surface(shape), constant.numpy()).any()
@@ -103,9 +103,9 @@ def test_sheets_have_no_outside_so_that_most_triangles_are_right(make):
     sheet = make.grid(9)
     identity = np.arange(sheet.n_points)
     assert not flipped_triangles(surface(sheet), Surface(sheet.points * [-1, 1, 1], sheet.faces), identity).any()
-    swapped = identity.copy()
-    swapped[[40, 41]] = [41, 40]
-    flips = flipped_triangles(surface(sheet), Surface(sheet.points, sheet.faces[:, ::-1]), swapped)
+    inverse = identity.copy()
+    inverse[[40, 41]] = [41, 40]
+    flips = flipped_triangles(surface(sheet), Surface(sheet.points, sheet.faces[:, ::-1]), inverse)
     assert 0 < flips.mean() < 0.1
 
 
@@ -146,7 +146,7 @@ def figures(x, y, x_to_y, y_to_x):
     there, back = torch.from_numpy(x_to_y), torch.from_numpy(y_to_x)
     return (
         coverage(b, a, there),
-        float(there_and_back(a.points, there, back).mean()),
+        float(cycle_error(a.points, there, back).mean()),
         dirichlet_energy(a, b.points, there),
         flipped_triangles(surface(x), surface(y), x_to_y).mean(),
     )
@@ -158,7 +158,7 @@ def test_points_without_a_counterpart_are_refused_where_they_cannot_be(make):
     none[3] = -1
     whole = operators(shape)
     for ask in (
-        lambda: there_and_back(whole.points, none, torch.arange(42)),
+        lambda: cycle_error(whole.points, none, torch.arange(42)),
         lambda: dirichlet_energy(whole, whole.points, none),
         lambda: flipped_triangles(surface(shape), surface(shape), none.numpy()),
         lambda: coverage(whole, whole, torch.arange(43)),

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
+from homolog.core.memory import working_memory
 from homolog.maps.sinkhorn import Kernel, _Derivative, carried_over
-from homolog.memory import working_memory
 
 MEMORIES = (1e-6, 0.01, 1024.0)
 

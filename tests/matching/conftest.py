@@ -8,9 +8,9 @@ import pytest
 import torch
 from scipy.spatial import ConvexHull, KDTree
 
+from homolog.features import DiffusionNet, NetworkSettings, WeightsInfo, save_weights
 from homolog.geometry import OperatorCache, compute_operators
 from homolog.matching import Matcher, MatcherSettings
-from homolog.network import DiffusionNet, NetworkSettings, WeightsInfo, save_weights
 from homolog.shapes import Shape
 
 # Shapes stand as they like, so that the orientation is only looked at where a test asks for it.

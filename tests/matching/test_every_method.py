@@ -9,7 +9,7 @@ from homolog.geometry import compute_operators
 from homolog.matching import NEED_NO_WEIGHTS, Correspondence
 from homolog.shapes import Shape
 
-METHODS = ("functional-map", "features", "elastic", "axiomatic")
+METHODS = ("functional-map", "nearest-features", "registration", "axiomatic")
 MODALITIES = ("mm", "cc", "mc", "cm")
 CASES = list(itertools.product(METHODS, MODALITIES))
 every_case = pytest.mark.parametrize(("method", "modality"), CASES)
@@ -40,8 +40,8 @@ def results(blobs, build):
 
 def test_blobs_have_known_counterparts(blobs):
     """The truth that other tests rely on: there and back lands on the point itself or right beside it."""
-    there_and_back = blobs.source.points[blobs.target_to_source[blobs.source_to_target]]
-    distances = np.linalg.norm(there_and_back - blobs.source.points, axis=1)
+    cycle_error = blobs.source.points[blobs.target_to_source[blobs.source_to_target]]
+    distances = np.linalg.norm(cycle_error - blobs.source.points, axis=1)
     assert np.median(distances) < 0.1
     assert distances.max() < 0.5
 
@@ -143,8 +143,8 @@ def test_twice_is_bit_equal_and_inputs_stay(results, build, blobs, method, modal
 def test_swapping_the_shapes_swaps_the_maps(results, build, blobs, method, modality):
     """Exactly for functional maps; Sinkhorn's last step normalises one side, so nearly for features."""
     source, target = blobs.of(modality)
-    plain, found = results[method, modality], build(method).match(target, source).swapped()
-    enough = 0.9 if method == "features" else 0.995
+    plain, found = results[method, modality], build(method).match(target, source).inverse()
+    enough = 0.9 if method == "nearest-features" else 0.995
     assert share_equal(found.source_to_target, plain.source_to_target) > enough
     assert share_equal(found.target_to_source, plain.target_to_source) > enough
 
@@ -152,7 +152,7 @@ def test_swapping_the_shapes_swaps_the_maps(results, build, blobs, method, modal
 @pytest.mark.parametrize("modality", MODALITIES)
 @pytest.mark.parametrize("with_network", [True, False])
 def test_auto_is_the_method_it_routes_to(results, build, blobs, with_network, modality):
-    expected = ("functional-map" if modality == "mm" else "features") if with_network else "axiomatic"
+    expected = ("functional-map" if modality == "mm" else "nearest-features") if with_network else "axiomatic"
     found = build("auto", with_network=with_network).match(*blobs.of(modality))
     assert found.route == expected
     assert same_bits(found, results[expected, modality])
@@ -164,11 +164,11 @@ def test_without_need_the_network_is_left_alone(results, build, blobs, method):
 
 
 def test_swapped_exchanges_everything(results):
-    plain = results["features", "mc"]
-    swapped = plain.swapped()
-    assert swapped.source_to_target is plain.target_to_source
-    assert swapped.target_to_source is plain.source_to_target
-    assert swapped.source_confidence is plain.target_confidence
-    assert swapped.target_confidence is plain.source_confidence
-    assert swapped.route == plain.route
-    assert same_bits(swapped.swapped(), plain)
+    plain = results["nearest-features", "mc"]
+    inverse = plain.inverse()
+    assert inverse.source_to_target is plain.target_to_source
+    assert inverse.target_to_source is plain.source_to_target
+    assert inverse.source_confidence is plain.target_confidence
+    assert inverse.target_confidence is plain.source_confidence
+    assert inverse.route == plain.route
+    assert same_bits(inverse.inverse(), plain)

@@ -20,7 +20,7 @@ def test_every_match_has_figures_of_both_sides(build, blobs, modality):
     ):
         assert side.confidence == pytest.approx(confidence.mean(), rel=1e-5)
         assert side.coverage > 0.8
-        assert 0 < side.there_and_back < 0.2
+        assert 0 < side.cycle_error < 0.2
         assert 0.5 < side.dirichlet_energy < 10
         assert (side.flipped_triangles is not None) == (modality == "mm")
 
@@ -28,10 +28,10 @@ def test_every_match_has_figures_of_both_sides(build, blobs, modality):
 def test_of_a_part_only_the_part_is_asked(build, blobs):
     """And exchanging source and target exchanges the figures."""
     part, whole = blobs.of("cc")
-    one = build("features").match(whole, part, partial="target").quality
-    other = build("features").match(part, whole, partial="source").quality
+    one = build("nearest-features").match(whole, part, partial="target").quality
+    other = build("nearest-features").match(part, whole, partial="source").quality
     assert one.source is None and one.target is not None
-    assert other == one.swapped()
+    assert other == one.inverse()
     assert one.mean == one.target
     assert one.to_dict()["source"] is None
     assert set(one.to_dict()["target"]) == set(MEASURES)

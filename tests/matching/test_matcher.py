@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from homolog.errors import ArgumentError, HomologError, ShapeError, WeightsError
+from homolog.core.errors import ArgumentError, HomologError, ShapeError, WeightsError
+from homolog.core.progress import Steps
+from homolog.features import WeightsInfo
+from homolog.features import weights as weights_module
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.maps import normalised, sinkhorn_matches
 from homolog.matching import Correspondence, MapQuality, Matcher, MatcherSettings, Quality, choose_device
 from homolog.matching import matcher as matcher_module
 from homolog.matching.checks import doubts
-from homolog.network import WeightsInfo
-from homolog.network import weights as weights_module
 from homolog.shapes import Shape
-from homolog.steps import Steps
 
 PAIRS = [("mesh", "mesh"), ("cloud", "cloud"), ("mesh", "cloud"), ("cloud", "mesh")]
 
@@ -24,16 +24,16 @@ PAIRS = [("mesh", "mesh"), ("cloud", "cloud"), ("mesh", "cloud"), ("cloud", "mes
 @pytest.mark.parametrize(("source", "target"), PAIRS)
 def test_route_per_modality(build, source, target):
     with_clouds = "cloud" in (source, target)
-    assert build("auto").route(source, target) == ("features" if with_clouds else "functional-map")
+    assert build("auto").route(source, target) == ("nearest-features" if with_clouds else "functional-map")
     assert build("auto", with_network=False).route(source, target) == "axiomatic"
-    for method in ("functional-map", "features", "elastic", "axiomatic"):
+    for method in ("functional-map", "nearest-features", "registration", "axiomatic"):
         assert build(method).route(source, target) == method
 
 
 def test_features_alone_say_what_goes_where_on_shapes_that_are_not_nearly_isometric(build, blobs):
     info = WeightsInfo(upright=False, map_eigenpairs=40, near_isometric=False)
     found = build(info=info).match(blobs.source, blobs.target)
-    assert found.route == "features"
+    assert found.route == "nearest-features"
     matcher = build()
     features = (normalised(matcher.prepare(shape).features) for shape in (blobs.target, blobs.source))
     soft = sinkhorn_matches(*features, temperature=0.1, iterations=10)
@@ -52,34 +52,34 @@ def test_features_alone_say_what_goes_where_on_shapes_that_are_not_nearly_isomet
 def test_as_cloud_leaves_the_faces_out_and_keeps_their_scale(build, blobs, as_cloud, method):
     seen = {}
 
-    def spy(shape, *, settings, length):
-        seen[shape.name] = shape, length
-        return compute_operators(shape, settings=settings, length=length)
+    def spy(shape, *, settings, scale):
+        seen[shape.name] = shape, scale
+        return compute_operators(shape, settings=settings, scale=scale)
 
     found = build(method, operators=spy).match(blobs.source, blobs.target, as_cloud=as_cloud)
     for side, given in (("source", blobs.source), ("target", blobs.target)):
-        used, length = seen[side]
+        used, scale = seen[side]
         np.testing.assert_array_equal(used.points, given.points)
         if as_cloud in (side, "both"):
             assert used.faces is None
-            assert length == pytest.approx(unit_frame(given).length, rel=1e-12)
+            assert scale == pytest.approx(unit_frame(given).scale, rel=1e-12)
         else:
             np.testing.assert_array_equal(used.faces, given.faces)
-    assert found.route == ("features" if method == "auto" else "axiomatic")
+    assert found.route == ("nearest-features" if method == "auto" else "axiomatic")
     assert len(found.source_to_target) == blobs.source.n_points
 
 
 def test_as_cloud_keeps_the_points_that_no_face_uses(build, blobs):
     """Faces of a small part alone say nothing about the cloud, its scale included."""
     few = Shape(blobs.source.points, blobs.source.faces[:20], name="few")
-    prepared = build("features").prepare(few, as_cloud=True)
+    prepared = build("nearest-features").prepare(few, as_cloud=True)
     assert prepared.repaired.shape.n_points == blobs.source.n_points and prepared.n_left_out == 0
-    assert prepared.operators.length == pytest.approx(unit_frame(blobs.source.as_cloud()).length)
+    assert prepared.operators.scale == pytest.approx(unit_frame(blobs.source.as_cloud()).scale)
 
 
 def test_how_parts_stand_is_not_judged_by_their_features(build, blobs, monkeypatch):
     monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
-    matcher = build("features")
+    matcher = build("nearest-features")
     matcher.info = replace(matcher.info, upright=True)
     whole, part = (matcher.match(blobs.source, blobs.target, partial=side) for side in (None, "target"))
     assert "it lies on its side" in whole.warnings
@@ -88,7 +88,7 @@ def test_how_parts_stand_is_not_judged_by_their_features(build, blobs, monkeypat
 
 def test_as_cloud_of_a_cloud_is_the_cloud(build, blobs):
     source, target = blobs.of("cc")
-    plain, found = (build("features").match(source, target, as_cloud=choice) for choice in (None, "both"))
+    plain, found = (build("nearest-features").match(source, target, as_cloud=choice) for choice in (None, "both"))
     np.testing.assert_array_equal(found.source_to_target, plain.source_to_target)
 
 
@@ -142,11 +142,11 @@ def test_a_functional_map_takes_functions_from_source_to_target(build, blobs):
 
 def test_raw_products_skip_the_normalisation(build, blobs, network):
     """Between two clouds with features stretched point by point, only normalised ones give the same map."""
-    source, target = (build("features").prepare(shape) for shape in blobs.of("cc"))
+    source, target = (build("nearest-features").prepare(shape) for shape in blobs.of("cc"))
     by_length = {}
     shuffled = torch.randperm(len(source.features), generator=torch.Generator().manual_seed(0))
     for raw in (False, True):
-        settings = MatcherSettings(method="features", raw_products=raw)
+        settings = MatcherSettings(method="nearest-features", raw_products=raw)
         matcher = Matcher(network, WeightsInfo(upright=False), settings=settings, device="cpu")
         stretch = torch.logspace(-1, 0.5, len(source.features))[shuffled, None]
         stretched = type(source)(source.repaired, source.operators, source.features * stretch)
@@ -159,7 +159,7 @@ def test_raw_products_skip_the_normalisation(build, blobs, network):
 def test_steps_are_measured_in_order(build, blobs):
     heard = []
     steps = Steps(listener=heard.append)
-    build("features").match(blobs.source, blobs.target, steps=steps)
+    build("nearest-features").match(blobs.source, blobs.target, steps=steps)
     names = [step.name for step in steps.finished]
     assert names == heard
     assert set(names) == {
@@ -181,7 +181,7 @@ def test_weights_from_a_file(build, blobs, weights):
     np.testing.assert_array_equal(found.source_to_target, plain.source_to_target)
 
 
-@pytest.mark.parametrize("method", ["auto", "functional-map", "features"])
+@pytest.mark.parametrize("method", ["auto", "functional-map", "nearest-features"])
 def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method):
     asked = []
 
@@ -193,7 +193,7 @@ def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method
     matcher = build(method, info=WeightsInfo(upright=True, map_eigenpairs=40))
     found = matcher.match(blobs.source, blobs.target, source_up="x", target_up="z")
     assert found.warnings[0] == "it lies on its side"
-    lengths = pytest.approx((unit_frame(blobs.source).length, unit_frame(blobs.target).length))
+    lengths = pytest.approx((unit_frame(blobs.source).scale, unit_frame(blobs.target).scale))
     assert asked == [("source", "target", lengths, ("x", "z"), torch.device("cpu"))]
 
 
@@ -204,16 +204,18 @@ def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_cou
         target_to_source=np.array([0, 0]),
         source_confidence=np.array([0.9, 0, 0, 0]),
         target_confidence=np.array([0.9, 0.8]),
-        route="features",
+        route="nearest-features",
     )
-    assert doubts(found) == doubts(found.swapped()) == ()
+    assert doubts(found) == doubts(found.inverse()) == ()
     unsure = replace(found, target_confidence=np.array([0.1, 0.2]))
-    assert "doubtful" in doubts(unsure)[0] and "doubtful" in doubts(unsure.swapped())[0]
+    assert "doubtful" in doubts(unsure)[0] and "doubtful" in doubts(unsure.inverse())[0]
 
 
 def test_maps_that_tear_are_doubted_however_sure_they_are():
-    side = Quality(coverage=0.98, there_and_back=0.01, dirichlet_energy=2.0, flipped_triangles=0.05, confidence=0.9)
-    sure = Correspondence(np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), route="features")
+    side = Quality(coverage=0.98, cycle_error=0.01, dirichlet_energy=2.0, flipped_triangles=0.05, confidence=0.9)
+    sure = Correspondence(
+        np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), route="nearest-features"
+    )
     torn = replace(side, dirichlet_energy=20.0)
     assert doubts(sure) == doubts(replace(sure, quality=MapQuality(side, side))) == ()
     for quality in (MapQuality(torn, side), MapQuality(side, torn), MapQuality(None, torn)):
@@ -225,7 +227,7 @@ def test_maps_that_tear_are_doubted_however_sure_they_are():
 
 def test_orientation_does_not_matter_to_all_weights(build, blobs, monkeypatch):
     monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
-    for method in ("auto", "functional-map", "features"):
+    for method in ("auto", "functional-map", "nearest-features"):
         assert build(method).match(blobs.source, blobs.target).warnings == ()
 
 
@@ -247,7 +249,7 @@ def test_operators_are_those_the_weights_were_trained_with(blobs, network, given
     assert matcher.prepare(blobs.source).operators.n_eigenpairs == (50 if given else 60)
 
 
-@pytest.mark.parametrize("method", ["functional-map", "features"])
+@pytest.mark.parametrize("method", ["functional-map", "nearest-features"])
 def test_methods_that_need_weights(method):
     with pytest.raises(ArgumentError, match=rf"method '{method}' needs weights.*axiomatic"):
         Matcher(settings=MatcherSettings(method=method))
@@ -368,7 +370,7 @@ KINDS = {
     "Path": (lambda m, s: m.match(s, Path("b.ply")), f"target is a {type(Path()).__name__}, but must be a Shape"),
     "array": (lambda m, s: m.prepare(s.points), "shape is a ndarray, but must be a Shape"),
     "operators": (lambda m, s: m.operators("a.ply"), "shape is a str, but must be a Shape"),
-    "features": (lambda m, s: m.features(s), "operators is a Shape, but must be Operators; compute them"),
+    "nearest-features": (lambda m, s: m.features(s), "operators is a Shape, but must be Operators; compute them"),
     "unprepared": (lambda m, s: m.match_prepared(s, s), "source is a Shape, but must be a prepared shape; make one"),
 }
 

@@ -7,7 +7,7 @@ import pytest
 
 from homolog.shapes import Shape
 
-MIXES = [("functional-map", "mm"), ("features", "cc"), ("axiomatic", "mc")]
+MIXES = [("functional-map", "mm"), ("nearest-features", "cc"), ("axiomatic", "mc")]
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ def test_repair_of_partial_shapes(build, blobs, side):
     shapes = {"source": dirty.shape, "target": blobs.target}
     if side == "source":
         shapes = {"source": blobs.target, "target": dirty.shape}
-    found = build("features").match(shapes["source"], shapes["target"], partial=side)
-    found = found.swapped() if side == "source" else found
+    found = build("nearest-features").match(shapes["source"], shapes["target"], partial=side)
+    found = found.inverse() if side == "source" else found
     left_out = dirty.clean_index < 0
     assert np.all(found.source_to_target[left_out] == -1)
     assert np.all((found.source_confidence == 0) == (found.source_to_target < 0))

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from homolog.features import load_weights
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.matching.axiomatic import axis_agreement
 from homolog.matching.orientation import Turn, axiomatic_warnings, orientation_warnings
-from homolog.network import load_weights
 from homolog.shapes import Shape, rotation_about, upright_rotation
 
 
@@ -65,12 +65,12 @@ def test_both_lying_alike_need_no_warning_here(demo_operators):
 def cloud_of(shape, n, seed=0):
     """Some of its points, and the unit that its faces give."""
     chosen = np.random.default_rng(seed).permutation(shape.n_points)[:n]
-    return Shape(shape.points[chosen], name=f"{n} points"), unit_frame(shape).length
+    return Shape(shape.points[chosen], name=f"{n} points"), unit_frame(shape).scale
 
 
 def warned(features, *clouds, ups=("y", "y")):
-    (source, length), (target, other) = clouds
-    return orientation_warnings(features, source, target, lengths=(length, other), ups=ups)
+    (source, scale), (target, other) = clouds
+    return orientation_warnings(features, source, target, scales=(scale, other), ups=ups)
 
 
 def read_as(file_up, given_up, side):
@@ -106,7 +106,7 @@ def moments(points):
 
 def features_of_upright(*clouds):
     """Features that are the same all over these bodies as they stand, and have another part at random otherwise."""
-    known = [moments(torch.from_numpy((shape.points - shape.points.mean(axis=0)) / length)) for shape, length in clouds]
+    known = [moments(torch.from_numpy((shape.points - shape.points.mean(axis=0)) / scale)) for shape, scale in clouds]
 
     def features(points, operators):
         own = moments(points.double())
@@ -144,7 +144,7 @@ def test_so_it_does_with_trained_weights(demo, reference, side, true, given):
     def told(up):
         turn, ups = read_as(true, up, side)
         clouds = [cloud_of(demo.amber, 1000), cloud_of(demo.boris, 1000)]
-        moved = [(Shape(shape.points @ turn.T), length) for shape, length in clouds]
+        moved = [(Shape(shape.points @ turn.T), scale) for shape, scale in clouds]
         ups = (up, up) if side == "both" else ups
         if side != "both":
             moved = [moved[0], clouds[1]] if side == "source" else [clouds[0], moved[1]]
@@ -199,10 +199,10 @@ def test_a_small_gain_says_little_of_sparse_clouds(demo, n, enough):
         upright = points.std(dim=0).argmax() == 1
         return torch.tensor([[1.0, 0.0]] if upright else [[0.95, (1 - 0.95**2) ** 0.5]]).expand(len(points), 2)
 
-    source, length = cloud_of(demo.amber, n)
-    lying = Shape(source.points @ rotation_about(0, 90).T), length
+    source, scale = cloud_of(demo.amber, n)
+    lying = Shape(source.points @ rotation_about(0, 90).T), scale
     target = cloud_of(demo.boris, 1500)
-    assert warned(features, (source, length), target) == []
+    assert warned(features, (source, scale), target) == []
     assert bool(warned(features, lying, target)) == enough
 
 
@@ -213,7 +213,7 @@ def test_sparse_upright_bodies_raise_no_warning_with_trained_weights(demo, refer
     with torch.inference_mode():
         assert warned(network, cloud_of(demo.amber, n), cloud_of(demo.boris, n, seed=1)) == []
         if n >= 500:
-            source, length = cloud_of(demo.amber, n)
-            lying = Shape(source.points @ rotation_about(0, 90).T), length
+            source, scale = cloud_of(demo.amber, n)
+            lying = Shape(source.points @ rotation_about(0, 90).T), scale
             (warning,) = warned(network, lying, cloud_of(demo.boris, n, seed=1))
             assert "give z as the source's up axis" in warning

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from homolog.errors import ArgumentError, DataError
+from homolog.core.errors import ArgumentError, DataError
+from homolog.core.progress import Steps
 from homolog.matching import Correspondence, matched_colours, position_colours, read_result, write_result
 from homolog.shapes import Shape, read_shape
-from homolog.steps import Steps
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
 GREY = [160, 160, 160]
@@ -33,7 +33,12 @@ def found(shapes):
     forth, back = rng.integers(0, m, n), rng.integers(0, n, m)
     forth[[3, 100]], back[7] = -1, -1
     return Correspondence(
-        forth, back, np.where(forth < 0, 0, rng.random(n)), np.where(back < 0, 0, rng.random(m)), "features", ("look!",)
+        forth,
+        back,
+        np.where(forth < 0, 0, rng.random(n)),
+        np.where(back < 0, 0, rng.random(m)),
+        "nearest-features",
+        ("look!",),
     )
 
 
@@ -65,7 +70,7 @@ def test_saved_arrays(found, tmp_path):
 
 
 def test_a_real_match_saves_its_own_arrays(build, blobs, tmp_path):
-    found = build("features").match(*blobs.of("mc"))
+    found = build("nearest-features").match(*blobs.of("mc"))
     found.save(tmp_path / "maps.npz")
     with np.load(tmp_path / "maps.npz") as stored:
         np.testing.assert_array_equal(stored["source_to_target"], found.source_to_target)
@@ -88,7 +93,7 @@ def test_the_four_files(shapes, found, tmp_path):
 
 
 def test_a_result_is_read_back(shapes, found, tmp_path):
-    write_result(tmp_path, *shapes, found, {"route": "features", "warnings": ["look!"], "answer": 42})
+    write_result(tmp_path, *shapes, found, {"route": "nearest-features", "warnings": ["look!"], "answer": 42})
     result = read_result(tmp_path)
     assert result.report["answer"] == 42
     for name, value in asdict(found).items():
@@ -100,7 +105,7 @@ def test_a_result_is_read_back(shapes, found, tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_folder_that_lacks_a_file_is_no_result(shapes, found, tmp_path, name):
-    write_result(tmp_path, *shapes, found, {"route": "features"})
+    write_result(tmp_path, *shapes, found, {"route": "nearest-features"})
     (tmp_path / name).unlink()
     with pytest.raises(DataError, match=f"has no {name}, so that it is no result"):
         read_result(tmp_path)
@@ -129,7 +134,7 @@ def change_maps(folder, **changes):
     ],
 )
 def test_results_that_are_spoilt_are_one_line(shapes, found, tmp_path, spoil, said):
-    write_result(tmp_path, *shapes, found, {"route": "features"})
+    write_result(tmp_path, *shapes, found, {"route": "nearest-features"})
     spoil(tmp_path)
     with pytest.raises(DataError, match=said) as error:
         read_result(tmp_path)

@@ -8,9 +8,9 @@ import pytest
 import torch
 from scipy.spatial import KDTree
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.geometry import compute_operators, unit_frame
-from homolog.maps import covered
+from homolog.maps import overlap
 from homolog.matching import Matcher, PointMaps
 from homolog.shapes import Shape, repair
 
@@ -70,11 +70,11 @@ def f1(found, truth):
 @pytest.mark.parametrize(("kind", "as_cloud"), KINDS)
 @pytest.mark.parametrize("side", ["source", "target"])
 def test_points_without_counterpart(build, cut, side, kind, as_cloud):
-    matcher = build("features", kind=Told)
+    matcher = build("nearest-features", kind=Told)
     matcher.truth = cut
     shapes = (cut.whole, cut.part) if side == "target" else (cut.part, cut.whole)
     found = matcher.match(*shapes, partial=side, as_cloud=as_cloud)
-    found = found if side == "target" else found.swapped()
+    found = found if side == "target" else found.inverse()
     matched = found.source_to_target >= 0
     assert f1(matched, cut.kept) >= 0.9
     np.testing.assert_array_equal(found.source_to_target[matched], cut.whole_to_part[matched])
@@ -86,9 +86,9 @@ def test_points_without_counterpart(build, cut, side, kind, as_cloud):
 
 def test_covered_itself(cut):
     """The same without a matcher, on operators."""
-    length = unit_frame(cut.whole).length
-    whole, part = compute_operators(cut.whole), compute_operators(cut.part, length=length)
-    found = covered(whole, part, torch.from_numpy(cut.part_to_whole)).numpy()
+    scale = unit_frame(cut.whole).scale
+    whole, part = compute_operators(cut.whole), compute_operators(cut.part, scale=scale)
+    found = overlap(whole, part, torch.from_numpy(cut.part_to_whole)).numpy()
     assert f1(found, cut.kept) >= 0.9
     assert f1(~found, ~cut.kept) >= 0.8
 
@@ -99,7 +99,7 @@ def lengths_of(build, method, **options):
 
     def spy(shape, **settings):
         operators = compute_operators(shape, **settings)
-        lengths[shape.name] = operators.length
+        lengths[shape.name] = operators.scale
         return operators
 
     build(method, operators=spy).match(*options.pop("shapes"), **options)
@@ -110,17 +110,17 @@ def lengths_of(build, method, **options):
 @pytest.mark.parametrize("side", ["source", "target"])
 def test_one_scale_the_whole_one(build, cut, side, kind, as_cloud):
     shapes = (cut.whole, cut.part) if side == "target" else (cut.part, cut.whole)
-    lengths = lengths_of(build, "features", shapes=shapes, partial=side, as_cloud=as_cloud)
-    assert lengths["part"] == lengths["body"] == unit_frame(cut.whole).length
+    lengths = lengths_of(build, "nearest-features", shapes=shapes, partial=side, as_cloud=as_cloud)
+    assert lengths["part"] == lengths["body"] == unit_frame(cut.whole).scale
 
 
 def test_each_its_own_scale_where_neither_is_partial(build, cut):
-    lengths = lengths_of(build, "features", shapes=(cut.whole, cut.part))
-    assert lengths == {"body": unit_frame(cut.whole).length, "part": unit_frame(cut.part).length}
+    lengths = lengths_of(build, "nearest-features", shapes=(cut.whole, cut.part))
+    assert lengths == {"body": unit_frame(cut.whole).scale, "part": unit_frame(cut.part).scale}
     assert lengths["part"] < 0.95 * lengths["body"]
 
 
-@pytest.mark.parametrize("method", ["functional-map", "features", "axiomatic"])
+@pytest.mark.parametrize("method", ["functional-map", "nearest-features", "axiomatic"])
 @pytest.mark.parametrize("as_cloud", [None, "both", "source", "target"])
 def test_every_method_on_parts(build, blobs, method, as_cloud):
     """The part always has counterparts; the whole has -1 with confidence 0; the other way round is the mirror image."""
@@ -148,14 +148,16 @@ def test_every_method_on_parts(build, blobs, method, as_cloud):
 
 
 def test_elastic_skins_know_no_parts(build, blobs):
-    matcher = build("elastic", with_network=False)
+    matcher = build("registration", with_network=False)
     pair = matcher.prepare_pair(blobs.source, blobs.target)
     for call, shapes in ((matcher.match, (blobs.source, blobs.target)), (matcher.match_prepared, pair)):
-        with pytest.raises(ArgumentError, match="partial is 'target', but the method 'elastic' draws whole shapes"):
+        with pytest.raises(
+            ArgumentError, match="partial is 'target', but the method 'registration' registers full shapes"
+        ):
             call(*shapes, partial="target")
 
 
-@pytest.mark.parametrize("method", ["functional-map", "features", "elastic", "axiomatic"])
+@pytest.mark.parametrize("method", ["functional-map", "nearest-features", "registration", "axiomatic"])
 def test_whole_pairs_have_no_missing_points(build, blobs, method):
     found = build(method).match(blobs.source, blobs.target)
     assert found.source_to_target.min() >= 0
@@ -164,7 +166,7 @@ def test_whole_pairs_have_no_missing_points(build, blobs, method):
 
 def told_units(build, cut, factor, as_cloud=None, **options):
     """What a match of the part, its points multiplied, warns of regarding units, and its maps."""
-    matcher = build("features", kind=Told)
+    matcher = build("nearest-features", kind=Told)
     matcher.truth = cut
     part = Shape(cut.part.points * factor, cut.part.faces)
     found = matcher.match(cut.whole, part, partial="target", as_cloud=as_cloud, **options)
@@ -176,13 +178,13 @@ def test_a_part_in_other_units_is_named_and_scaled(build, cut, kind, as_cloud):
     """Its area and the whole one's, both in the units of the whole."""
     for factor in (1000.0, 0.01):
         (warning,), _ = told_units(build, cut, factor, as_cloud)
-        area = factor**2 * unit_frame(cut.part).length ** 2
-        whole = unit_frame(cut.whole).length ** 2
+        area = factor**2 * unit_frame(cut.part).scale ** 2
+        whole = unit_frame(cut.whole).scale ** 2
         assert f"the partial shape's area is {area:.3g}, the complete one's {whole:.3g}:" in warning
-        assert "part_scale (--part-scale)" in warning
+        assert "partial_scale (--partial-scale)" in warning
         assert "\n" not in warning
         _, plain = told_units(build, cut, 1.0, as_cloud)
-        none, found = told_units(build, cut, factor, as_cloud, part_scale=1 / factor)
+        none, found = told_units(build, cut, factor, as_cloud, partial_scale=1 / factor)
         assert none == []
         np.testing.assert_array_equal(found.source_to_target >= 0, plain.source_to_target >= 0)
         np.testing.assert_array_equal(found.target_to_source, plain.target_to_source)
@@ -192,17 +194,17 @@ def test_a_raw_cloud_as_part_is_judged_too(build, cut):
     clouds = Cut(cut.whole.as_cloud(), cut.part.as_cloud(), cut.part_to_whole, cut.kept)
     assert told_units(build, clouds, 1.0)[0] == []
     assert len(told_units(build, clouds, 1000.0)[0]) == 1
-    assert told_units(build, clouds, 1000.0, part_scale=0.001)[0] == []
+    assert told_units(build, clouds, 1000.0, partial_scale=0.001)[0] == []
 
 
-@pytest.mark.parametrize("part_scale", [0, -2, float("nan"), float("inf"), "mm", None, True])
-def test_part_scales_that_are_none(build, cut, part_scale):
-    with pytest.raises(ArgumentError, match=r"part_scale is .*, but must be a positive finite number"):
-        build("features").match(cut.whole, cut.part, partial="target", part_scale=part_scale)
+@pytest.mark.parametrize("partial_scale", [0, -2, float("nan"), float("inf"), "mm", None, True])
+def test_part_scales_that_are_none(build, cut, partial_scale):
+    with pytest.raises(ArgumentError, match=r"partial_scale is .*, but must be a positive finite number"):
+        build("nearest-features").match(cut.whole, cut.part, partial="target", partial_scale=partial_scale)
 
 
 def positions(build, whole, part, **options):
-    source, target = build("features").prepare_pair(whole, part, partial="target", **options)
+    source, target = build("nearest-features").prepare_pair(whole, part, partial="target", **options)
     return source.operators, target.operators
 
 
@@ -211,27 +213,27 @@ def test_a_part_in_place_lies_on_its_whole(build, cut, kind, as_cloud):
     """Also in units of its own, and turned upright; its features are those of the positions there."""
     points = cut.part.points[:, [0, 2, 1]] * [1, -1, 1]  # +z is up
     part = Shape(100 * points, cut.part.faces)
-    options = {"as_cloud": as_cloud, "part_scale": 0.01, "target_up": "z"}
-    whole, placed = positions(build, cut.whole, part, in_place=True, **options)
+    options = {"as_cloud": as_cloud, "partial_scale": 0.01, "target_up": "z"}
+    whole, placed = positions(build, cut.whole, part, pre_aligned=True, **options)
     torch.testing.assert_close(placed.points, whole.points[cut.part_to_whole], atol=1e-5, rtol=0)
     torch.testing.assert_close(placed.centre, 100 * whole.centre)
     whole, apart = positions(build, cut.whole, part, **options)
     assert apart.points.mean(dim=0).norm() < 1e-5
-    matcher = build("features")
+    matcher = build("nearest-features")
     prepared = [
-        matcher.prepare_pair(cut.whole, part, partial="target", in_place=way, **options)[1] for way in (True, False)
+        matcher.prepare_pair(cut.whole, part, partial="target", pre_aligned=way, **options)[1] for way in (True, False)
     ]
     torch.testing.assert_close(prepared[0].features, matcher.features(placed))
     assert (prepared[0].features - prepared[1].features).abs().max() > 1e-3
 
 
 def test_in_place_is_for_parts(build, cut):
-    with pytest.raises(ArgumentError, match=r"in_place is True, but neither shape is partial"):
-        build("features").match(cut.whole, cut.part, in_place=True)
-    with pytest.raises(ArgumentError, match=r"in_place"):
-        build("features").match(cut.whole, cut.part, partial="target", in_place="yes")
+    with pytest.raises(ArgumentError, match=r"pre_aligned is True, but neither shape is partial"):
+        build("nearest-features").match(cut.whole, cut.part, pre_aligned=True)
+    with pytest.raises(ArgumentError, match=r"pre_aligned"):
+        build("nearest-features").match(cut.whole, cut.part, partial="target", pre_aligned="yes")
 
 
 def test_a_part_scale_needs_a_part(build, cut):
-    with pytest.raises(ArgumentError, match=r"part_scale is 10, but neither shape is partial"):
-        build("features").match(cut.whole, cut.part, part_scale=10)
+    with pytest.raises(ArgumentError, match=r"partial_scale is 10, but neither shape is partial"):
+        build("nearest-features").match(cut.whole, cut.part, partial_scale=10)

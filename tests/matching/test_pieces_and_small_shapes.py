@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry import OperatorSettings
 from homolog.matching import Matcher, MatcherSettings, matcher
 from homolog.shapes import Shape, check
@@ -27,7 +27,7 @@ def test_a_body_among_three_hundred_pieces_matches_the_body_alone(modality, demo
     assert np.linalg.norm(littered.points[found.target_to_source] - demo.amber.points, axis=1).mean() < 2e-3 * extent
 
 
-@pytest.mark.parametrize("method", ["functional-map", "features"])
+@pytest.mark.parametrize("method", ["functional-map", "nearest-features"])
 @pytest.mark.parametrize("modality", ["mm", "cc"])
 @pytest.mark.parametrize("side", ["source", "target"])
 def test_a_network_does_not_mind_pieces_either(build, blobs, make, method, modality, side):

@@ -5,10 +5,10 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
+from homolog.features import DiffusionNet
 from homolog.geometry import compute_operators, unit_frame
 from homolog.matching import Matcher, MatcherSettings
 from homolog.matching.placement import _PART_SAMPLES, _samples, placed
-from homolog.network import DiffusionNet
 from homolog.shapes import Shape
 
 
@@ -40,7 +40,7 @@ def upper(demo):
 @pytest.fixture(scope="module")
 def matcher_of(upper):
     body, _, kept = upper
-    known = unit_frame(body).inside(body.points)
+    known = unit_frame(body).to_unit(body.points)
 
     def build(**settings):
         some = _samples(len(kept), _PART_SAMPLES).numpy()
@@ -49,21 +49,21 @@ def matcher_of(upper):
     return build
 
 
-def displaced(upper, in_place, matcher, degrees=25.0, away=0.1):
+def displaced(upper, pre_aligned, matcher, degrees=25.0, away=0.1):
     """Where the points of a turned and shifted part come to lie, and the whole's points that they are."""
     body, part, kept = upper
-    length = unit_frame(body).length
+    scale = unit_frame(body).scale
     turn = Rotation.from_rotvec(np.deg2rad(degrees) * np.array([0.6, 0.0, 0.8])).as_matrix()
     middle = part.points.mean(axis=0)
-    turned = Shape((part.points - middle) @ turn.T + middle + away * length, part.faces)
-    whole, prepared = matcher.prepare_pair(body, turned, partial="target", in_place=in_place)
+    turned = Shape((part.points - middle) @ turn.T + middle + away * scale, part.faces)
+    whole, prepared = matcher.prepare_pair(body, turned, partial="target", pre_aligned=pre_aligned)
     return matcher.placed(whole, prepared), prepared, whole.operators.points[kept]
 
 
-@pytest.mark.parametrize("in_place", [False, True])
-def test_a_part_is_turned_and_shifted_to_its_place(upper, matcher_of, in_place):
+@pytest.mark.parametrize("pre_aligned", [False, True])
+def test_a_part_is_turned_and_shifted_to_its_place(upper, matcher_of, pre_aligned):
     matcher = matcher_of()
-    found, given, places = displaced(upper, in_place, matcher)
+    found, given, places = displaced(upper, pre_aligned, matcher)
     assert (given.operators.points - places).norm(dim=1).mean() > 0.1
     assert (found.operators.points - places).norm(dim=1).mean() < 0.01
     torch.testing.assert_close(found.features, matcher.network(found.operators.points, None))
@@ -83,7 +83,7 @@ def test_maps_are_those_of_the_place(upper, matcher_of):
     turned = Shape(part.points @ Rotation.from_euler("x", 30, degrees=True).as_matrix().T, part.faces)
     error = {}
     for place in (True, False):
-        matcher = matcher_of(place=place, method="features", refine=False)
+        matcher = matcher_of(place=place, method="nearest-features", refine=False)
         found = matcher.match(body, turned, partial="target").target_to_source
         error[place] = np.linalg.norm(body.points[found] - body.points[kept], axis=1).mean()
         mirrored = matcher.match(turned, body, partial="source").source_to_target
@@ -94,12 +94,12 @@ def test_maps_are_those_of_the_place(upper, matcher_of):
 def test_nothing_moves_that_need_not(upper, matcher_of):
     body, part, _ = upper
     matcher = matcher_of()
-    whole, prepared = matcher.prepare_pair(body, part, partial="target", in_place=True)
+    whole, prepared = matcher.prepare_pair(body, part, partial="target", pre_aligned=True)
     found = matcher.placed(whole, prepared)
     assert (found.operators.points - prepared.operators.points).norm(dim=1).max() < 1e-3
     assert matcher_of(place=False).placed(whole, prepared) is prepared
     assert Matcher().placed(whole, prepared) is prepared
-    given = compute_operators(part, length=whole.operators.length).points
+    given = compute_operators(part, scale=whole.operators.scale).points
     torch.testing.assert_close(
         prepared.operators.points - prepared.operators.points.mean(dim=0), given, atol=1e-5, rtol=0
     )
@@ -109,9 +109,9 @@ def test_nothing_moves_that_need_not(upper, matcher_of):
 def test_turned_beginnings_where_the_given_one_leads_nowhere(upper, degrees, axis):
     """A network that knows the points of parts that stand about rightly, and only sees where others lie."""
     body, part, kept = upper
-    whole = torch.from_numpy(unit_frame(body).inside(body.points)).float()
+    whole = torch.from_numpy(unit_frame(body).to_unit(body.points)).float()
     turn = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
-    basis = compute_operators(Shape(part.points @ turn.T, part.faces), length=unit_frame(body).length).basis
+    basis = compute_operators(Shape(part.points @ turn.T, part.faces), scale=unit_frame(body).scale).basis
     places = whole[kept][_samples(len(kept), _PART_SAMPLES)]
 
     def embedded(points):
@@ -134,8 +134,8 @@ def test_turned_beginnings_where_the_given_one_leads_nowhere(upper, degrees, axi
 def test_a_part_of_a_smaller_or_larger_individual_takes_its_whole_s_size(upper, size):
     """A network that knows the points of parts of about the right size, and sees of others only where they lie."""
     body, part, kept = upper
-    whole = torch.from_numpy(unit_frame(body).inside(body.points)).float()
-    basis = compute_operators(Shape(part.points * size, part.faces), length=unit_frame(body).length).basis
+    whole = torch.from_numpy(unit_frame(body).to_unit(body.points)).float()
+    basis = compute_operators(Shape(part.points * size, part.faces), scale=unit_frame(body).scale).basis
     places = whole[kept][_samples(len(kept), _PART_SAMPLES)]
 
     def embedded(points):
@@ -158,8 +158,8 @@ def test_a_part_of_a_smaller_or_larger_individual_takes_its_whole_s_size(upper, 
 def test_what_is_nearly_as_alike_elsewhere_does_not_tempt(upper):
     """Features that tell nothing are as alike everywhere: the part stays as it is given."""
     body, part, _ = upper
-    whole = torch.from_numpy(unit_frame(body).inside(body.points)).float()
-    basis = compute_operators(part, length=unit_frame(body).length).basis
+    whole = torch.from_numpy(unit_frame(body).to_unit(body.points)).float()
+    basis = compute_operators(part, scale=unit_frame(body).scale).basis
 
     def features_of(points, _):
         """A hair more alike where the part has another size."""

@@ -19,7 +19,7 @@ from pathlib import Path
 from homolog.cli.main import main
 from homolog.serving.server import MatchServer
 from homolog.synthesis import production, synthesize_people, write_view_set
-from homolog.training import read_recipe, shipped_recipes
+from homolog.training import builtin_recipes, read_recipe
 from homolog.viewing import LiveView
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "synthesis"))
@@ -31,7 +31,7 @@ STEPS, SHAPES, VERTICES = 2, 6, 800
 def read_short_recipe(recipe):
     """A recipe; one that ships has few steps."""
     whole = read_recipe(recipe)
-    if recipe not in shipped_recipes():
+    if recipe not in builtin_recipes():
         return whole
     validation = replace(whole.validation, every=STEPS, score_every=0, shapes=2, pairs=1)
     return replace(whole, training=replace(whole.training, steps=STEPS), validation=validation)

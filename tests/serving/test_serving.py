@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from serving_tools import TRIANGLE, Listener, gone, pids, program, until
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.matching import RESULT_FILES, read_result
 from homolog.serving import Limits, MatchCommand
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.shapes.sampling import farthest_points
 
 

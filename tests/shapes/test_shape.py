@@ -5,7 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from homolog.errors import ShapeError
+from homolog.core.errors import ShapeError
 from homolog.shapes import Shape
 
 POINTS = np.eye(4, 3)

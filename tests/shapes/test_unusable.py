@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homolog.errors import MissingExtraError, ShapeError
+from homolog.core.errors import MissingExtraError, ShapeError
 from homolog.shapes import READABLE, WRITABLE, Shape, read_shape, write_shape
 
 MESH = Shape(
@@ -398,7 +398,7 @@ def test_missing_package_names_its_extra(tmp_path, monkeypatch, suffix, module, 
 def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
     """Some libraries set up their logging when they are first imported."""
     path = put(tmp_path, "a" + suffix, RUBBISH["words"])
-    code = "import sys\nfrom homolog.shapes import read_shape\nfrom homolog.errors import ShapeError\n"
+    code = "import sys\nfrom homolog.shapes import read_shape\nfrom homolog.core.errors import ShapeError\n"
     code += "try:\n    read_shape(sys.argv[1])\nexcept ShapeError:\n    print('refused')\n"
     done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr, done.returncode) == ("refused\n", "", 0)

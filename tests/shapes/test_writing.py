@@ -6,8 +6,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from homolog.errors import ArgumentError, ShapeError
-from homolog.files import atomic_path
+from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.files import atomic_path
 from homolog.shapes import READABLE, WRITABLE, Shape, read_shape, write_shape
 
 POINTS_ONLY = (".xyz", ".txt", ".csv", ".npy", ".pcd")

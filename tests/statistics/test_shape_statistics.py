@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial import procrustes
 from scipy.spatial.transform import Rotation
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.statistics import compactness, generalisation, generalised_procrustes, principal_modes, specificity
 
 

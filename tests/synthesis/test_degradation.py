@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from homolog.shapes import Shape, face_areas
-from homolog.synthesis import add_outliers, thin
+from homolog.synthesis import add_outliers, subsample
 
 
 def test_outliers_are_far_and_have_no_index(make):
@@ -33,7 +33,7 @@ def test_no_outliers(make):
 def test_density_follows_the_cosine(least):
     """In each of ten slabs as many of the evenly spread points are kept as the law has it, within five deviations."""
     cloud = Shape(np.random.default_rng(0).random((200_000, 3)))
-    part = thin(cloud, least=least, direction=[0, 0, 2], seed=3)
+    part = subsample(cloud, least=least, direction=[0, 0, 2], seed=3)
     assert part.shape.faces is None and (np.diff(part.complete_index) > 0).all()
     assert np.array_equal(part.shape.points, cloud.points[part.complete_index])
     heights = np.linspace(0, 1, 10_001)
@@ -45,4 +45,4 @@ def test_density_follows_the_cosine(least):
 
 
 def test_of_a_mesh_the_points_are_thinned(make):
-    assert thin(make.blob(3), seed=0).shape.faces is None
+    assert subsample(make.blob(3), seed=0).shape.faces is None

@@ -8,9 +8,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.shapes import Shape, face_areas
-from homolog.synthesis import Part, add_outliers, cut, pierce, thin
+from homolog.synthesis import Part, add_outliers, cut, cut_holes, subsample
 from homolog.synthesis.parts import in_discs
 
 
@@ -95,7 +95,7 @@ def test_discs_are_geodesic(make):
 
 def test_one_hole_is_the_disc_around_a_point(make):
     blob = make.blob(2)
-    part = pierce(blob, holes=1, radius=0.2, seed=8)
+    part = cut_holes(blob, holes=1, radius=0.2, seed=8)
     assert is_whole(part, blob)
     gone = np.setdiff1d(np.arange(blob.n_points), part.complete_index)
     radius = 0.2 * np.sqrt(area(blob))
@@ -107,12 +107,12 @@ def test_one_hole_is_the_disc_around_a_point(make):
 @given(seed=st.integers(0, 10**6))
 def test_holes_leave_one_piece(make, seed):
     blob = make.blob(3)
-    part = pierce(blob, holes=(2, 6), radius=(0.05, 0.3), seed=seed)
+    part = cut_holes(blob, holes=(2, 6), radius=(0.05, 0.3), seed=seed)
     assert is_whole(part, blob)
     assert part.shape.n_points < blob.n_points
 
 
-@pytest.mark.parametrize("make_part", [cut, pierce, thin, add_outliers])
+@pytest.mark.parametrize("make_part", [cut, cut_holes, subsample, add_outliers])
 def test_the_same_seed_gives_the_same_bytes(make, make_part):
     blob = make.blob(3)
     one, again, other = (make_part(blob, seed=seed) for seed in (5, 5, 6))
@@ -125,7 +125,7 @@ def test_the_same_seed_gives_the_same_bytes(make, make_part):
 def test_steps_one_after_the_other_lead_back(make):
     blob = make.blob(3)
     first = cut(blob, seed=1)
-    second = first.then(thin(first.shape, seed=2))
+    second = first.then(subsample(first.shape, seed=2))
     third = second.then(add_outliers(second.shape, share=0.1, seed=3))
     known = third.complete_index >= 0
     assert np.array_equal(third.shape.points[known], blob.points[third.complete_index[known]])
@@ -148,13 +148,13 @@ def test_steps_keep_places_on_triangles():
         (cut, {"removed": "half"}, "removed"),
         (cut, {"normal": [0, 0, 0]}, "normal"),
         (cut, {"normal": [1, 2]}, "normal"),
-        (pierce, {"holes": 0}, "holes"),
-        (pierce, {"holes": (4, 2)}, "holes"),
-        (pierce, {"holes": 10**6}, "holes"),
-        (pierce, {"holes": 1.5}, "holes"),
-        (pierce, {"radius": 0.0}, "radius"),
-        (thin, {"least": 1.5}, "least"),
-        (thin, {"direction": [0, np.nan, 1]}, "direction"),
+        (cut_holes, {"holes": 0}, "holes"),
+        (cut_holes, {"holes": (4, 2)}, "holes"),
+        (cut_holes, {"holes": 10**6}, "holes"),
+        (cut_holes, {"holes": 1.5}, "holes"),
+        (cut_holes, {"radius": 0.0}, "radius"),
+        (subsample, {"least": 1.5}, "least"),
+        (subsample, {"direction": [0, np.nan, 1]}, "direction"),
         (add_outliers, {"share": -0.1}, "share"),
         (add_outliers, {"distance": -1.0}, "distance"),
     ],
@@ -166,12 +166,12 @@ def test_values_that_cannot_be(make, make_part, options, named):
 
 def test_shapes_too_small_or_without_faces(make):
     sphere = make.sphere(1)
-    for make_part in (cut, pierce):
+    for make_part in (cut, cut_holes):
         with pytest.raises(ShapeError, match="point cloud"):
             make_part(sphere.as_cloud(), seed=0)
     with pytest.raises(ShapeError, match="cut less away"):
         cut(sphere, removed=0.999, seed=0)
     with pytest.raises(ShapeError, match="fewer or smaller holes"):
-        pierce(sphere, holes=1, radius=3.0, seed=0)
+        cut_holes(sphere, holes=1, radius=3.0, seed=0)
     with pytest.raises(ShapeError, match="thin it less"):
-        thin(Shape(np.eye(5, 3)), least=0.0, direction=[1, 0, 0], seed=0)
+        subsample(Shape(np.eye(5, 3)), least=0.0, direction=[1, 0, 0], seed=0)

@@ -11,8 +11,8 @@ import pytest
 import trimesh
 from stand_in import Crossing, StandIn, sphere
 
+from homolog.core.errors import ArgumentError, MissingExtraError
 from homolog.datasets import ShapeFolder
-from homolog.errors import ArgumentError, MissingExtraError
 from homolog.geometry.surface import Places, Surface
 from homolog.shapes import read_shape
 from homolog.synthesis import (

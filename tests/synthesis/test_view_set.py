@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from homolog.core.errors import ArgumentError, DataError
 from homolog.datasets import ShapeFolder
-from homolog.errors import ArgumentError, DataError
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.synthesis import ViewSettings, view, view_set, write_view_set
 from homolog.training.data import TrainingSet

@@ -6,7 +6,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.shapes import Shape, face_areas
 from homolog.synthesis import Camera, ViewSettings, drawn_camera, view, view_from
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from homolog.errors import ArgumentError, TrainingError
+from homolog.core.errors import ArgumentError, TrainingError
+from homolog.features import DiffusionNet, NetworkSettings, WeightsInfo
 from homolog.geometry import OperatorSettings
 from homolog.matching import Matcher, MatcherSettings
-from homolog.network import DiffusionNet, NetworkSettings, WeightsInfo
 from homolog.shapes import Shape
 from homolog.training import AdaptationSettings, LossSettings, TrainingShape, adapt_to_pair, adaptation, pair_losses
 from homolog.training.recipe import OptimiserSettings, SampleSettings
@@ -48,8 +48,10 @@ def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_tho
     pair = matcher.prepare_pair(*shapes)
     with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that keep no areas"):
         adapt_to_pair(for_organs, *pair, SETTINGS)
-    elastic = replace(SETTINGS, steps=1, loss=LossSettings(bijectivity=0, orthogonality=0, alignment=0, elastic=1.0))
-    adapted = adapt_to_pair(for_organs, *pair, elastic)[0]
+    registration = replace(
+        SETTINGS, steps=1, loss=LossSettings(bijectivity=0, orthogonality=0, alignment=0, registration=1.0)
+    )
+    adapted = adapt_to_pair(for_organs, *pair, registration)[0]
     assert any(
         not torch.equal(*both) for both in zip(adapted.network.parameters(), matcher.network.parameters(), strict=True)
     )
@@ -125,7 +127,7 @@ def test_a_part_is_placed_first_and_its_cloud_lies_where_it_does(matcher, shapes
     used, faces = np.unique(blob.faces[kept], return_inverse=True)
     part = Shape(blob.points[used], faces.reshape(-1, 3))
     pair = (part, blob) if partial == "source" else (blob, part)
-    source, target = matcher.prepare_pair(*pair, partial=partial, in_place=True)
+    source, target = matcher.prepare_pair(*pair, partial=partial, pre_aligned=True)
     seen, placings = [], []
 
     def losses(network, x, y, **options):

@@ -7,7 +7,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from homolog.errors import TrainingError
+from homolog.core.errors import TrainingError
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.state import TrainingState
 

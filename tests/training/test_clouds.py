@@ -10,7 +10,7 @@ from homolog.training.recipe import CloudSettings
 
 
 def test_the_clean_cloud_comes_first():
-    settings = CloudSettings((0.1, 0.2), thinned=(0.5,), resampled=(300,), cut=(0.4,), pierced=(9,), seen=(0.0,))
+    settings = CloudSettings((0.1, 0.2), subsampled=(0.5,), resampled=(300,), cut=(0.4,), holes=(9,), seen=(0.0,))
     found = cloud_variants(settings)
     kinds = ["clean", "noisy", "noisy", "thinned", "resampled", "cut", "pierced", "seen"]
     assert [variant.kind for variant in found] == kinds

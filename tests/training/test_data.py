@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homolog.datasets import SetDescription, ShapeFolder, read_description
-from homolog.errors import ArgumentError, DataError
+from homolog.core.errors import ArgumentError, DataError
+from homolog.datasets import DatasetDescription, ShapeFolder, read_description
 from homolog.shapes import read_shape, stand_upright, write_shape
 from homolog.training.data import TrainingSet
 from homolog.training.recipe import PartialSettings, read_recipe
@@ -104,7 +104,7 @@ def test_without_ground_truth_or_lists_nothing_is_kept_for_a_test(meshes, tmp_pa
 
 
 def test_a_described_set_leaves_its_test_out(meshes, small):
-    described = SetDescription(name="mine", split="last", n_test=1, up="x")
+    described = DatasetDescription(name="mine", split="last", n_test=1, up="x")
     found = TrainingSet.open(meshes, small(data={"split": "train"}, validation={"score_every": 1}), described)
     assert found.names == ("ape", "bee", "cat")
     assert found.up == found.truth.up == "x"
@@ -118,7 +118,7 @@ def test_a_described_set_leaves_its_test_out(meshes, small):
 
 
 def test_the_numbering_that_is_a_set_s_truth_is_not_trained_on(meshes, small):
-    described = SetDescription(split="train", shuffled=True, truth="same-numbering", up="x")
+    described = DatasetDescription(split="train", shuffled=True, truth="same-numbering", up="x")
     found = TrainingSet.open(meshes, small(), described)
     shape, file = found.shape("bee"), stand_upright(read_shape(meshes / "off" / "bee.off"), "x")
     assert (shape.points != file.points).any(axis=1).mean() > 0.9
@@ -136,8 +136,8 @@ def test_parts_of_a_described_set(parts_set, small):
     assert set(found.pairs) == {(partner, name) for name, (partner, *_) in known.items()}
     assert found.up == "z" and found.truth.description == described
     assert found.files["dog"] == root / "null" / "dog.off"
-    assert recipe.for_set(described).partial.in_place is True
-    assert small(partial={"in_place": False}).for_set(described).partial.in_place is False
+    assert recipe.for_set(described).partial.pre_aligned is True
+    assert small(partial={"pre_aligned": False}).for_set(described).partial.pre_aligned is False
     assert recipe.for_set().partial == PartialSettings("null", "cuts", False)
     with pytest.raises(ArgumentError, match="shrec16_cuts is a set of parts"):
         TrainingSet.open(root, small(), described)
@@ -157,14 +157,14 @@ def test_shapes_of_one_class_make_a_pair(tmp_path, meshes, small):
     (tmp_path / "off").mkdir()
     for name, source in (("cat1", "ape"), ("cat2", "bee"), ("dog1", "cat"), ("dog2", "dog")):
         shutil.copy(meshes / "off" / f"{source}.off", tmp_path / "off" / f"{name}.off")
-    described = SetDescription(pairs="same-class", truth="none", split="train")
+    described = DatasetDescription(pairs="same-class", truth="none", split="train")
     found = TrainingSet.open(tmp_path, small(data={"split": "train"}), described)
     assert set(found.pairs) == {("cat1", "cat2"), ("cat2", "cat1"), ("dog1", "dog2"), ("dog2", "dog1")}
 
 
 def test_sets_for_testing_alone_are_not_trained_on(meshes, small):
     with pytest.raises(DataError, match="no shapes in split 'train'"):
-        TrainingSet.open(meshes, small(data={"split": "train"}), SetDescription(split="test"))
+        TrainingSet.open(meshes, small(data={"split": "train"}), DatasetDescription(split="test"))
 
 
 @pytest.mark.parametrize("up", ["x", "z"])

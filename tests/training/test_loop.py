@@ -15,9 +15,9 @@ import torch
 from safetensors.torch import load_file
 
 from homolog import evaluation
-from homolog.errors import ArgumentError, TrainingError, WeightsError
+from homolog.core.errors import ArgumentError, TrainingError, WeightsError
+from homolog.features import load_weights
 from homolog.geometry import OperatorCache
-from homolog.network import load_weights
 from homolog.shapes import write_shape
 from homolog.training import loop, read_recipe, validation
 from homolog.training.data import TrainingSet
@@ -142,8 +142,8 @@ def test_half_precision_on_a_cpu_is_warned_of(meshes, small, tmp_path, caplog):
     assert "precision is 'bf16', which is for GPUs" in caplog.text
 
 
-@pytest.mark.parametrize("in_place", [False, True])
-def test_parts_are_scored_as_parts(meshes, small, tmp_path, monkeypatch, in_place):
+@pytest.mark.parametrize("pre_aligned", [False, True])
+def test_parts_are_scored_as_parts(meshes, small, tmp_path, monkeypatch, pre_aligned):
     shutil.copytree(meshes, tmp_path / "set")
     (tmp_path / "set" / "pairs.txt").write_text("ape,bee\ncat,dog\n")
     seen = []
@@ -153,9 +153,9 @@ def test_parts_are_scored_as_parts(meshes, small, tmp_path, monkeypatch, in_plac
         return evaluation.evaluate(matcher, folder, protocol)
 
     monkeypatch.setattr(validation, "evaluate", evaluate)
-    recipe = small(partial={"in_place": in_place}, validation={"score_every": 6, "score_pairs": 1})
+    recipe = small(partial={"pre_aligned": pre_aligned}, validation={"score_every": 6, "score_pairs": 1})
     state = loop.train(recipe, tmp_path / "set", tmp_path / "run", device="cpu")
-    assert [(protocol.partial, protocol.in_place) for protocol in seen] == [(True, in_place)] * 2
+    assert [(protocol.partial, protocol.pre_aligned) for protocol in seen] == [(True, pre_aligned)] * 2
     assert 0 < state.records[-1]["geodesic error/mesh"] < 150
 
 

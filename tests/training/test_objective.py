@@ -10,17 +10,17 @@ import pytest
 import torch
 from torch import Tensor
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
+from homolog.features import AugmentationSettings, DiffusionNet, NetworkSettings, load_weights
+from homolog.features.weights import _own_name
 from homolog.geometry import Basis, OperatorSettings, compute_operators
-from homolog.maps import elastic_positions, functional_map, resolvent_mask
-from homolog.network import AugmentationSettings, DiffusionNet, NetworkSettings, load_weights
-from homolog.network.weights import _own_name
+from homolog.maps import functional_map, registered_positions, resolvent_mask
 from homolog.shapes import Shape
 from homolog.training import Losses, LossSettings, TrainingShape, pair_losses
 
 SMALL = NetworkSettings(width=16, out_channels=12, blocks=2, dropout=0.5)
 FEW = LossSettings(map_eigenpairs=15)
-NAMES = ("bijectivity", "orthogonality", "alignment", "contrast", "commutativity", "displacement", "elastic")
+NAMES = ("bijectivity", "orthogonality", "alignment", "contrast", "commutativity", "displacement", "registration")
 
 
 def network_of(seed: int = 0) -> DiffusionNet:
@@ -54,7 +54,7 @@ def reordered(basis: Basis, order: Tensor) -> Basis:
         basis.eigenvalues,
         basis.eigenvectors[order],
         basis.gradients[order],
-        basis.analysis[:, order],
+        basis.pseudo_inverse[:, order],
     )
 
 
@@ -95,9 +95,9 @@ def slow_losses(network: DiffusionNet, x: TrainingShape, y: TrainingShape, setti
         logits = torch.log_softmax(torch.log_softmax(logits, dim=0), dim=1)
     positions = {s: phi[s].T @ (mass[s].double()[:, None] * bases[s].points) for s in "xy"}
     stretch = max(values["x"].max(), values["y"].max())
-    plain, (_, wanted) = unit["Y"] @ unit["X"].T / settings.soft_temperature, elastic_positions(*clouds)
+    plain, (_, wanted) = unit["Y"] @ unit["X"].T / settings.soft_temperature, registered_positions(*clouds)
     offsets = wanted[:, None] - x.cloud.points
-    near = torch.softmax(-offsets.square().sum(dim=2).double() / (2 * settings.elastic_reach**2), dim=1)
+    near = torch.softmax(-offsets.square().sum(dim=2).double() / (2 * settings.registration_reach**2), dim=1)
     crossed = (there * values["x"] - values["y"][:, None] * there, back * values["y"] - values["x"][:, None] * back)
     return {
         "bijectivity": sum(((m - eye) ** 2).sum() for m in (there @ back, back @ there)),
@@ -105,7 +105,7 @@ def slow_losses(network: DiffusionNet, x: TrainingShape, y: TrainingShape, setti
         "alignment": ((phi["y"] @ there.detach() - logits.exp() @ phi["x"]) ** 2).sum() * 5000 / len(phi["y"]),
         "contrast": sum(
             torch.nn.functional.cross_entropy(
-                unit[s.upper()] @ unit[s].T / settings.contrast_temperature, torch.arange(len(unit[s]))
+                unit[s.upper()] @ unit[s].T / settings.infonce_temperature, torch.arange(len(unit[s]))
             )
             for s in "xy"
         ),
@@ -114,7 +114,7 @@ def slow_losses(network: DiffusionNet, x: TrainingShape, y: TrainingShape, setti
             (values[s][:, None] * (c @ positions[o] - positions[s]) ** 2).sum()
             for c, o, s in ((there, "x", "y"), (back, "y", "x"))
         ),
-        "elastic": torch.nn.functional.cross_entropy(plain, near)
+        "registration": torch.nn.functional.cross_entropy(plain, near)
         - torch.distributions.Categorical(near).entropy().mean(),
     }
 
@@ -126,14 +126,14 @@ def test_a_complete_pair_s_losses_and_gradients_are_the_paper_s(pair) -> None:
         bijectivity=1.5,
         orthogonality=0.7,
         alignment=0.01,
-        contrast=3.0,
+        infonce=3.0,
         commutativity=500.0,
-        displacement=2.0,
-        elastic=20.0,
-        elastic_reach=0.05,
+        smoothness=2.0,
+        registration=20.0,
+        registration_reach=0.05,
         soft_temperature=0.15,
         soft_iterations=1,
-        contrast_temperature=0.1,
+        infonce_temperature=0.1,
     )
     network = network_of()
     slow = slow_losses(network, *pair, settings)
@@ -147,7 +147,7 @@ def test_a_complete_pair_s_losses_and_gradients_are_the_paper_s(pair) -> None:
 
 
 def test_the_total_is_the_sum_and_weights_weigh(pair) -> None:
-    network, full = network_of(), replace(FEW, commutativity=1.0, displacement=1.0, elastic=1.0)
+    network, full = network_of(), replace(FEW, commutativity=1.0, smoothness=1.0, registration=1.0)
     losses = pair_losses(network, *pair, settings=full).as_dict()
     assert list(losses) == [*NAMES, "total"]
     assert losses["total"] == pytest.approx(sum(losses[name] for name in NAMES))
@@ -160,7 +160,7 @@ def test_the_total_is_the_sum_and_weights_weigh(pair) -> None:
 
 
 def test_swapping_the_shapes_of_a_complete_pair_changes_its_alignment_alone(pair) -> None:
-    network, settings = network_of(), replace(FEW, commutativity=1.0, displacement=1.0)
+    network, settings = network_of(), replace(FEW, commutativity=1.0, smoothness=1.0)
     there = pair_losses(network, *pair, settings=settings).as_dict()
     back = pair_losses(network, *reversed(pair), settings=settings).as_dict()
     for name in ("bijectivity", "orthogonality", "contrast", "commutativity", "displacement"):
@@ -182,7 +182,7 @@ def test_a_part_is_compared_by_as_many_functions_as_it_can_tell_apart(pair) -> N
     largest = x.mesh.eigenvalues[14]
     rank = 1 + int((2 * x.mesh.eigenvalues[:15] < largest).sum())
     assert rank < 12
-    a, b = (shape.mesh.analysis[:15] @ network(shape.mesh.points, shape.mesh) for shape in (x, part))
+    a, b = (shape.mesh.pseudo_inverse[:15] @ network(shape.mesh.points, shape.mesh) for shape in (x, part))
     mask = resolvent_mask(x.mesh.eigenvalues[:15], part.mesh.eigenvalues[:15])
     there, back = functional_map(a, b, mask), functional_map(b, a, mask.T)
     wanted = torch.diag((torch.arange(15) < rank).float())
@@ -239,7 +239,7 @@ def test_a_cloud_in_another_order_costs_the_same_where_its_pairing_says_so(pair)
     expected = pair_losses(network, x, y, settings=FEW)
     assert_same(pair_losses(network, *shuffled, settings=FEW), expected, rel=1e-3)
     unpaired = [replace(shape, pairing=None) for shape in shuffled]
-    assert pair_losses(network, *unpaired, settings=FEW).contrast > 1.01 * expected.contrast
+    assert pair_losses(network, *unpaired, settings=FEW).infonce > 1.01 * expected.infonce
 
 
 def test_a_pairing_takes_functions_to_fewer_points(pair) -> None:
@@ -275,14 +275,14 @@ def test_the_generator_alone_decides_a_pair_s_losses(pair) -> None:
 def test_augmentation_needs_no_generator_and_each_pass_has_its_own(pair) -> None:
     network = network_of()
     still, moved = (
-        pair_losses(network, *pair, settings=FEW, augmentation=augmentation).contrast
+        pair_losses(network, *pair, settings=FEW, augmentation=augmentation).infonce
         for augmentation in (None, AugmentationSettings())
     )
     assert not torch.equal(still, moved)
     # A mesh and a cloud of the same basis resemble each other perfectly unless they were varied apart.
     equal = [replace(shape, cloud=shape.mesh) for shape in pair]
     same, apart = (
-        pair_losses(network, *equal, settings=FEW, augmentation=augmentation).contrast
+        pair_losses(network, *equal, settings=FEW, augmentation=augmentation).infonce
         for augmentation in (None, AugmentationSettings(turn="any"))
     )
     assert apart > 1.01 * same
@@ -337,7 +337,7 @@ def test_training_keeps_nothing_between_all_points_of_two_shapes(partial: bool, 
 @pytest.mark.parametrize(
     ("name", "value"),
     [(name, value) for name in (*NAMES, "regularisation") for value in (-1.0, float("inf"), float("nan"))]
-    + [(name, value) for name in ("soft_temperature", "contrast_temperature") for value in (0.0, -1.0, float("inf"))]
+    + [(name, value) for name in ("soft_temperature", "infonce_temperature") for value in (0.0, -1.0, float("inf"))]
     + [(name, value) for name in ("map_eigenpairs", "soft_iterations") for value in (0, -3)],
 )
 def test_settings_out_of_range_are_refused(name: str, value: float) -> None:
@@ -369,7 +369,7 @@ def test_losses_of_a_pair_are_those_of_the_published_code(published, faust) -> N
     theirs = ("l_bij", "l_orth", "l_align", "l_nce")
     for name, their in zip((*NAMES[:4], "total"), (*theirs, "l_total"), strict=True):
         assert found[name] == pytest.approx(float(faust[their]), rel=1e-4), name
-    assert found["commutativity"] == found["displacement"] == found["elastic"] == 0
+    assert found["commutativity"] == found["displacement"] == found["registration"] == 0
 
 
 @pytest.mark.reference
@@ -383,22 +383,24 @@ def test_gradients_of_a_pair_are_those_of_the_published_code(published, faust) -
 
 
 def test_the_skin_that_is_given_is_where_points_look_for_their_like(pair) -> None:
-    network, (x, y), settings = network_of(), pair, replace(FEW, elastic=2.0)
-    own = elastic_positions(x.cloud.points, y.cloud.points)[1]
+    network, (x, y), settings = network_of(), pair, replace(FEW, registration=2.0)
+    own = registered_positions(x.cloud.points, y.cloud.points)[1]
     plain = pair_losses(network, x, y, settings=settings)
-    assert pair_losses(network, x, y, settings=settings, skin=own).elastic == plain.elastic
-    assert pair_losses(network, x, y, settings=settings, skin=-own).elastic > plain.elastic + 0.5
+    assert pair_losses(network, x, y, settings=settings, registration_targets=own).registration == plain.registration
+    assert (
+        pair_losses(network, x, y, settings=settings, registration_targets=-own).registration > plain.registration + 0.5
+    )
 
 
 def test_what_a_part_lacks_is_not_carried_over_from_it(pair) -> None:
     """With a part as the first shape's cloud there is no alignment; with one as the second's, no Sinkhorn."""
-    network, (x, y), settings = network_of(), pair, replace(FEW, elastic=1.0)
+    network, (x, y), settings = network_of(), pair, replace(FEW, registration=1.0)
     whole = pair_losses(network, x, y, settings=settings)
     first = pair_losses(network, replace(x, cloud_is_part=True), y, settings=settings)
-    assert first.alignment == first.elastic == 0 and whole.alignment > 0 and whole.elastic > 0
-    assert first.contrast == whole.contrast and first.bijectivity == whole.bijectivity
+    assert first.alignment == first.registration == 0 and whole.alignment > 0 and whole.registration > 0
+    assert first.infonce == whole.infonce and first.bijectivity == whole.bijectivity
     second = pair_losses(network, x, replace(y, cloud_is_part=True), settings=settings)
     softly = pair_losses(network, x, y, settings=settings, partial=True)
-    assert second.elastic == softly.elastic == 0
+    assert second.registration == softly.registration == 0
     assert second.alignment.item() == pytest.approx(softly.alignment.item(), rel=1e-5)
     assert second.alignment.item() != pytest.approx(whole.alignment.item(), rel=1e-3)

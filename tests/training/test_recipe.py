@@ -4,8 +4,8 @@ from dataclasses import fields, is_dataclass
 
 import pytest
 
-from homolog.errors import ArgumentError
-from homolog.training.recipe import CloudSettings, PartialSettings, Recipe, find_recipe, read_recipe, shipped_recipes
+from homolog.core.errors import ArgumentError
+from homolog.training.recipe import CloudSettings, PartialSettings, Recipe, builtin_recipes, find_recipe, read_recipe
 
 
 def written(tmp_path, text):
@@ -107,7 +107,7 @@ def test_a_recipe_that_is_not_there(tmp_path):
 )
 def test_shipped_recipes_can_be_read(name):
     recipe = read_recipe(name)
-    assert shipped_recipes()[name].stem == name
+    assert builtin_recipes()[name].stem == name
     assert recipe.name == name
     assert recipe.licence != "unknown"
     assert (recipe.partial is not None) == (name in ("cuts", "holes", "views"))

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from homolog.errors import DataError
+from homolog.core.errors import DataError
 from homolog.matching import MatchResult
 from homolog.shapes import Shape
 from homolog.transfer import Carrier, read_landmarks

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from homolog.errors import ArgumentError, DataError
+from homolog.core.errors import ArgumentError, DataError
 from homolog.matching import MatchResult
 from homolog.shapes import Shape, read_shape
 from homolog.transfer import Carrier, PlaceFinder, Skin, read_skin, write_glb

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, unit
 from homolog.shapes import Shape
 from homolog.transfer import PlaceFinder, ShapePlaces, surface_map
@@ -137,17 +137,17 @@ def test_places_amid_the_start_go_continuously(pair):
 def test_the_far_side_of_a_thin_sheet_is_not_taken(make, matched):
     """Both sides lie within the error of the point maps."""
     ball = make.sphere(4)
-    thin = Shape(ball.points * [1.0, 1.0, 0.004], ball.faces)
+    subsample = Shape(ball.points * [1.0, 1.0, 0.004], ball.faces)
     rng = np.random.default_rng(0)
-    sides = np.sign(thin.points[:, 2])
-    jittered = thin.points + 0.02 * rng.normal(size=thin.points.shape) * [1, 1, 0]
+    sides = np.sign(subsample.points[:, 2])
+    jittered = subsample.points + 0.02 * rng.normal(size=subsample.points.shape) * [1, 1, 0]
     upper, lower = np.flatnonzero(sides >= 0), np.flatnonzero(sides < 0)
-    there = np.empty(thin.n_points, dtype=int)
+    there = np.empty(subsample.n_points, dtype=int)
     for side in (upper, lower):
-        away = np.linalg.norm(jittered[side, None] - thin.points[None, side], axis=2)
+        away = np.linalg.norm(jittered[side, None] - subsample.points[None, side], axis=2)
         there[side] = side[away.argmin(axis=1)]
-    found = surface_map(thin, thin, matched(there, there))
-    flat = np.abs(thin.points[:, 2]) > 0.003
+    found = surface_map(subsample, subsample, matched(there, there))
+    flat = np.abs(subsample.points[:, 2]) > 0.003
     assert (np.sign(found.positions[flat, 2]) == sides[flat]).mean() > 0.99
 
 

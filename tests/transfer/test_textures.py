@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from homolog.errors import ArgumentError, DataError
+from homolog.core.errors import ArgumentError, DataError
 from homolog.matching import MatchResult
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.transfer import (

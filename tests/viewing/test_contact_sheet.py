@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.viewing import MOST_TILES, Tile, contact_sheet
 
 pytest.importorskip("PIL")

@@ -7,8 +7,8 @@ import pytest
 
 from homolog.datasets import Truth
 from homolog.evaluation import geodesic_errors
+from homolog.features import DiffusionNet, NetworkSettings
 from homolog.matching import Matcher
-from homolog.network import DiffusionNet, NetworkSettings
 from homolog.viewing import Ramp, confidence_layer, error_layer, feature_layer, map_errors, pair_features
 from homolog.viewing.colours import UNKNOWN, principal_colours
 
@@ -118,7 +118,7 @@ def test_features_are_those_of_the_matcher_whatever_was_left_out(known, make):
     assert source.shape == (len(stray), 8)
     np.testing.assert_array_equal(np.isnan(source).any(axis=1), np.arange(len(stray)) == len(stray) - 1)
     np.testing.assert_allclose(target, matcher.prepare(known.target).features, atol=1e-5)
-    options = {"as_cloud": "target", "partial": None, "part_scale": 1.0, "in_place": False}
+    options = {"as_cloud": "target", "partial": None, "partial_scale": 1.0, "pre_aligned": False}
     cloud = pair_features(replace(result, report={"options": options}), matcher)[1]
     np.testing.assert_allclose(cloud, matcher.prepare(known.target, as_cloud=True).features, atol=1e-5)
     layer = feature_layer(source, target)

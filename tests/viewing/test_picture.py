@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homolog.errors import ArgumentError, MissingExtraError
+from homolog.core.errors import ArgumentError, MissingExtraError
 from homolog.viewing import picture_of, scene_of, write_picture
 from homolog.viewing.drawing import SAMPLES
 from homolog.viewing.picture import _placed

@@ -52,7 +52,7 @@ def test_sizes(known):
     assert ratio(resized(known, 2.0)) == pytest.approx(2)
     assert 0.5 < ratio(resized(known, 1000.0)) < 2
     assert ratio(resized(known, 0.1, partial="target")) == pytest.approx(0.1)
-    assert ratio(resized(known, 100.0, partial="target", part_scale=0.001)) == pytest.approx(0.1)
+    assert ratio(resized(known, 100.0, partial="target", partial_scale=0.001)) == pytest.approx(0.1)
 
 
 def test_shapes_that_lie_are_stood_upright(known):

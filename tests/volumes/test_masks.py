@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homolog.errors import ShapeError
+from homolog.core.errors import ShapeError
 from homolog.volumes import read_mask
 
 sitk = pytest.importorskip("SimpleITK")

@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.shapes import Shape
 from homolog.volumes import reconstruct_surface
 

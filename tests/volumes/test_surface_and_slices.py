@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from homolog.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.volumes import Mask, mask_surface, slice_cloud
 
 pytest.importorskip("skimage")

@@ -21,7 +21,7 @@ from homolog.cli.train import train
 from homolog.cli.transfer import transfer
 from homolog.cli.view import view
 from homolog.cli.volume import volume
-from homolog.versions import version_of
+from homolog.core.versions import version_of
 
 app = typer.Typer(
     name="homolog",

@@ -25,7 +25,8 @@ from homolog.cli.options import (
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar, say
-from homolog.collecting import (
+from homolog.core.versions import versions
+from homolog.shape_models import (
     MOST_SHOWN,
     CollectionFolder,
     CollectionSettings,
@@ -39,7 +40,6 @@ from homolog.collecting import (
     subjects_of,
 )
 from homolog.shapes import Up, read_hashed_shape
-from homolog.versions import versions
 
 Collected = Literal["template", "shapes", "both"]
 
@@ -90,7 +90,7 @@ def collection(
 
       homolog collection femur.stl femurs/*.stl -o femurs_model --weights femurs.safetensors --up z
 
-      homolog collection lung.csv lungs/*.csv -o lungs_model --method elastic --up z --scale
+      homolog collection lung.csv lungs/*.csv -o lungs_model --method registration --up z --scale
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_extra()

@@ -12,7 +12,14 @@ from rich.table import Table
 
 from homolog.cli.options import Quiet
 from homolog.cli.progress import progress_bar
-from homolog.datasets import SetDescription, SetReport, check_set, counted, read_description, shipped_descriptions
+from homolog.datasets import (
+    DatasetDescription,
+    DatasetReport,
+    builtin_descriptions,
+    check_dataset,
+    counted,
+    read_description,
+)
 
 data = typer.Typer(name="data", no_args_is_help=True, help="Sets of shapes: which are known, and checking a folder.")
 
@@ -35,7 +42,7 @@ def list_sets() -> None:
 
       homolog data list | cut -f 1
     """
-    rows = [_row(description) for description in shipped_descriptions()]
+    rows = [_row(description) for description in builtin_descriptions()]
     console = Console()
     if not console.is_terminal:
         typer.echo("\n".join("\t".join(row) for row in (_COLUMNS, *rows)))
@@ -46,7 +53,7 @@ def list_sets() -> None:
     console.print(table)
 
 
-def _row(description: SetDescription) -> tuple[str, ...]:
+def _row(description: DatasetDescription) -> tuple[str, ...]:
     count = description.expected_shapes
     return description.name, description.title, f"{count:,}" if count else "", description.truth, description.terms
 
@@ -68,7 +75,7 @@ def show(name: SetName) -> None:
     Console().print(table)
 
 
-def _facts(described: SetDescription) -> list[tuple[str, str]]:
+def _facts(described: DatasetDescription) -> list[tuple[str, str]]:
     truth = "" if described.truth in ("same-numbering", "none") else f", {described.truth_files}"
     kept = f"; test without {', '.join(described.left_out)}" if described.left_out else ""
     return [
@@ -82,12 +89,12 @@ def _facts(described: SetDescription) -> list[tuple[str, str]]:
         ("ground truth", f"{described.truth}{truth}"),
         ("split", f"{described.split}{_split(described)}"),
         ("pairs", f"{described.pairs}{_number(described.n_pairs)}{kept}"),
-        ("partial", ("in place" if described.in_place else "yes") if described.partial else ""),
+        ("partial", ("in place" if described.pre_aligned else "yes") if described.partial else ""),
         ("notes", described.notes),
     ]
 
 
-def _complete(described: SetDescription) -> str:
+def _complete(described: DatasetDescription) -> str:
     return described.complete and f"{described.complete}{_number(len(described.expected_complete_names))}"
 
 
@@ -95,7 +102,7 @@ def _number(count: int) -> str:
     return f", {count:,}" if count else ""
 
 
-def _split(described: SetDescription) -> str:
+def _split(described: DatasetDescription) -> str:
     counts = {"train": described.n_train, "test": described.n_test}
     return "".join(f", {split} {count:,}" for split, count in counts.items() if count)
 
@@ -119,7 +126,7 @@ def check(
     """
     described = read_description(name)
     with progress_bar(quiet=quiet) as progress:
-        report = check_set(folder, described, progress=progress)
+        report = check_dataset(folder, described, progress=progress)
     if not quiet and report.n_shapes:
         Console().print(_summary(report, described))
     errors = Console(stderr=True, highlight=False)
@@ -129,7 +136,7 @@ def check(
         raise typer.Exit(2)
 
 
-def _summary(report: SetReport, described: SetDescription) -> Table:
+def _summary(report: DatasetReport, described: DatasetDescription) -> Table:
     n = len(report.findings)
     verdict = f"{n} finding{'s' if n > 1 else ''}" if n else "as it should be"
     title = f"{described.name} at {report.root}: {verdict}"
@@ -141,7 +148,7 @@ def _summary(report: SetReport, described: SetDescription) -> Table:
     return table
 
 
-def _counts(report: SetReport, described: SetDescription) -> list[tuple[str, str]]:
+def _counts(report: DatasetReport, described: DatasetDescription) -> list[tuple[str, str]]:
     parts = "parts" if described.complete else "volumes" if described.holds == "volumes" else "shapes"
     return [
         (parts, _of(report.n_shapes, described.expected_shapes)),
@@ -157,6 +164,6 @@ def _of(found: int, wanted: int) -> str:
     return f"{found:,}" + (f" of {wanted:,}" if wanted else "") if found or wanted else ""
 
 
-def _sizes(report: SetReport, split: str) -> str:
+def _sizes(report: DatasetReport, split: str) -> str:
     pairs = report.pairs.get(split, 0)
     return f"{report.splits[split]:,} shapes" + (f", {pairs:,} pairs" if pairs else "")

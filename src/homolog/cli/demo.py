@@ -13,11 +13,11 @@ from rich.table import Table
 from homolog.cli.match import Job, counted
 from homolog.cli.options import Quiet, build_matcher, check_folder, described
 from homolog.cli.progress import progress_bar
+from homolog.core.progress import Steps
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import geodesic_errors
 from homolog.matching import RESULT_FILES, Correspondence, Side
 from homolog.shapes import Shape
-from homolog.steps import Steps
 
 _DATA = Path(__file__).parents[1] / "demo_data"
 _SOURCE, _TARGET = "amber", "boris"

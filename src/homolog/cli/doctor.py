@@ -7,10 +7,10 @@ import os
 import torch
 import typer
 
+from homolog.core.memory import get_working_memory
+from homolog.core.versions import version_of, versions
+from homolog.features import pretrained_weights
 from homolog.geometry import OperatorCache
-from homolog.memory import get_working_memory
-from homolog.network import shipped_weights
-from homolog.versions import version_of, versions
 
 _EXTRAS = {
     "vtk": ("vtk",),
@@ -42,7 +42,7 @@ def doctor() -> None:
         missing = [package for package in packages if not found[package]]
         there = ", ".join(f"{package} {version}" for package, version in found.items())
         _row(f"extra '{extra}'", f"{', '.join(missing)} missing: pip install 'homolog[{extra}]'" if missing else there)
-    _row("shipped weights", ", ".join(shipped_weights()) or "none")
+    _row("shipped weights", ", ".join(pretrained_weights()) or "none")
     cache = OperatorCache.default()
     entries, size = cache.size()
     _row(

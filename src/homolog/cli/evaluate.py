@@ -26,14 +26,14 @@ from homolog.cli.options import (
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar
-from homolog.datasets import SetDescription, ShapeFolder, Split, read_description
+from homolog.core.files import write_json
+from homolog.core.versions import versions
+from homolog.datasets import DatasetDescription, ShapeFolder, Split, read_description
 from homolog.evaluation import Detection, Evaluation, MatchPair, Modalities, Protocol
 from homolog.evaluation import evaluate as evaluate_folder
-from homolog.files import write_json
 from homolog.matching import Correspondence, Matcher, Prepared, Side
 from homolog.shapes import Up
 from homolog.training import AdaptationSettings, adapt_to_pair
-from homolog.versions import versions
 
 
 def evaluate(
@@ -61,10 +61,10 @@ def evaluate(
             show_default="as the set has it",
         ),
     ] = None,
-    in_place: Annotated[
+    pre_aligned: Annotated[
         bool | None,
         typer.Option(
-            "--in-place/--not-in-place",
+            "--pre-aligned/--not-in-place",
             help="Parts lie in the coordinates of their complete shapes, about where they belong.",
             show_default="as the set has it",
         ),
@@ -86,7 +86,7 @@ def evaluate(
     of all pairs together, in units of the square root of the source's area. Of sets of clouds it is the mean straight
     distance in the files' unit. Of parts, it is also said how well points without a counterpart are found.
 
-    With --set, the axis that points up, whether targets are parts and where these lie are as the set's description
+    With --dataset, the axis that points up, whether targets are parts and where these lie are as the set's description
     says; options that are given count more.
 
     Examples:
@@ -96,7 +96,7 @@ def evaluate(
 
       homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 --n-pairs 20
 
-      homolog evaluate SHREC16 --set shrec16_cuts --weights cuts.safetensors
+      homolog evaluate SHREC16 --dataset shrec16_cuts --weights cuts.safetensors
 
       homolog evaluate people_views --weights views.safetensors --partial
 
@@ -105,7 +105,7 @@ def evaluate(
     set_verbosity(quiet=quiet, verbose=verbose)
     if json is not None:
         check_file(json)
-    description = SetDescription() if name is None else read_description(name)
+    description = DatasetDescription() if name is None else read_description(name)
     partial = description.partial if partial is None else partial
     protocol = Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
@@ -113,7 +113,7 @@ def evaluate(
         pairs_file=None if pairs is None else str(pairs),
         n_pairs=n_pairs,
         partial=partial,
-        in_place=(description.in_place and partial) if in_place is None else in_place,
+        pre_aligned=(description.pre_aligned and partial) if pre_aligned is None else pre_aligned,
         noise=noise,
         seed=seed,
     )
@@ -157,7 +157,7 @@ def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> T
     found = evaluation.to_dict()
     table = Table(title=_title(folder, protocol), show_header=False, title_justify="left")
     kind = evaluation.error_kind
-    unit = "x100" if evaluation.straight_unit is None else f"in {evaluation.straight_unit}"
+    unit = "x100" if evaluation.euclidean_unit is None else f"in {evaluation.euclidean_unit}"
     table.add_row(f"mean {kind} error {unit}", f"{found[f'mean_{kind}_error']:.2f}")
     table.add_row(f"median {kind} error {unit}", f"{found[f'median_{kind}_error']:.2f}")
     if "pck" in found:
@@ -174,7 +174,7 @@ def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> T
 
 def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     name = folder.description.name or folder.root.name
-    partial = (", partial, in place" if protocol.in_place else ", partial") if protocol.partial else ""
+    partial = (", partial, in place" if protocol.pre_aligned else ", partial") if protocol.partial else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
     return f"{name}, {protocol.modality}{partial}{noise}"
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from homolog.errors import HomologError
+from homolog.core.errors import HomologError
 from homolog.shapes import Report, check, read_shape
 
 

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NoReturn
 
-from homolog.errors import HomologError
+from homolog.core.errors import HomologError
 
 # What PyTorch says, in a plain RuntimeError, where there is not enough memory for an array.
 _OUT_OF_MEMORY = re.compile("out of memory|not enough memory|can't allocate memory")

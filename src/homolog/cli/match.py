@@ -14,13 +14,13 @@ from homolog.cli.options import (
     PICTURE_WIDTH,
     Adapt,
     DeviceOption,
-    InPlace,
     Lines,
     MethodOption,
     NoCache,
     Page,
     Picture,
     PictureWidth,
+    PreAligned,
     Quiet,
     Verbose,
     Weights,
@@ -32,11 +32,11 @@ from homolog.cli.options import (
     set_verbosity,
 )
 from homolog.cli.progress import Report, progress_bar, say
+from homolog.core.progress import Listener, Steps
+from homolog.core.versions import versions
 from homolog.matching import RESULT_FILES, AsCloud, Correspondence, Matcher, Prepared, Side, read_result, write_result
 from homolog.shapes import Shape, Up, read_hashed_shape
-from homolog.steps import Listener, Steps
 from homolog.training import AdaptationSettings, adapt_to_pair
-from homolog.versions import versions
 from homolog.viewing import scene_of, write_page, write_picture
 
 # read, repair, operators and features for each shape, the map, the check of the orientation, and writing.
@@ -57,14 +57,14 @@ def match(
         Side | None,
         typer.Option(help="This shape is a part of one like the other, whose points may then have no match."),
     ] = None,
-    part_scale: Annotated[
+    partial_scale: Annotated[
         float,
         typer.Option(
             metavar="FACTOR",
             help="What the partial shape's lengths are multiplied by to be in the complete one's units.",
         ),
     ] = 1.0,
-    in_place: InPlace = False,
+    pre_aligned: PreAligned = False,
     up: Annotated[Up, typer.Option(help="The axis that points up in both files.")] = "y",
     source_up: Annotated[Up | None, typer.Option(help="The axis that points up in the source, if it differs.")] = None,
     target_up: Annotated[Up | None, typer.Option(help="The axis that points up in the target, if it differs.")] = None,
@@ -88,7 +88,7 @@ def match(
 
       homolog match scan.ply template.obj -o result --partial source --source-up z
 
-      homolog match part.stl whole.glb -o out --partial source --part-scale 0.001
+      homolog match part.stl whole.glb -o out --partial source --partial-scale 0.001
 
       homolog match a.ply b.xyz -o result --method axiomatic
 
@@ -107,15 +107,20 @@ def match(
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         job = Job({"source": source, "target": target}, ups, matcher, adapt)
         outcome = job.run(
-            steps, as_cloud=as_cloud, partial=partial, part_scale=part_scale, in_place=in_place, strict=strict
+            steps,
+            as_cloud=as_cloud,
+            partial=partial,
+            partial_scale=partial_scale,
+            pre_aligned=pre_aligned,
+            strict=strict,
         )
         options = {
             "method": method,
             "adapt": adapt,
             "as_cloud": as_cloud,
             "partial": partial,
-            "part_scale": part_scale,
-            "in_place": in_place,
+            "partial_scale": partial_scale,
+            "pre_aligned": pre_aligned,
             "up": ups,
             "strict": strict,
         }
@@ -177,8 +182,8 @@ class Job:
         *,
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
-        part_scale: float = 1.0,
-        in_place: bool = False,
+        partial_scale: float = 1.0,
+        pre_aligned: bool = False,
         strict: bool = False,
     ) -> Outcome:
         """Read and match; in strict mode anything repaired or warned of is an error."""
@@ -193,8 +198,8 @@ class Job:
             shapes["target"],
             as_cloud=as_cloud,
             partial=partial,
-            part_scale=part_scale,
-            in_place=in_place,
+            partial_scale=partial_scale,
+            pre_aligned=pre_aligned,
             source_up=self.ups["source"],
             target_up=self.ups["target"],
             strict=strict,

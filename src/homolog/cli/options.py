@@ -12,11 +12,11 @@ from typing import Annotated, Any
 
 import typer
 
-from homolog.errors import ArgumentError
-from homolog.files import expanded
+from homolog.core.errors import ArgumentError
+from homolog.core.files import expanded
+from homolog.features import DEFAULT_WEIGHTS
 from homolog.geometry import OperatorCache, compute_operators
 from homolog.matching import NEED_NO_WEIGHTS, Device, Matcher, MatcherSettings, Method
-from homolog.network import DEFAULT_WEIGHTS
 from homolog.viewing import WIDTHS, check_picture
 
 Weights = Annotated[
@@ -46,10 +46,10 @@ Adapt = Annotated[
         min=0,
     ),
 ]
-InPlace = Annotated[
+PreAligned = Annotated[
     bool,
     typer.Option(
-        "--in-place",
+        "--pre-aligned",
         help="The partial shape lies in the complete one's coordinates, about where it belongs, as a scan that was "
         "registered does. Without it only its form counts.",
     ),
@@ -57,7 +57,7 @@ InPlace = Annotated[
 SetOption = Annotated[
     str | None,
     typer.Option(
-        "--set",
+        "--dataset",
         metavar="NAME|FILE",
         help="Which set the folder holds: a name that homolog data list knows, or a TOML file. "
         "Without it the folder is one's own.",

@@ -9,8 +9,8 @@ import typer
 
 from homolog.cli.options import Quiet, check_folder
 from homolog.cli.progress import progress_bar, say
-from homolog.errors import ArgumentError, ShapeError
-from homolog.files import expanded
+from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.files import expanded
 from homolog.shapes import read_shape, write_shape
 from homolog.volumes import reconstruct_surface
 

@@ -11,10 +11,10 @@ import typer
 from homolog.cli.browsing import Host, NoOpen, Port, announce, interrupt_ends
 from homolog.cli.match import STEPS
 from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher
-from homolog.errors import needs_extra
-from homolog.files import expanded
+from homolog.core.errors import needs_extra
+from homolog.core.files import expanded
+from homolog.features import DEFAULT_WEIGHTS, pretrained_weights
 from homolog.matching import NEED_NO_WEIGHTS, Method
-from homolog.network import DEFAULT_WEIGHTS, shipped_weights
 from homolog.serving import Limits, MatchCommand
 
 _AT_ONCE = min(2, os.cpu_count() or 1)
@@ -78,7 +78,7 @@ def _options(weights: str | None, method: Method, device: str) -> tuple[str, ...
     given = (f"--method={method}", f"--device={device}")
     if weights is None:
         return given
-    place = weights if weights in shipped_weights() else str(expanded(weights).resolve())
+    place = weights if weights in pretrained_weights() else str(expanded(weights).resolve())
     return (*given, f"--weights={place}")
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import typer
 
 from homolog.cli.options import Quiet
-from homolog.errors import ArgumentError
-from homolog.files import all_or_nothing, atomic_path, expanded, made_folder
+from homolog.core.errors import ArgumentError
+from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder
 from homolog.shapes import Repaired, Shape, read_shape, repair, write_shape
-from homolog.synthesis import Part, cut, pierce, view
+from homolog.synthesis import Part, cut, cut_holes, view
 
 Kind = Literal["cut", "holes", "view"]
 
@@ -67,7 +67,7 @@ def _parts(shape: Shape, kind: Kind, seed: int) -> dict[str, Part]:
     if kind == "view":
         seen = view(shape, seed=seed)
         return {"part": seen.mesh, "cloud": seen.cloud}
-    return {"part": cut(shape, seed=seed) if kind == "cut" else pierce(shape, seed=seed)}
+    return {"part": cut(shape, seed=seed) if kind == "cut" else cut_holes(shape, seed=seed)}
 
 
 def _way_back(made: Part, repaired: Repaired) -> dict[str, np.ndarray]:

@@ -44,7 +44,7 @@ def views(
     Examples:
       homolog synth views people -n 5000 --seed 1 -o people_views --processes 8
 
-      homolog evaluate people_views --set views --modality mesh-to-cloud --weights views.safetensors
+      homolog evaluate people_views --dataset views --modality mesh-to-cloud --weights views.safetensors
     """
     settings = ViewSettings(distance=distance, elevation=elevation, pixels=pixels, noise=noise)
     with progress_bar(quiet=quiet) as progress:

@@ -9,9 +9,9 @@ import typer
 
 from homolog.cli.options import DeviceOption, Quiet, SetOption, Verbose, set_verbosity
 from homolog.cli.progress import progress_bar
+from homolog.core.errors import HomologError
+from homolog.core.files import expanded
 from homolog.datasets import read_description
-from homolog.errors import HomologError
-from homolog.files import expanded
 from homolog.training import WEIGHTS, is_first_process, is_started_by_another, read_recipe
 from homolog.training import train as train_network
 
@@ -44,13 +44,13 @@ def train(
 
     Writes RUN/weights.safetensors (for match and evaluate), RUN/last.safetensors and RUN/best.safetensors
     (checkpoints), RUN/report.json, and curves for TensorBoard. Ctrl-C saves first, and --resume goes on from there.
-    With --set, the shapes for testing that the set's description names stay out, and the axis that points up and where
-    parts lie are as it says, unless the recipe says so itself.
+    With --dataset, the test shapes that its description names stay out, and the axis that points up and where
+    partial shapes lie are as it says, unless the recipe says so itself.
 
     Examples:
       homolog train quick --data FAUST_r --out run
 
-      homolog train faust --data FAUST_r --set faust_r --out run
+      homolog train faust --data FAUST_r --dataset faust_r --out run
 
       homolog train organs --data lungs --out run
 

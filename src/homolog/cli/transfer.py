@@ -9,7 +9,8 @@ import typer
 
 from homolog.cli.options import Quiet, check_folder
 from homolog.cli.progress import progress_bar, say
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
+from homolog.core.versions import versions
 from homolog.matching import Side, read_result
 from homolog.transfer import (
     OWN_NAMES,
@@ -21,7 +22,6 @@ from homolog.transfer import (
     check_names,
     read_original,
 )
-from homolog.versions import versions
 
 _Files = list[Path] | None
 
@@ -84,7 +84,7 @@ def transfer(
     check_names(files)
     side: Side = "target" if reverse else "source"
     match = read_result(result)
-    match = match.swapped() if reverse else match
+    match = match.inverse() if reverse else match
     if checker and kinds:
         raise ArgumentError(f"--checker and --{kinds[0]} write the same files; give one at a time")
     contents = bool(kinds) or not (files or checker)

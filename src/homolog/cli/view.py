@@ -21,9 +21,9 @@ from homolog.cli.options import (
     check_picture_file,
 )
 from homolog.cli.progress import progress_bar
+from homolog.core.progress import Steps
 from homolog.datasets import read_truth
 from homolog.matching import MatchResult, read_result
-from homolog.steps import Steps
 from homolog.viewing import (
     Layer,
     LiveView,

@@ -10,16 +10,16 @@ from functools import partial
 from pathlib import Path
 from typing import get_args
 
-from homolog.datasets.description import SetDescription
+from homolog.core.errors import DataError, HomologError
+from homolog.core.files import expanded, sha256
+from homolog.core.progress import Progress, no_progress
+from homolog.datasets.description import DatasetDescription
 from homolog.datasets.folder import ShapeFolder, Split, class_of, names_at, partner, place
-from homolog.errors import DataError, HomologError
-from homolog.files import expanded, sha256
 from homolog.shapes import Shape
-from homolog.steps import Progress, unheard
 
 
 @dataclass
-class SetReport:
+class DatasetReport:
     """What was found in a folder.
 
     Args:
@@ -45,7 +45,9 @@ class SetReport:
     sha256: str = ""
 
 
-def check_set(root: str | Path, description: SetDescription, *, progress: Progress | None = None) -> SetReport:
+def check_dataset(
+    root: str | Path, description: DatasetDescription, *, progress: Progress | None = None
+) -> DatasetReport:
     """Read every file of a set, and compare with its description.
 
     Args:
@@ -53,15 +55,15 @@ def check_set(root: str | Path, description: SetDescription, *, progress: Progre
         description: of the set.
         progress: told which file is read.
     """
-    check = _Check(expanded(root), description, progress or unheard)
+    check = _Check(expanded(root), description, progress or no_progress)
     check.run()
     return check.report
 
 
 class _Check:
-    def __init__(self, root: Path, description: SetDescription, progress: Progress) -> None:
+    def __init__(self, root: Path, description: DatasetDescription, progress: Progress) -> None:
         self.root, self.description, self.progress = root, description, progress
-        self.report = SetReport(root)
+        self.report = DatasetReport(root)
 
     def run(self) -> None:
         if not self.root.is_dir():

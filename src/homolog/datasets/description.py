@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
-from homolog.errors import ArgumentError, bad_choice
-from homolog.files import expanded
+from homolog.core.errors import ArgumentError, bad_choice
+from homolog.core.files import expanded
+from homolog.core.tables import read_table, read_toml
 from homolog.shapes import Up
-from homolog.tables import read_table, read_toml
 
 Holds = Literal["meshes", "clouds", "volumes"]
 TruthKind = Literal["common-points", "barycentric", "same-numbering", "pair-maps", "none"]
@@ -22,7 +22,7 @@ _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\}")
 
 
 @dataclass(frozen=True)
-class SetDescription:
+class DatasetDescription:
     """A set of shapes. The defaults describe a folder of one's own.
 
     Places are relative to the set's folder; a star in one stands for a shape's name. Counts are 0 where they are not
@@ -44,7 +44,7 @@ class SetDescription:
         clouds: the files of clouds with points of their own, of those shapes that have one: what a depth camera saw of
             a view, say. Where shapes are used as clouds, these are, and their truth is in ``cloud_truth``.
         partial: whether the second shape of each pair is a part of one like the first.
-        in_place: whether parts lie in the coordinates of their complete shapes, about where they belong.
+        pre_aligned: whether parts lie in the coordinates of their complete shapes, about where they belong.
         shuffled: whether the rows of every file are put in an order of its own before anything sees them, since the
             numbering would give the truth away.
         truth: what the ground truth is. ``"common-points"``: line i of each file holds the shape's vertex at the i-th
@@ -90,7 +90,7 @@ class SetDescription:
     complete: str = ""
     clouds: str = ""
     partial: bool = False
-    in_place: bool = False
+    pre_aligned: bool = False
     shuffled: bool = False
     truth: TruthKind = "common-points"
     truth_files: str = "corres/*.vts"
@@ -158,7 +158,7 @@ _WORDS: dict[str, Any] = {
 }
 # What a value of one key asks of another.
 _NEEDS: dict[tuple[str, Any], tuple[str, tuple[Any, ...]]] = {
-    ("in_place", True): ("partial", (True,)),
+    ("pre_aligned", True): ("partial", (True,)),
     ("pairs", "parts"): ("partial", (True,)),
     ("shuffled", True): ("truth", ("same-numbering",)),
     ("truth", "barycentric"): ("pairs", ("parts",)),
@@ -188,7 +188,7 @@ def _written_out(name: str) -> list[str]:
     return [_RANGE.sub(str(number).zfill(len(first)), name) for number in range(int(first), int(last) + 1)]
 
 
-def read_description(given: str | Path) -> SetDescription:
+def read_description(given: str | Path) -> DatasetDescription:
     """The description that ships under this name, in capitals or not, or the one in a TOML file of one's own.
 
     Raises:
@@ -204,7 +204,7 @@ def read_description(given: str | Path) -> SetDescription:
     return _read(path)
 
 
-def shipped_descriptions() -> tuple[SetDescription, ...]:
+def builtin_descriptions() -> tuple[DatasetDescription, ...]:
     """All descriptions that ship with the package, in the order of their names."""
     return tuple(_read(path) for path in _shipped().values())
 
@@ -213,5 +213,5 @@ def _shipped() -> dict[str, Path]:
     return {path.stem: path for path in sorted(_SHIPPED.glob("*.toml"))}
 
 
-def _read(path: Path) -> SetDescription:
-    return read_table(SetDescription, {"name": path.stem, **read_toml(path)}, f"{path}:")
+def _read(path: Path) -> DatasetDescription:
+    return read_table(DatasetDescription, {"name": path.stem, **read_toml(path)}, f"{path}:")

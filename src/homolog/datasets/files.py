@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from homolog.errors import DataError
+from homolog.core.errors import DataError
 from homolog.shapes import READABLE
 
 # Suffixes of files that hold points alone, and of those that may hold anything, such as the lists of a set.

@@ -15,10 +15,10 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Int
 
-from homolog.datasets.description import SetDescription, read_description
+from homolog.core.errors import DataError, bad_choice, bad_value
+from homolog.core.files import expanded
+from homolog.datasets.description import DatasetDescription, read_description
 from homolog.datasets.truth import GroundTruth, read_vertices
-from homolog.errors import DataError, bad_choice, bad_value
-from homolog.files import expanded
 from homolog.shapes import Shape, Up, read_shape, stand_upright
 
 _log = logging.getLogger(__name__)
@@ -36,7 +36,7 @@ _TEST_SHAPES = 20
 class ShapeFolder:
     """Shapes in correspondence on disk, in whatever layout its description says.
 
-    Without a description a folder is one's own: see ``SetDescription``'s defaults, and docs/conventions.md.
+    Without a description a folder is one's own: see ``DatasetDescription``'s defaults, and docs/conventions.md.
 
     Args:
         root: the folder.
@@ -50,13 +50,13 @@ class ShapeFolder:
     root: Path
     names: tuple[str, ...]
     up: Up = "y"
-    description: SetDescription = field(default_factory=SetDescription)
+    description: DatasetDescription = field(default_factory=DatasetDescription)
     complete: tuple[str, ...] = ()
     seed: int = 0
 
     @classmethod
     def open(
-        cls, root: str | Path, description: SetDescription | str | Path | None = None, *, up: Up | None = None
+        cls, root: str | Path, description: DatasetDescription | str | Path | None = None, *, up: Up | None = None
     ) -> ShapeFolder:
         """Look into a folder with shapes and ground truth.
 
@@ -80,7 +80,7 @@ class ShapeFolder:
 
     @classmethod
     def without_truth(
-        cls, root: str | Path, description: SetDescription | str | Path | None = None, *, up: Up | None = None
+        cls, root: str | Path, description: DatasetDescription | str | Path | None = None, *, up: Up | None = None
     ) -> ShapeFolder:
         """Look into a folder with shapes, whether they have ground truth or not; see ``open``.
 
@@ -90,8 +90,8 @@ class ShapeFolder:
         """
         root = expanded(root)
         if description is None:
-            description = SetDescription()
-        elif not isinstance(description, SetDescription):
+            description = DatasetDescription()
+        elif not isinstance(description, DatasetDescription):
             description = read_description(description)
         if description.holds == "volumes":
             raise DataError(f"{root} holds volumes; make surfaces of them with homolog volume surface, and give these")

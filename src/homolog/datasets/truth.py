@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
-from homolog.datasets.description import SetDescription
-from homolog.errors import DataError
-from homolog.files import expanded
+from homolog.core.errors import DataError
+from homolog.core.files import expanded
+from homolog.datasets.description import DatasetDescription
 from homolog.shapes import Shape
 
 # How far the sum of a point's three weights may be from one, and each weight below zero.
@@ -70,7 +70,7 @@ class GroundTruth:
     def __init__(
         self,
         root: Path,
-        description: SetDescription,
+        description: DatasetDescription,
         shape_of: Callable[[str], Shape],
         order_of: Callable[[str, int], Int[np.ndarray, " n"]],
     ) -> None:

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import spearmanr
 
+from homolog.core.errors import ArgumentError, DataError, bad_choice, bad_value
+from homolog.core.progress import Progress, no_progress
 from homolog.datasets import Counterparts, Pair, ShapeFolder, Split, Truth, drawn_pairs
-from homolog.errors import ArgumentError, DataError, bad_choice, bad_value
 from homolog.evaluation.metrics import PCK_THRESHOLD, Detection, area_under_pck, least_confident_share, pck_curve
 from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
 from homolog.matching import MEASURES, Correspondence, MapQuality, Matcher, Prepared, Side
 from homolog.shapes import Modality, Shape, add_noise, repair
-from homolog.steps import Progress, unheard
 
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
 """What source and target are used as."""
@@ -46,7 +46,7 @@ class Protocol:
         pairs_file: a list of pairs to use instead of the split's.
         n_pairs: how many of the pairs to draw at random, none of a shape with itself; by default all are used.
         partial: whether each target is a part of a shape like its source, in the same units; it takes its scale then.
-        in_place: whether such parts lie in the coordinates of their sources, about where they belong.
+        pre_aligned: whether such parts lie in the coordinates of their sources, about where they belong.
         noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
             on source and target.
         seed: of the noise, of the pairs drawn, and of the order of points in sets that are shuffled.
@@ -57,7 +57,7 @@ class Protocol:
     pairs_file: str | None = None
     n_pairs: int | None = None
     partial: bool = False
-    in_place: bool = False
+    pre_aligned: bool = False
     noise: float = 0.0
     seed: int = 0
 
@@ -66,8 +66,8 @@ class Protocol:
             raise bad_choice("modality", self.modality, get_args(Modalities))
         if not (np.isfinite(self.noise) and self.noise >= 0):
             raise bad_value("noise", self.noise, "a number of at least 0, in units of sqrt(area)")
-        if self.in_place and not self.partial:
-            raise ArgumentError("in_place is for parts, but partial is False; set it, or leave in_place out")
+        if self.pre_aligned and not self.partial:
+            raise ArgumentError("pre_aligned is for parts, but partial is False; set it, or leave pre_aligned out")
         if self.noise and self.modality == "mesh":
             raise ArgumentError("noise is for clouds, but modality is 'mesh'; use 'cloud', or leave noise at 0")
 
@@ -113,7 +113,7 @@ class Evaluation:
     route: str
     unmatched_points: int
     seconds: dict[str, float]
-    straight_unit: str | None = None
+    euclidean_unit: str | None = None
 
     @property
     def errors(self) -> Float[np.ndarray, " p"]:
@@ -142,7 +142,7 @@ class Evaluation:
     @property
     def error_kind(self) -> str:
         """Whether errors are ``"geodesic"`` or ``"straight"``."""
-        return "geodesic" if self.straight_unit is None else "straight"
+        return "geodesic" if self.euclidean_unit is None else "straight"
 
     def to_dict(self) -> dict[str, Any]:
         """Figures for JSON; geodesic errors are multiplied by 100, as tables in the field show them."""
@@ -152,8 +152,8 @@ class Evaluation:
         return {
             f"mean_{self.error_kind}_error": self._shown(self.errors.mean()),
             f"median_{self.error_kind}_error": self._shown(np.median(self.errors)),
-            "unit": "sqrt(area) / 100" if self.straight_unit is None else self.straight_unit,
-            **(self._curve() if self.straight_unit is None else {}),
+            "unit": "sqrt(area) / 100" if self.euclidean_unit is None else self.euclidean_unit,
+            **(self._curve() if self.euclidean_unit is None else {}),
             # JSON has no NaN, which stands for no error at all.
             "least_confident_fifth_error_share": share if np.isfinite(share) else None,
             **({} if missing is None else {"without_counterpart": missing.to_dict()}),
@@ -165,7 +165,7 @@ class Evaluation:
         }
 
     def _shown(self, error: float) -> float:
-        return float(error) * (100 if self.straight_unit is None else 1)
+        return float(error) * (100 if self.euclidean_unit is None else 1)
 
     def _curve(self) -> dict[str, Any]:
         thresholds, shares = pck_curve(self.errors)
@@ -217,7 +217,7 @@ def evaluate(
     if protocol.n_pairs is not None:
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
     match = match or (partial(matcher.match_prepared, partial="target") if protocol.partial else matcher.match_prepared)
-    run = _Run(matcher, folder, protocol, pairs, match, progress or unheard)
+    run = _Run(matcher, folder, protocol, pairs, match, progress or no_progress)
     return run.evaluation()
 
 
@@ -270,11 +270,11 @@ class _Run:
         seconds = {**self.seconds, "total": sum(self.seconds.values())}
         route = self.matcher.route(*(self._modality(self.pairs[0], role) for role in _ROLES))
         unmatched = sum(len(query.mapped) - len(pair.errors) for query, pair in zip(queries, errors, strict=True))
-        unit = (self.folder.description.unit or "units of the files") if self._straight else None
+        unit = (self.folder.description.unit or "units of the files") if self._euclidean else None
         return Evaluation(tuple(errors), route, unmatched, seconds, unit)
 
     @property
-    def _straight(self) -> bool:
+    def _euclidean(self) -> bool:
         """Whether distances are straight ones: there is no surface that they could run along."""
         return self.folder.description.holds == "clouds"
 
@@ -317,11 +317,11 @@ class _Run:
         if scaled_by == name and not (cloud and self.protocol.noise):
             return self.matcher.prepare(shape, as_cloud=cloud)
         frame = self.frame(scaled_by)
-        centre = frame.centre if self.protocol.in_place else None
+        centre = frame.centre if self.protocol.pre_aligned else None
         if cloud and self.protocol.noise:
             seed = zlib.crc32(f"{self.protocol.seed} {name} {role}".encode())
-            shape = add_noise(shape, self.protocol.noise * frame.length, seed=seed)
-        return self.matcher.prepare(shape, as_cloud=cloud, length=frame.length, centre=centre)
+            shape = add_noise(shape, self.protocol.noise * frame.scale, seed=seed)
+        return self.matcher.prepare(shape, as_cloud=cloud, scale=frame.scale, centre=centre)
 
     def _match(self, pair: Pair) -> _Queries:
         source, target = self._take(pair, "source"), self._take(pair, "target")
@@ -358,7 +358,7 @@ class _Run:
     def _distances(
         self, shape: Shape, truth: Int[np.ndarray, " q"], mapped: Int[np.ndarray, " q"]
     ) -> Float[np.ndarray, " q"]:
-        if not self._straight:
+        if not self._euclidean:
             return geodesic_errors(shape, truth, mapped)
         distances: np.ndarray = np.linalg.norm(shape.points[truth] - shape.points[mapped], axis=1)
         return distances

@@ -33,7 +33,7 @@ class Basis:
     eigenvalues: Float[Tensor, " k"]
     eigenvectors: Float[Tensor, "n k"]
     gradients: Float[Tensor, "n 2 k"]
-    analysis: Float[Tensor, "k n"]
+    pseudo_inverse: Float[Tensor, "k n"]
 
     @property
     def n_points(self) -> int:
@@ -52,8 +52,8 @@ class Basis:
         owner = torch.from_numpy(nearest).to(self.mass.device)
         mass = torch.zeros_like(self.mass[kept]).index_add_(0, owner, self.mass)
         eigenvectors, gradients = self.eigenvectors[kept], self.gradients[kept]
-        analysis = _least_squares(eigenvectors, mass)
-        return Basis(self.points[kept], mass, self.eigenvalues, eigenvectors, gradients, analysis)
+        pseudo_inverse = _least_squares(eigenvectors, mass)
+        return Basis(self.points[kept], mass, self.eigenvalues, eigenvectors, gradients, pseudo_inverse)
 
     def scaled(self, factor: float) -> Basis:
         """The basis of the same shape with all lengths multiplied by a factor."""
@@ -64,7 +64,7 @@ class Basis:
             self.eigenvalues / factor**2,
             self.eigenvectors / factor,
             self.gradients / factor**2,
-            self.analysis * factor,
+            self.pseudo_inverse * factor,
         )
 
     def moved(self, away: Float[Tensor, " 3"]) -> Basis:
@@ -75,7 +75,7 @@ class Basis:
         """The same basis with functions in another precision; eigenvalues, points and mass stay."""
         if self.eigenvectors.dtype == dtype:
             return self
-        functions = self.eigenvectors.to(dtype), self.gradients.to(dtype), self.analysis.to(dtype)
+        functions = self.eigenvectors.to(dtype), self.gradients.to(dtype), self.pseudo_inverse.to(dtype)
         return Basis(self.points, self.mass, self.eigenvalues, *functions)
 
     @torch.inference_mode(False)
@@ -87,7 +87,7 @@ class Basis:
             self.eigenvalues.to(device),
             self.eigenvectors.to(device),
             self.gradients.to(device),
-            self.analysis.to(device),
+            self.pseudo_inverse.to(device),
         )
 
 
@@ -96,5 +96,5 @@ def _least_squares(eigenvectors: Float[Tensor, "s k"], mass: Float[Tensor, " s"]
     weighted = (mass[:, None] * eigenvectors).mT.double()
     gram = weighted @ eigenvectors.double()
     ridge = _RIDGE * gram.diagonal().mean() * torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
-    analysis: Tensor = torch.linalg.solve(gram + ridge, weighted).to(eigenvectors)
-    return analysis
+    pseudo_inverse: Tensor = torch.linalg.solve(gram + ridge, weighted).to(eigenvectors)
+    return pseudo_inverse

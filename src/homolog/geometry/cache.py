@@ -20,9 +20,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from homolog.arguments import check_kind
-from homolog.errors import ArgumentError
-from homolog.files import atomic_path, expanded
+from homolog.core.arguments import check_kind
+from homolog.core.errors import ArgumentError
+from homolog.core.files import atomic_path, expanded
 from homolog.geometry.operators import Operators, OperatorSettings, compressed_rows, compute_operators
 from homolog.shapes import Shape
 
@@ -77,17 +77,17 @@ class OperatorCache:
         return cls(cache_folder(), max_bytes=max_bytes)
 
     def operators(
-        self, shape: Shape, *, settings: OperatorSettings | None = None, length: float | None = None
+        self, shape: Shape, *, settings: OperatorSettings | None = None, scale: float | None = None
     ) -> Operators:
         """The operators of a clean shape, from the cache if they are there; see ``compute_operators``."""
         check_kind("shape", shape, Shape)
         check_kind("settings", settings, OperatorSettings, NoneType)
         settings = settings or OperatorSettings()
-        path = self.folder / (self._key(shape, settings, length) + _SUFFIX)
+        path = self.folder / (self._key(shape, settings, scale) + _SUFFIX)
         cached = _read(path)
         if cached is not None:
             return cached
-        operators = compute_operators(shape, settings=settings, length=length)
+        operators = compute_operators(shape, settings=settings, scale=scale)
         self._keep(path, operators)
         return self._as_kept(operators)
 
@@ -96,8 +96,8 @@ class OperatorCache:
         sizes = [size for _, size, _ in self._entries()]
         return len(sizes), sum(sizes)
 
-    def _key(self, shape: Shape, settings: OperatorSettings, length: float | None) -> str:
-        described = {"version": _VERSION, "length": length, "precision": self.eigenvectors, **asdict(settings)}
+    def _key(self, shape: Shape, settings: OperatorSettings, scale: float | None) -> str:
+        described = {"version": _VERSION, "scale": scale, "precision": self.eigenvectors, **asdict(settings)}
         digest = hashlib.sha256(json.dumps(described, sort_keys=True).encode())
         digest.update(shape.points.tobytes())
         digest.update(b"cloud" if shape.faces is None else shape.faces.tobytes())
@@ -113,7 +113,7 @@ class OperatorCache:
         tensors = _tensors(operators)
         if self.eigenvectors == "float16":
             tensors["eigenvectors"] = tensors["eigenvectors"].half()
-        notes = {"length": operators.length.hex(), "method": operators.method}
+        notes = {"length": operators.scale.hex(), "method": operators.method}
         notes["checksum"] = _checksum(tensors, notes)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
@@ -162,7 +162,7 @@ def _read(path: Path) -> Operators | None:
             tensors = {name: entry.get_tensor(name) for name in entry.keys()}  # noqa: SIM118
         if notes.pop("checksum", None) != _checksum(tensors, notes):
             raise ValueError("its checksum does not match")
-        operators = _operators(tensors, length=float.fromhex(notes["length"]), method=notes["method"])
+        operators = _operators(tensors, scale=float.fromhex(notes["length"]), method=notes["method"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         # Another process may have thrown it out or written it anew amid the reading.
         if before is None or before != _identity(path):
@@ -192,7 +192,7 @@ def _tensors(operators: Operators) -> dict[str, Tensor]:
     return tensors
 
 
-def _operators(tensors: dict[str, Tensor], *, length: float, method: str) -> Operators:
+def _operators(tensors: dict[str, Tensor], *, scale: float, method: str) -> Operators:
     def matrix(pattern: str, values: str) -> Tensor:
         return compressed_rows(tensors[f"{pattern}.rows"], tensors[f"{pattern}.columns"], tensors[f"{values}.values"])
 
@@ -203,7 +203,7 @@ def _operators(tensors: dict[str, Tensor], *, length: float, method: str) -> Ope
         laplacian=matrix("laplacian", "laplacian"),
         gradient_x=matrix("gradient", "gradient_x"),
         gradient_y=matrix("gradient", "gradient_y"),
-        length=length,
+        scale=scale,
         method=method,
     )
 

@@ -9,7 +9,7 @@ import scipy.sparse as sparse
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import dijkstra
 
-from homolog.errors import bad_value
+from homolog.core.errors import bad_value
 from homolog.geometry.tangent import mesh_edges
 
 # Points whose distances are computed together: bounds the dense rows that Dijkstra returns.
@@ -19,10 +19,10 @@ _ROWS = 256
 def edge_graph(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> sparse.csr_matrix:
     """The graph (n, n) of a mesh's edges, weighted by their lengths."""
     starts, ends = mesh_edges(faces)
-    lengths = np.linalg.norm(points[ends] - points[starts], axis=1)
+    scales = np.linalg.norm(points[ends] - points[starts], axis=1)
     # An edge of length zero would be no edge in a sparse graph.
-    lengths = np.maximum(lengths, np.finfo(float).tiny)
-    return sparse.csr_matrix((lengths, (starts, ends)), shape=(len(points), len(points)))
+    scales = np.maximum(scales, np.finfo(float).tiny)
+    return sparse.csr_matrix((scales, (starts, ends)), shape=(len(points), len(points)))
 
 
 def pair_distances(

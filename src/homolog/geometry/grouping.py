@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Int
 
 
-def runs(lengths: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t"]]:
+def runs(scales: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t"]]:
     """Runs of so many entries, one after the other: for each entry its run, and its place in it."""
-    run = np.repeat(np.arange(len(lengths)), lengths)
-    begins = np.cumsum(lengths) - lengths
+    run = np.repeat(np.arange(len(scales)), scales)
+    begins = np.cumsum(scales) - scales
     return run, np.arange(len(run)) - begins[run]
 
 

@@ -14,8 +14,8 @@ import robust_laplacian
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
 
-from homolog.errors import ShapeError, bad_choice, bad_value
-from homolog.geometry.debris import require_usable
+from homolog.core.errors import ShapeError, bad_choice, bad_value
+from homolog.geometry.components import require_usable
 from homolog.shapes import Shape
 
 LaplacianKind = Literal["robust", "cotangent"]

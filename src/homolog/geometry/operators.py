@@ -16,10 +16,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from homolog.arguments import check_count, check_kind
-from homolog.errors import ShapeError, bad_choice
+from homolog.core.arguments import check_count, check_kind
+from homolog.core.errors import ShapeError, bad_choice
 from homolog.geometry.basis import Basis
-from homolog.geometry.debris import main_part, main_points, require_usable
+from homolog.geometry.components import main_part, main_points, require_usable
 from homolog.geometry.laplacian import (
     CLOUD_NEIGHBOURS,
     FEWEST_NEIGHBOURS,
@@ -40,7 +40,7 @@ from homolog.geometry.tangent import (
 from homolog.shapes import Shape
 
 # The mass of a point of debris, as a share of the mean: none, but for what divides by it.
-_DEBRIS_MASS = 1e-6
+_SMALL_COMPONENT_MASS = 1e-6
 
 # A sparse matrix of shape (n, n) in torch's compressed-row layout.
 SparseMatrix = Tensor
@@ -62,7 +62,7 @@ class Operators:
         gradient_x: first component of the gradient in each point's tangent frame (n, n), sparse.
         gradient_y: second component, of the same sparsity.
         centre: the origin of the inner coordinates in the file's (3,), float64.
-        length: one inner unit in the file's units.
+        scale: one inner unit in the file's units.
         method: how the eigenpairs were found.
     """
 
@@ -74,7 +74,7 @@ class Operators:
     gradient_x: SparseMatrix
     gradient_y: SparseMatrix
     centre: Float[Tensor, " 3"]
-    length: float
+    scale: float
     method: str
 
     @property
@@ -126,12 +126,12 @@ class Operators:
             eigenvectors=self.eigenvectors / factor,
             gradient_x=self.gradient_x * (1 / factor),
             gradient_y=self.gradient_y * (1 / factor),
-            length=self.length / factor,
+            scale=self.scale / factor,
         )
 
     def around(self, centre: Float[Tensor, " 3"]) -> Operators:
         """The same operators with positions around another point of the file, such as the middle of a part's whole."""
-        away = (self.centre - centre.to(self.centre)) / self.length
+        away = (self.centre - centre.to(self.centre)) / self.scale
         return replace(self, points=self.points + away.to(self.points), centre=centre.to(self.centre))
 
     @property
@@ -140,7 +140,7 @@ class Operators:
         return int((self.eigenvalues <= 1e-6 * self.eigenvalues[-1]).sum())
 
     @cached_property
-    def reached(self) -> Bool[Tensor, " n"]:
+    def in_main_component(self) -> Bool[Tensor, " n"]:
         """The points where not every eigenfunction is zero, as it is on debris."""
         return (self.eigenvectors != 0).any(dim=1)
 
@@ -171,14 +171,14 @@ class OperatorSettings:
 
 
 def compute_operators(
-    shape: Shape, *, settings: OperatorSettings | None = None, length: float | None = None
+    shape: Shape, *, settings: OperatorSettings | None = None, scale: float | None = None
 ) -> Operators:
     """Compute the operators of a clean shape (see ``homolog.repair``).
 
     Args:
         shape: a mesh or a point cloud without invalid, duplicate or unreferenced points.
         settings: what to compute.
-        length: the file length of one inner unit; by default sqrt(surface area). A partial shape takes that of its
+        scale: the file length of one inner unit; by default sqrt(surface area). A partial shape takes that of its
             complete partner.
 
     Raises:
@@ -191,10 +191,14 @@ def compute_operators(
     neighbours = nearest_neighbours(shape.points, settings.n_neighbours) if shape.faces is None else None
     main = main_points(shape, neighbours)
     part = main_part(shape, main)
-    frame = frame_of(part, length=length)
+    frame = frame_of(part, scale=scale)
     with _named(shape.name):
         operators = _operators(part, frame, settings, neighbours if main.all() else None)
-    return operators if main.all() else _with_debris(operators, torch.from_numpy(main), frame.inside(shape.points))
+    return (
+        operators
+        if main.all()
+        else _with_small_components(operators, torch.from_numpy(main), frame.to_unit(shape.points))
+    )
 
 
 @contextmanager
@@ -208,7 +212,7 @@ def _named(name: str) -> Iterator[None]:
 def _operators(
     shape: Shape, frame: Frame, settings: OperatorSettings, neighbours: Int[np.ndarray, "n j"] | None
 ) -> Operators:
-    points = frame.inside(shape.points)
+    points = frame.to_unit(shape.points)
     if shape.faces is None:
         laplacian, mass = cloud_laplacian(points, n_neighbours=settings.n_neighbours)
         if neighbours is None:
@@ -228,14 +232,16 @@ def _operators(
         gradient_x=_sparse_tensor(gradient[0]),
         gradient_y=_sparse_tensor(gradient[1]),
         centre=torch.from_numpy(frame.centre),
-        length=frame.length,
+        scale=frame.scale,
         method=spectrum.method,
     )
 
 
-def _with_debris(operators: Operators, main: Bool[Tensor, " n"], points: Float[np.ndarray, "n 3"]) -> Operators:
+def _with_small_components(
+    operators: Operators, main: Bool[Tensor, " n"], points: Float[np.ndarray, "n 3"]
+) -> Operators:
     """Operators of a shape from those of its main points."""
-    mass = torch.full((len(main),), _DEBRIS_MASS * float(operators.mass.mean()))
+    mass = torch.full((len(main),), _SMALL_COMPONENT_MASS * float(operators.mass.mean()))
     mass[main] = operators.mass
     eigenvectors = torch.zeros(len(main), operators.n_eigenpairs)
     eigenvectors[main] = operators.eigenvectors

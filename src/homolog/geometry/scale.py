@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import KDTree
 
-from homolog.arguments import is_real
-from homolog.errors import ShapeError, bad_value
-from homolog.geometry.debris import main_part, main_points, require_usable
+from homolog.core.arguments import is_real
+from homolog.core.errors import ShapeError, bad_value
+from homolog.geometry.components import main_part, main_points, require_usable
 from homolog.shapes import Shape, face_areas
 
 # Radii of the two balls that `cloud_area` counts in, as shares of the cloud's root-mean-square radius.
@@ -27,41 +27,41 @@ class Frame:
 
     Args:
         centre: the mean of the points, in the file's units.
-        length: the length of one inner unit in the file's units, that is sqrt(surface area).
+        scale: the length of one inner unit in the file's units, that is sqrt(surface area).
     """
 
     centre: Float[np.ndarray, " 3"]
-    length: float
+    scale: float
 
-    def inside(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    def to_unit(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Coordinates in inner units, around the centre."""
-        inner: np.ndarray = (points - self.centre) / self.length
+        inner: np.ndarray = (points - self.centre) / self.scale
         return inner
 
 
-def unit_frame(shape: Shape, *, length: float | None = None) -> Frame:
-    """The frame that centres a shape and scales it to unit area, or by ``length`` if that is given.
+def unit_frame(shape: Shape, *, scale: float | None = None) -> Frame:
+    """The frame that centres a shape and scales it to unit area, or by ``scale`` if that is given.
 
     A partial shape takes the length of its complete partner. Debris, see ``main_points``, does not count.
 
     Raises:
-        ArgumentError: if ``length`` is not positive and finite.
+        ArgumentError: if ``scale`` is not positive and finite.
         ShapeError: if the shape has no area, or is not clean.
     """
     require_usable(shape)
-    return frame_of(main_part(shape, main_points(shape)), length=length)
+    return frame_of(main_part(shape, main_points(shape)), scale=scale)
 
 
-def frame_of(shape: Shape, *, length: float | None = None) -> Frame:
+def frame_of(shape: Shape, *, scale: float | None = None) -> Frame:
     """The frame of a usable shape without debris; see ``unit_frame``."""
-    if length is None:
+    if scale is None:
         area = surface_area(shape)
         if not (np.isfinite(area) and area > 0):
             raise ShapeError(f"{shape.name}: its surface area is {area:g}, so it has no scale; check the faces")
-        length = float(np.sqrt(area))
-    elif not (is_real(length) and length > 0):
-        raise bad_value("length", length, "a positive finite number")
-    return Frame(centre=shape.points.mean(axis=0), length=length)
+        scale = float(np.sqrt(area))
+    elif not (is_real(scale) and scale > 0):
+        raise bad_value("scale", scale, "a positive finite number")
+    return Frame(centre=shape.points.mean(axis=0), scale=scale)
 
 
 def surface_area(shape: Shape) -> float:

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.errors import ShapeError, bad_value
+from homolog.core.errors import ShapeError, bad_value
 from homolog.geometry.lanczos import BlockLanczos, Inverse
 
 _log = logging.getLogger(__name__)

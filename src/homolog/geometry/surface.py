@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
+from homolog.core.memory import row_tiles
 from homolog.geometry.grouping import FacesAround
-from homolog.memory import row_tiles
 from homolog.shapes import face_vectors
 
 # A point's place is looked for among so many vertices nearest to it, on the side that faces its way.
@@ -71,8 +71,8 @@ class Places:
 
 def unit(vectors: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
     """Vectors scaled to length one; zero stays zero."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
+    scales = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return np.asarray(vectors / np.where(scales > 0, scales, 1.0))
 
 
 def subdivided(surface: Surface) -> tuple[Surface, Int[np.ndarray, "v 2"]]:

@@ -103,5 +103,5 @@ def _unique_pairs(
 
 
 def _unit(vectors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(lengths > 0, lengths, 1.0)
+    scales = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.where(scales > 0, scales, 1.0)

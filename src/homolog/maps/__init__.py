@@ -1,8 +1,7 @@
 """Correspondence as mathematics: pure functions of tensors."""
 
-from homolog.maps.confidence import confidence, coverage_density, covered, local_stretch
+from homolog.maps.confidence import confidence, coverage_density, local_stretch, overlap
 from homolog.maps.descriptors import smoothed_positions, wave_kernel_signature
-from homolog.maps.elastic import elastic_positions
 from homolog.maps.functional_map import (
     functional_map,
     functional_map_from_point_map,
@@ -10,10 +9,11 @@ from homolog.maps.functional_map import (
     resolvent_mask,
 )
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
-from homolog.maps.quality import coverage, dirichlet_energy, flipped_triangles, there_and_back
-from homolog.maps.refinement import guided_zoom_out, guided_zoom_out_to_part
+from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flipped_triangles
+from homolog.maps.registration import registered_positions
 from homolog.maps.rigid import rigid_motion
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
+from homolog.maps.zoomout import zoomout, zoomout_partial
 
 __all__ = [
     "Nearest",
@@ -21,23 +21,23 @@ __all__ = [
     "confidence",
     "coverage",
     "coverage_density",
-    "covered",
+    "cycle_error",
     "dirichlet_energy",
-    "elastic_positions",
     "flipped_triangles",
     "functional_map",
     "functional_map_from_point_map",
-    "guided_zoom_out",
-    "guided_zoom_out_to_part",
     "local_stretch",
     "most_similar",
     "nearest_neighbour",
     "normalised",
+    "overlap",
     "point_map_from_functional_map",
+    "registered_positions",
     "resolvent_mask",
     "rigid_motion",
     "sinkhorn_matches",
     "smoothed_positions",
-    "there_and_back",
     "wave_kernel_signature",
+    "zoomout",
+    "zoomout_partial",
 ]

@@ -10,10 +10,10 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.arguments import check_indices
-from homolog.arrays import takes_arrays
+from homolog.core.arguments import check_indices
+from homolog.core.arrays import takes_arrays
 from homolog.geometry import Operators
-from homolog.maps.quality import there_and_back
+from homolog.maps.quality import cycle_error
 
 # Neighbours of a point that its match is judged with.
 _NEIGHBOURS = 20
@@ -39,7 +39,7 @@ def confidence(
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
     """
-    home = there_and_back(points_y, y_to_x, x_to_y)
+    home = cycle_error(points_y, y_to_x, x_to_y)
     near = _neighbourhoods(points_y)
     stretch = local_stretch(points_y, points_x[y_to_x], near)
     return torch.exp(-(home[near].mean(dim=1) + stretch) / _SCALE)
@@ -63,7 +63,7 @@ def _neighbourhoods(points: Float[Tensor, "n 3"]) -> Int[Tensor, "n j"]:
     return torch.from_numpy(near).to(points.device)
 
 
-def covered(complete: Operators, partial: Operators, partial_to_complete: Int[Tensor, " n_p"]) -> Bool[Tensor, " n_c"]:
+def overlap(complete: Operators, partial: Operators, partial_to_complete: Int[Tensor, " n_p"]) -> Bool[Tensor, " n_c"]:
     """Which points of a complete shape have a counterpart on a partial one, both at one scale.
 
     The partial shape's mass is pushed forward along the map and smoothed by a heat step on the complete shape. Where

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.arrays import takes_arrays
-from homolog.errors import bad_value
+from homolog.core.arrays import takes_arrays
+from homolog.core.errors import bad_value
 from homolog.geometry import Operators
 
 # Of energies in logarithms: where all eigenvalues of a small, symmetric shape are equal, there are no others.

@@ -13,9 +13,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from homolog.arguments import check_finite, check_indices, is_real
-from homolog.arrays import takes_arrays, takes_arrays_of_any_precision
-from homolog.errors import ArgumentError, bad_value
+from homolog.core.arguments import check_finite, check_indices, is_real
+from homolog.core.arrays import takes_arrays, takes_arrays_of_any_precision
+from homolog.core.errors import ArgumentError, bad_value
 from homolog.maps.nearest import nearest_neighbour
 
 # Of a linear system that still counts as determined, as a share of the diagonal.

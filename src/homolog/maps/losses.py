@@ -13,15 +13,15 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from homolog.arrays import takes_arrays
-from homolog.errors import bad_value
+from homolog.core.arrays import takes_arrays
+from homolog.core.errors import bad_value
+from homolog.core.memory import row_tiles
 from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, carried_over
-from homolog.memory import row_tiles
 
 # The paper's temperature of the contrastive loss.
-CONTRAST_TEMPERATURE = 0.07
+INFONCE_TEMPERATURE = 0.07
 # Of the elastic loss, in units of sqrt(area): the spacing of a thousand points on a shape.
-ELASTIC_REACH = 0.03
+REGISTRATION_REACH = 0.03
 
 
 @takes_arrays
@@ -79,7 +79,7 @@ def commutativity_loss(
 
 
 @takes_arrays
-def displacement_loss(
+def smoothness_loss(
     c_xy: Float[Tensor, "k_y k_x"],
     positions_x: Float[Tensor, "k_x 3"],
     positions_y: Float[Tensor, "k_y 3"],
@@ -152,27 +152,26 @@ def partial_alignment_loss(
 
 
 @takes_arrays
-def elastic_loss(
+def registration_loss(
     features_x: Float[Tensor, "n_x d"],
     features_y: Float[Tensor, "n_y d"],
     points_x: Float[Tensor, "n_x 3"],
-    skin: Float[Tensor, "n_y 3"],
+    targets: Float[Tensor, "n_y 3"],
     *,
-    reach: float = ELASTIC_REACH,
+    reach: float = REGISTRATION_REACH,
     temperature: float = TEMPERATURE,
 ) -> Float[Tensor, ""]:
-    """Points resemble what lies where an elastic skin takes them: the mean divergence KL(Q_yx | P_yx) of the rows.
+    """Points resemble what lies where their registration takes them: the mean divergence KL(Q_yx | P_yx) of the rows.
 
     P = softmax(F_y F_x^T / temperature) is the soft map of the features, and Q = softmax(-|s - x|^2 / (2 reach^2)) what
-    the skin has of each point of y at those of x. What a pair's own clouds say of their map, ``elastic_positions``,
-    teaches the features, one function of shapes for all pairs: what is by chance in a pair's does not agree with the
-    others'. For shapes that stand alike and differ by a deformation, such as organs.
+    the targets have of each point of y at those of x. The registration of each pair, ``registered_positions``, teaches
+    one network for all pairs: what is by chance in one does not agree with the others. For shapes that stand alike and differ by a deformation, such as organs.
 
     Args:
         features_x: of the points of one cloud.
         features_y: of those of the other.
         points_x: their positions.
-        skin: where the points of y lie on x.
+        targets: where the points of y lie on x.
         reach: how far around a place points should resemble what lies there, in the unit of the positions.
         temperature: of the soft map.
 
@@ -183,13 +182,13 @@ def elastic_loss(
         if not value > 0:
             raise bad_value(name, value, "positive")
     found = torch.log_softmax(features_y @ features_x.mT / temperature, dim=1)
-    wanted = torch.log_softmax(torch.cdist(skin, points_x).square() / (-2 * reach**2), dim=1)
+    wanted = torch.log_softmax(torch.cdist(targets, points_x).square() / (-2 * reach**2), dim=1)
     return torch.nn.functional.kl_div(found, wanted, reduction="batchmean", log_target=True)
 
 
 @takes_arrays
-def contrastive_loss(
-    features: Float[Tensor, "n d"], counterparts: Float[Tensor, "n d"], *, temperature: float = CONTRAST_TEMPERATURE
+def infonce_loss(
+    features: Float[Tensor, "n d"], counterparts: Float[Tensor, "n d"], *, temperature: float = INFONCE_TEMPERATURE
 ) -> Float[Tensor, ""]:
     """Each row must resemble its counterpart more than all others: PointInfoNCE, the mean over the rows.
 

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.arrays import takes_arrays
-from homolog.memory import row_tiles
+from homolog.core.arrays import takes_arrays
+from homolog.core.memory import row_tiles
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.arguments import check_indices
-from homolog.arrays import takes_arrays
+from homolog.core.arguments import check_indices
+from homolog.core.arrays import takes_arrays
 from homolog.geometry import Operators, Surface
 
 # A point is hit if what is hit comes this near, in spacings of the coarser shape: points of a shape that is sampled
@@ -25,7 +25,7 @@ _ONE_SIDED = 0.2
 
 
 @takes_arrays
-def there_and_back(
+def cycle_error(
     points_y: Float[Tensor, "n_y 3"], y_to_x: Int[Tensor, " n_y"], x_to_y: Int[Tensor, " n_x"]
 ) -> Float[Tensor, " n_y"]:
     """How far from each point of y, in a straight line, the way to x and back ends.

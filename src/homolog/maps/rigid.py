@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.arrays import takes_arrays
+from homolog.core.arrays import takes_arrays
 
 # Residuals of a perfect fit are zero, which could not be divided by.
 _LEAST_RESIDUAL = 1e-6

@@ -17,9 +17,9 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from homolog.arguments import check_count, is_real
-from homolog.errors import bad_value
-from homolog.memory import fits, row_tiles
+from homolog.core.arguments import check_count, is_real
+from homolog.core.errors import bad_value
+from homolog.core.memory import fits, row_tiles
 
 # The paper's temperature, for raw products as for normalised features.
 TEMPERATURE = 0.2

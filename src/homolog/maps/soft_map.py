@@ -8,8 +8,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.arguments import check_finite
-from homolog.arrays import takes_arrays
+from homolog.core.arguments import check_finite
+from homolog.core.arrays import takes_arrays
 from homolog.maps.nearest import ColumnArgmax, row_argmax
 from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, balance
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
-from homolog.arguments import is_real
-from homolog.errors import ArgumentError, HomologError, ShapeError, bad_choice, bad_value
+from homolog.core.arguments import is_real
+from homolog.core.errors import ArgumentError, HomologError, ShapeError, bad_choice, bad_value
 from homolog.matching.correspondence import Correspondence
 from homolog.matching.part_units import unit_warnings
 from homolog.matching.prepared import Prepared
@@ -28,22 +28,24 @@ def check_word(name: str, found: str | None, allowed: Sequence[str]) -> None:
 
 def check_method(method: Method, partial: Side | None) -> None:
     """Refuse a part where the method knows whole shapes alone."""
-    if partial is not None and method == "elastic":
+    if partial is not None and method == "registration":
         raise ArgumentError(
-            f"partial is {partial!r}, but the method 'elastic' draws whole shapes onto each other; parts take 'auto'"
+            f"partial is {partial!r}, but the method 'registration' registers full shapes; partial ones take 'auto'"
         )
 
 
-def check_part(partial: Side | None, *, part_scale: float, in_place: bool) -> None:
+def check_part(partial: Side | None, *, partial_scale: float, pre_aligned: bool) -> None:
     """Refuse what says how a part lies if there is none, or is no such thing."""
-    if not (is_real(part_scale) and part_scale > 0):
-        raise bad_value("part_scale", part_scale, "a positive finite number")
-    if part_scale != 1 and partial is None:
-        raise ArgumentError(f"part_scale is {part_scale!r}, but neither shape is partial; say which one is, by partial")
-    if not isinstance(in_place, bool):
-        raise bad_value("in_place", in_place, "True or False")
-    if in_place and partial is None:
-        raise ArgumentError("in_place is True, but neither shape is partial; say which one is, by partial")
+    if not (is_real(partial_scale) and partial_scale > 0):
+        raise bad_value("partial_scale", partial_scale, "a positive finite number")
+    if partial_scale != 1 and partial is None:
+        raise ArgumentError(
+            f"partial_scale is {partial_scale!r}, but neither shape is partial; say which one is, by partial"
+        )
+    if not isinstance(pre_aligned, bool):
+        raise bad_value("pre_aligned", pre_aligned, "True or False")
+    if pre_aligned and partial is None:
+        raise ArgumentError("pre_aligned is True, but neither shape is partial; say which one is, by partial")
 
 
 def units_that_differ(source: Prepared, target: Prepared, partial: Side | None) -> list[str]:
@@ -51,8 +53,8 @@ def units_that_differ(source: Prepared, target: Prepared, partial: Side | None) 
     if partial is None:
         return []
     part, complete = (source, target) if partial == "source" else (target, source)
-    unit = complete.operators.length
-    return unit_warnings(part.repaired, factor=unit / part.operators.length, complete_area=unit**2)
+    unit = complete.operators.scale
+    return unit_warnings(part.repaired, factor=unit / part.operators.scale, complete_area=unit**2)
 
 
 @contextmanager

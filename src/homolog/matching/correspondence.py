@@ -10,11 +10,11 @@ from zipfile import BadZipFile
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.errors import DataError
-from homolog.files import atomic_path, expanded
+from homolog.core.errors import DataError
+from homolog.core.files import atomic_path, expanded
 from homolog.matching.quality import MapQuality
 
-Route = Literal["functional-map", "features", "elastic", "axiomatic"]
+Route = Literal["functional-map", "nearest-features", "registration", "axiomatic"]
 """How maps were found."""
 
 _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
@@ -42,7 +42,7 @@ class Correspondence:
     warnings: tuple[str, ...] = field(default=())
     quality: MapQuality | None = None
 
-    def swapped(self) -> Correspondence:
+    def inverse(self) -> Correspondence:
         """The same maps with source and target exchanged."""
         return Correspondence(
             source_to_target=self.target_to_source,
@@ -51,7 +51,7 @@ class Correspondence:
             target_confidence=self.source_confidence,
             route=self.route,
             warnings=self.warnings,
-            quality=None if self.quality is None else self.quality.swapped(),
+            quality=None if self.quality is None else self.quality.inverse(),
         )
 
     @classmethod

@@ -16,20 +16,22 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.arguments import check_kind
-from homolog.errors import ArgumentError, ShapeError, bad_choice
+from homolog.core.arguments import check_kind
+from homolog.core.errors import ArgumentError, ShapeError, bad_choice
+from homolog.core.progress import Steps
+from homolog.features import DEFAULT_WEIGHTS, DiffusionNet, WeightsInfo, load_weights
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
     confidence,
-    covered,
-    elastic_positions,
-    guided_zoom_out,
-    guided_zoom_out_to_part,
     most_similar,
     nearest_neighbour,
     normalised,
+    overlap,
     point_map_from_functional_map,
+    registered_positions,
     sinkhorn_matches,
+    zoomout,
+    zoomout_partial,
 )
 from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem
 from homolog.matching.checks import (
@@ -48,9 +50,7 @@ from homolog.matching.placement import placed
 from homolog.matching.prepared import PointMaps, Prepared
 from homolog.matching.quality import MapQuality, quality
 from homolog.matching.settings import NEED_NO_WEIGHTS, AsCloud, Device, MatcherSettings, Side, choose_device
-from homolog.network import DEFAULT_WEIGHTS, DiffusionNet, WeightsInfo, load_weights
 from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
-from homolog.steps import Steps
 
 _log = logging.getLogger(__name__)
 
@@ -111,9 +111,9 @@ class Matcher:
                 "such as an OperatorCache's operators"
             )
         self._operators = operators
-        if network is None and self.settings.method in ("functional-map", "features"):
+        if network is None and self.settings.method in ("functional-map", "nearest-features"):
             raise ArgumentError(
-                f"method {self.settings.method!r} needs weights; give some, or use the method 'axiomatic' or 'elastic'"
+                f"method {self.settings.method!r} needs weights; give some, or use 'axiomatic' or 'registration'"
             )
 
     @classmethod
@@ -160,7 +160,7 @@ class Matcher:
             return self.settings.method
         if self.network is None:
             return "axiomatic"
-        return "functional-map" if source == target == "mesh" and self.info.near_isometric else "features"
+        return "functional-map" if source == target == "mesh" and self.info.near_isometric else "nearest-features"
 
     def prepare(
         self,
@@ -168,7 +168,7 @@ class Matcher:
         *,
         as_cloud: bool = False,
         up: Up = "y",
-        length: float | None = None,
+        scale: float | None = None,
         centre: ArrayLike | None = None,
         strict: bool = False,
         steps: Steps | None = None,
@@ -180,7 +180,7 @@ class Matcher:
             shape: as it was read.
             as_cloud: leave the faces out, but keep the scale that they give.
             up: which of its axes points up.
-            length: the file length of one inner unit; by default sqrt(surface area).
+            scale: the file length of one inner unit; by default sqrt(surface area).
             centre: what lies at the middle of the network's coordinates, in those of the upright shape (3,); by default
                 the mean of its points.
             strict: refuse a shape that needs repair.
@@ -198,7 +198,7 @@ class Matcher:
             if strict:
                 refuse_repairs(repaired)
         with steps.step(f"operators of {label}"):
-            operators = self.operators(repaired.shape, as_cloud=as_cloud, length=length)
+            operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(torch.as_tensor(centre))
         with steps.step(f"features of {label}"):
             features = self.features(operators)
@@ -206,13 +206,13 @@ class Matcher:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
         return Prepared(repaired, operators, features, up)
 
-    def operators(self, shape: Shape, *, as_cloud: bool = False, length: float | None = None) -> Operators:
+    def operators(self, shape: Shape, *, as_cloud: bool = False, scale: float | None = None) -> Operators:
         """The operators of a clean shape, on this matcher's device."""
         check_kind("shape", shape, Shape)
         if as_cloud:
-            length = length or unit_frame(shape).length
+            scale = scale or unit_frame(shape).scale
             shape = shape.as_cloud()
-        return self._operators(shape, settings=self.operator_settings, length=length).to(self.device)
+        return self._operators(shape, settings=self.operator_settings, scale=scale).to(self.device)
 
     @torch.inference_mode()
     def features(self, operators: Operators) -> Float[Tensor, "n d"]:
@@ -222,7 +222,7 @@ class Matcher:
             return axiomatic_descriptors(operators)
         features: Tensor = self.network(operators.points, operators)
         # Of debris the network knows the position alone: it must not look like anything.
-        return features * operators.reached[:, None]
+        return features * operators.in_main_component[:, None]
 
     def match(
         self,
@@ -231,8 +231,8 @@ class Matcher:
         *,
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
-        part_scale: float = 1.0,
-        in_place: bool = False,
+        partial_scale: float = 1.0,
+        pre_aligned: bool = False,
         source_up: Up = "y",
         target_up: Up = "y",
         strict: bool = False,
@@ -246,10 +246,9 @@ class Matcher:
             as_cloud: which of the two to use without its faces.
             partial: which of the two, if any, is a part of a shape like the other. Points of the complete one that have
                 no counterpart then get -1.
-            part_scale: by how much the partial shape's lengths are multiplied to be in the complete one's units: 0.001
-                for a part in millimetres of a whole in metres.
-            in_place: the partial shape lies in the complete one's coordinates, about where it belongs, as a scan that
-                was registered does; otherwise only its form counts, and not where it lies.
+            partial_scale: what the partial shape's lengths are multiplied by to be in the full shape's units: 0.001
+                for a partial shape in millimetres and a full one in metres.
+            pre_aligned: the partial shape is already aligned with the full one; otherwise its pose does not count.
             source_up: which axis of the source points up.
             target_up: which axis of the target.
             strict: stop at anything to repair or to warn of.
@@ -265,8 +264,8 @@ class Matcher:
             target,
             as_cloud=as_cloud,
             partial=partial,
-            part_scale=part_scale,
-            in_place=in_place,
+            partial_scale=partial_scale,
+            pre_aligned=pre_aligned,
             source_up=source_up,
             target_up=target_up,
             strict=strict,
@@ -281,8 +280,8 @@ class Matcher:
         *,
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
-        part_scale: float = 1.0,
-        in_place: bool = False,
+        partial_scale: float = 1.0,
+        pre_aligned: bool = False,
         source_up: Up = "y",
         target_up: Up = "y",
         strict: bool = False,
@@ -292,7 +291,7 @@ class Matcher:
         check_word("as_cloud", as_cloud, get_args(AsCloud))
         check_word("partial", partial, get_args(Side))
         check_method(self.settings.method, partial)
-        check_part(partial, part_scale=part_scale, in_place=in_place)
+        check_part(partial, partial_scale=partial_scale, pre_aligned=pre_aligned)
         shapes: dict[Side, Shape] = {"source": source, "target": target}
         ups: dict[Side, Up] = {"source": source_up, "target": target_up}
         for side in shapes:
@@ -301,22 +300,22 @@ class Matcher:
                 raise bad_choice(f"{side}_up", str(ups[side]), get_args(Up))
         order: tuple[Side, Side] = ("target", "source") if partial == "source" else ("source", "target")
         prepared: dict[Side, Prepared] = {}
-        length: float | None = None
+        scale: float | None = None
         centre: Float[Tensor, " 3"] | None = None
         for side in order:
             prepared[side] = self.prepare(
                 shapes[side],
                 as_cloud=as_cloud in (side, "both"),
                 up=ups[side],
-                length=length,
+                scale=scale,
                 centre=centre,
                 strict=strict,
                 steps=steps,
                 label=side,
             )
             whole = prepared[side].operators
-            length = whole.length / part_scale if partial else None
-            centre = whole.centre / part_scale if in_place else None
+            scale = whole.scale / partial_scale if partial else None
+            centre = whole.centre / partial_scale if pre_aligned else None
         return prepared["source"], prepared["target"]
 
     def match_checked(
@@ -349,10 +348,10 @@ class Matcher:
             return tuple(axiomatic_warnings(source.operators, target.operators, ups=(source.up, target.up)))
         if not self.info.upright:
             return ()
-        lengths = source.operators.length, target.operators.length
+        scales = source.operators.scale, target.operators.scale
         shapes = source.repaired.shape, target.repaired.shape
         ups = source.up, target.up
-        return tuple(orientation_warnings(self.network, *shapes, lengths=lengths, ups=ups, device=self.device))
+        return tuple(orientation_warnings(self.network, *shapes, scales=scales, ups=ups, device=self.device))
 
     @torch.inference_mode()
     def match_prepared(self, source: Prepared, target: Prepared, *, partial: Side | None = None) -> Correspondence:
@@ -361,13 +360,13 @@ class Matcher:
         check_method(self.settings.method, partial)
         _check_prepared(source, target)
         if partial == "source":
-            return self.match_prepared(target, source, partial="target").swapped()
+            return self.match_prepared(target, source, partial="target").inverse()
         route = self.route(source.modality, target.modality)
         if partial == "target":
             target = self.placed(source, target)
         maps = self.point_maps(source, target, partial=partial == "target")
-        forth = _debris_following(maps.source_to_target, source.operators)
-        back = _debris_following(maps.target_to_source, target.operators)
+        forth = _small_components_following(maps.source_to_target, source.operators)
+        back = _small_components_following(maps.target_to_source, target.operators)
         x, y = source.operators.points, target.operators.points
         source_confidence, target_confidence = confidence(x, y, forth, back), confidence(y, x, back, forth)
         figures = MapQuality(
@@ -375,7 +374,7 @@ class Matcher:
             quality(target, source, back, forth, target_confidence),
         )
         if partial == "target":
-            found = covered(source.operators, target.operators, back)
+            found = overlap(source.operators, target.operators, back)
             forth, source_confidence = torch.where(found, forth, -1), torch.where(found, source_confidence, 0.0)
         return Correspondence(
             source_to_target=source.repaired.original_map(forth.cpu().numpy(), target.repaired),
@@ -390,7 +389,7 @@ class Matcher:
     def placed(self, complete: Prepared, part: Prepared) -> Prepared:
         """A part turned, shifted and sized to fit the complete shape's features best, with its features there.
 
-        Its operators' points are then no longer where ``centre`` and ``length`` put those of its file.
+        Its operators' points are then no longer where ``centre`` and ``scale`` put those of its file.
         As it is given, where there is no network or the settings say so.
         """
         _check_prepared(complete, part)
@@ -409,9 +408,9 @@ class Matcher:
         """Point maps between the clean shapes, before any point is found to have no counterpart."""
         _check_prepared(source, target)
         route = self.route(source.modality, target.modality)
-        if route == "elastic":
-            return _elastic_maps(source.operators, target.operators)
-        if route == "features":
+        if route == "registration":
+            return _registration_maps(source.operators, target.operators)
+        if route == "nearest-features":
             maps = self._maps_by_features(source.features, target.features, partial=partial)
         else:
             maps = self._maps_by_functional_maps(source, target, partial=partial)
@@ -498,15 +497,15 @@ def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
     return repaired, True
 
 
-def _elastic_maps(source: Operators, target: Operators) -> PointMaps:
-    on_target, on_source = elastic_positions(source.points, target.points)
+def _registration_maps(source: Operators, target: Operators) -> PointMaps:
+    on_target, on_source = registered_positions(source.points, target.points)
     return PointMaps(
         nearest_neighbour(on_target, target.points).index, nearest_neighbour(on_source, source.points).index
     )
 
 
 def _refined(maps: PointMaps, source: Prepared, target: Prepared) -> PointMaps:
-    target_to_source, source_to_target = guided_zoom_out(
+    target_to_source, source_to_target = zoomout(
         maps.target_to_source,
         maps.source_to_target,
         source.operators.eigenvectors,
@@ -518,7 +517,7 @@ def _refined(maps: PointMaps, source: Prepared, target: Prepared) -> PointMaps:
 
 
 def _refined_to_part(maps: PointMaps, complete: Prepared, part: Prepared) -> PointMaps:
-    part_to_complete, complete_to_part = guided_zoom_out_to_part(
+    part_to_complete, complete_to_part = zoomout_partial(
         maps.target_to_source,
         complete.operators.eigenvectors,
         part.operators.eigenvectors,
@@ -539,11 +538,11 @@ def _why_undetermined(*both: Operators) -> str:
     return "is too small or too symmetric for the axiomatic method; use one with more points, or give weights"
 
 
-def _debris_following(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:
+def _small_components_following(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:
     """The map with what no eigenfunction reaches going where the nearest point that has some goes."""
-    if operators.reached.all():
+    if operators.in_main_component.all():
         return point_map
-    reached, points = operators.reached.cpu(), operators.points.cpu().numpy()
-    (main,) = torch.nonzero(reached, as_tuple=True)
+    in_main_component, points = operators.in_main_component.cpu(), operators.points.cpu().numpy()
+    (main,) = torch.nonzero(in_main_component, as_tuple=True)
     nearest = main[torch.from_numpy(KDTree(points[main]).query(points)[1])]
     return point_map[nearest.to(point_map.device)]

@@ -109,7 +109,7 @@ def orientation_warnings(
     source: Shape,
     target: Shape,
     *,
-    lengths: tuple[float, float],
+    scales: tuple[float, float],
     ups: Ups = ("y", "y"),
     device: torch.device | str = "cpu",
 ) -> list[str]:
@@ -119,7 +119,7 @@ def orientation_warnings(
         features: the network, as a function of positions and operators.
         source: a clean shape.
         target: another.
-        lengths: the inner units of both.
+        scales: the inner units of both.
         ups: the axes that pointed up in both as they were given, before they were stood upright.
         device: where the network is.
 
@@ -127,7 +127,7 @@ def orientation_warnings(
         At most one line, that names the shape and what to do about it as it was given.
     """
     clouds = [
-        _sampled(shape, length, torch.device(device)) for shape, length in zip((source, target), lengths, strict=True)
+        _sampled(shape, scale, torch.device(device)) for shape, scale in zip((source, target), scales, strict=True)
     ]
     fits = _Fits(features, clouds[0], clouds[1], ups)
     (who, turn), gain = max(fits.gains().items(), key=lambda item: item[1])
@@ -208,6 +208,6 @@ def _turned_features(features: Features, operators: Operators, up: Up) -> dict[T
     return found
 
 
-def _sampled(shape: Shape, length: float, device: torch.device) -> Operators:
+def _sampled(shape: Shape, scale: float, device: torch.device) -> Operators:
     chosen = np.sort(np.random.default_rng(0).permutation(shape.n_points)[:_SAMPLES])
-    return compute_operators(Shape(shape.points[chosen], name=shape.name), length=length).to(device)
+    return compute_operators(Shape(shape.points[chosen], name=shape.name), scale=scale).to(device)

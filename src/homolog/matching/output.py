@@ -10,12 +10,12 @@ from typing import Any, get_args
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
-from homolog.errors import ArgumentError, DataError
-from homolog.files import all_or_nothing, expanded, made_folder, write_json
+from homolog.core.errors import ArgumentError, DataError
+from homolog.core.files import all_or_nothing, expanded, made_folder, write_json
+from homolog.core.progress import Steps
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.settings import Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
-from homolog.steps import Steps
 
 RESULT_FILES = ("correspondence.npz", "source.ply", "target.ply", "report.json")
 """What a match writes into its folder."""
@@ -87,9 +87,9 @@ class MatchResult:
     found: Correspondence
     report: dict[str, Any]
 
-    def swapped(self) -> MatchResult:
+    def inverse(self) -> MatchResult:
         """The same with source and target exchanged; the report stays as it is."""
-        return MatchResult(self.target, self.source, self.found.swapped(), self.report)
+        return MatchResult(self.target, self.source, self.found.inverse(), self.report)
 
 
 def read_result(folder: str | Path) -> MatchResult:

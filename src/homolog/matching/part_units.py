@@ -29,5 +29,5 @@ def unit_warnings(part: Repaired, *, factor: float, complete_area: float) -> lis
     swapped = ", or name the other shape as the partial one" if area > complete_area else ""
     return [
         f"the partial shape's area is {area:.3g}, the complete one's {complete_area:.3g}: their units seem to differ; "
-        f"give part_scale (--part-scale), by how much the partial shape's lengths are to be multiplied{swapped}"
+        f"give partial_scale (--partial-scale), by how much the partial shape's lengths are to be multiplied{swapped}"
     ]

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.geometry import Surface
-from homolog.maps import coverage, dirichlet_energy, flipped_triangles, there_and_back
+from homolog.maps import coverage, cycle_error, dirichlet_energy, flipped_triangles
 from homolog.matching.prepared import Prepared
 
 
@@ -19,14 +19,14 @@ class Quality:
 
     Args:
         coverage: share of the shape's area that the map back hits, 0 to 1; see ``homolog.maps.coverage``.
-        there_and_back: mean straight distance between a point and where it comes back to, in units of sqrt(area).
+        cycle_error: mean straight distance between a point and where it comes back to, in units of sqrt(area).
         dirichlet_energy: of the map, relative to the identity's: 1 for an isometry, more where it tears.
         flipped_triangles: share of the shape's triangles that the map turns over, 0 to 1; None where either is a cloud.
         confidence: mean confidence, 0 to 1.
     """
 
     coverage: float
-    there_and_back: float
+    cycle_error: float
     dirichlet_energy: float
     flipped_triangles: float | None
     confidence: float
@@ -50,13 +50,13 @@ class MapQuality:
         flips = [side.flipped_triangles for side in sides if side.flipped_triangles is not None]
         return Quality(
             coverage=fmean(side.coverage for side in sides),
-            there_and_back=fmean(side.there_and_back for side in sides),
+            cycle_error=fmean(side.cycle_error for side in sides),
             dirichlet_energy=fmean(side.dirichlet_energy for side in sides),
             flipped_triangles=fmean(flips) if flips else None,
             confidence=fmean(side.confidence for side in sides),
         )
 
-    def swapped(self) -> MapQuality:
+    def inverse(self) -> MapQuality:
         """The same with source and target exchanged."""
         return MapQuality(self.target, self.source)
 
@@ -84,7 +84,7 @@ def quality(
     points = shape.operators.points
     return Quality(
         coverage=coverage(shape.operators, other.operators, back),
-        there_and_back=float(there_and_back(points, there, back).mean()),
+        cycle_error=float(cycle_error(points, there, back).mean()),
         dirichlet_energy=dirichlet_energy(shape.operators, other.operators.points, there),
         flipped_triangles=_share_flipped(shape, other, there),
         confidence=float(confidences.mean()),

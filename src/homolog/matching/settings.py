@@ -8,13 +8,13 @@ from typing import Any, Literal, get_args
 
 import torch
 
-from homolog.arguments import is_count, is_real
-from homolog.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.arguments import is_count, is_real
+from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.geometry import OperatorSettings
 
-Method = Literal["auto", "functional-map", "features", "elastic", "axiomatic"]
+Method = Literal["auto", "functional-map", "nearest-features", "registration", "axiomatic"]
 """How maps are found, see ``MatcherSettings``."""
-NEED_NO_WEIGHTS: tuple[Method, ...] = ("axiomatic", "elastic")
+NEED_NO_WEIGHTS: tuple[Method, ...] = ("axiomatic", "registration")
 """Methods that work without a network, and leave one aside."""
 Side = Literal["source", "target"]
 """One of the two shapes of a match."""
@@ -48,13 +48,13 @@ class MatcherSettings:
     Args:
         method: the route; ``"auto"`` takes functional maps between meshes and features wherever a cloud takes part
             or the weights are for shapes that are not nearly isometric, and the axiomatic route if there are no
-            weights. ``"elastic"`` goes by positions alone, see ``homolog.maps.elastic_positions``.
+            weights. ``"registration"`` goes by positions alone, see ``homolog.maps.registered_positions``.
         map_eigenpairs: eigenpairs of the functional map; by default what the weights were trained with.
         partial_eigenpairs: the same where one shape is partial; 50 for weights that were not trained on parts.
         regularisation: weight of the resolvent mask.
         temperature: of the soft map between features.
         iterations: of Sinkhorn's algorithm.
-        refine: refine the point maps that the network gives, see ``guided_zoom_out``; never with weights for shapes
+        refine: refine the point maps that the network gives, see ``zoomout``; never with weights for shapes
             that are not nearly isometric.
         place: turn and shift a part to where its features fit its whole's best, see ``placed``.
         raw_products: compare features as they come instead of normalised ones; only safe between two clouds, and

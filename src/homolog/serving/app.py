@@ -15,7 +15,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from homolog.errors import HomologError
+from homolog.core.errors import HomologError
 from homolog.matching import Side
 from homolog.serving.command import VIEW, Wishes
 from homolog.serving.guard import Guard, Names

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from homolog.errors import ArgumentError, bad_choice
+from homolog.core.errors import ArgumentError, bad_choice
 from homolog.matching import Side
 from homolog.shapes import Up
 

@@ -13,7 +13,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from homolog.errors import bad_value
+from homolog.core.errors import bad_value
 
 _HEADERS = {
     "Cache-Control": "no-store",

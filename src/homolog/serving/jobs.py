@@ -18,8 +18,8 @@ import anyio
 from anyio import to_thread
 from anyio.abc import TaskGroup
 
-from homolog.errors import HomologError
-from homolog.files import read_json
+from homolog.core.errors import HomologError
+from homolog.core.files import read_json
 from homolog.matching import RESULT_FILES, Side
 from homolog.serving.addresses import household
 from homolog.serving.command import VIEW, MatchCommand, Wishes, complaint_of, side_of, step_of

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from dataclasses import asdict, dataclass
 
-from homolog.arguments import is_real
-from homolog.errors import bad_value
+from homolog.core.arguments import is_real
+from homolog.core.errors import bad_value
 
 _MEBIBYTE = 2**20
 _GIBIBYTE = 2**30

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from homolog.arguments import check_kind
+from homolog.core.arguments import check_kind
 from homolog.shapes.equal_rows import first_of_equal_rows
 from homolog.shapes.shape import Shape
 

@@ -11,7 +11,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from homolog.errors import needs_extra
+from homolog.core.errors import needs_extra
 from homolog.shapes.parsing import (
     CUT_OFF,
     Arrays,

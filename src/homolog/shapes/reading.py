@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from homolog.arguments import check_kind
-from homolog.errors import HomologError, ShapeError
-from homolog.files import expanded, sha256
+from homolog.core.arguments import check_kind
+from homolog.core.errors import HomologError, ShapeError
+from homolog.core.files import expanded, sha256
 from homolog.shapes.gltf_format import buffer_files, read_glb, read_gltf
 from homolog.shapes.mesh_formats import read_obj, read_off, read_stl
 from homolog.shapes.parsing import Arrays, UnreadableError, shorten

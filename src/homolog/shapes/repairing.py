@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Int, Shaped
 
-from homolog.errors import ShapeError, bad_value
+from homolog.core.errors import ShapeError, bad_value
 from homolog.shapes.checking import Report, report_on
 from homolog.shapes.cleaning import clean
 from homolog.shapes.shape import Shape

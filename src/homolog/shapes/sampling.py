@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.errors import bad_value
+from homolog.core.errors import bad_value
 from homolog.shapes.shape import Shape
 
 

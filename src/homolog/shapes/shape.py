@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.errors import ShapeError
+from homolog.core.errors import ShapeError
 
 Modality = Literal["mesh", "cloud"]
 """With faces, or without."""

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from homolog.errors import bad_choice
+from homolog.core.errors import bad_choice
 from homolog.shapes.shape import Shape
 
 Up = Literal["x", "y", "z"]

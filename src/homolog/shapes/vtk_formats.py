@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from homolog.errors import MissingExtraError
+from homolog.core.errors import MissingExtraError
 from homolog.shapes.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, shorten
 from homolog.shapes.shape import Shape
 

@@ -11,9 +11,9 @@ import numpy as np
 import trimesh
 from jaxtyping import UInt8
 
-from homolog.arguments import check_kind
-from homolog.errors import ArgumentError, ShapeError
-from homolog.files import atomic_path
+from homolog.core.arguments import check_kind
+from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.files import atomic_path
 from homolog.shapes.point_formats import pcd_class
 from homolog.shapes.shape import Shape
 from homolog.shapes.vtk_formats import write_vtk, write_vtp, write_vtu

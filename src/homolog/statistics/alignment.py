@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 
 # It ends once a round lowers the distances from the mean by less than this share of all shapes' size.
 _SETTLED = 1e-12

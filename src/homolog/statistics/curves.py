@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from homolog.arguments import check_count
-from homolog.errors import ArgumentError
+from homolog.core.arguments import check_count
+from homolog.core.errors import ArgumentError
 from homolog.statistics.model import ShapeModel
 
 # Of the sum of all shapes' squared distances from their mean. Inner products are rounded by shares of it, even where

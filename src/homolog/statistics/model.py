@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 
 # Of the largest singular value: what is below is rounding.
 _RANK = 1e-9

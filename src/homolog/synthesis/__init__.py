@@ -1,9 +1,9 @@
 """Shapes made for training and tests, with exact ground truth: people, and parts and views of complete shapes."""
 
 from homolog.synthesis.body_model import BodyModel
-from homolog.synthesis.degradation import add_outliers, thin
+from homolog.synthesis.degradation import add_outliers, subsample
 from homolog.synthesis.part import Part
-from homolog.synthesis.parts import cut, pierce
+from homolog.synthesis.parts import cut, cut_holes
 from homolog.synthesis.people import MeshedBody, PeopleSettings, Person, make_person, meshed
 from homolog.synthesis.people_folder import PeopleFolder, write_shape_files
 from homolog.synthesis.production import synthesize_people
@@ -24,12 +24,12 @@ __all__ = [
     "ViewSettings",
     "add_outliers",
     "cut",
+    "cut_holes",
     "drawn_camera",
     "make_person",
     "meshed",
-    "pierce",
+    "subsample",
     "synthesize_people",
-    "thin",
     "view",
     "view_from",
     "write_shape_files",

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from homolog.errors import needs_extra
+from homolog.core.errors import needs_extra
 from homolog.synthesis.joints import Rotations
 from homolog.synthesis.template import Template
 

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from homolog.errors import ShapeError
+from homolog.core.errors import ShapeError
 from homolog.geometry import surface_area
-from homolog.geometry.debris import require_usable
+from homolog.geometry.components import require_usable
 from homolog.shapes import FEWEST_POINTS, Shape
 from homolog.synthesis.drawing import Range, check_number, check_range, drawn, drawn_direction, given_direction
 from homolog.synthesis.part import Part
@@ -43,7 +43,7 @@ def add_outliers(shape: Shape, *, share: Range = 0.02, distance: float = 0.1, se
     return Part(Shape(np.concatenate([shape.points, far]), name=shape.name), index)
 
 
-def thin(shape: Shape, *, least: Range = (0.1, 0.5), direction: ArrayLike | None = None, seed: int) -> Part:
+def subsample(shape: Shape, *, least: Range = (0.1, 0.5), direction: ArrayLike | None = None, seed: int) -> Part:
     """Keep each point of a shape at random, with a probability that falls smoothly from one end of it to the other.
 
     See ``share_kept``.

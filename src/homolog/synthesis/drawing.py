@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from homolog.arguments import is_real
-from homolog.errors import bad_value
+from homolog.core.arguments import is_real
+from homolog.core.errors import bad_value
 
 # A number, or the lowest and the highest that may be drawn.
 Range = float | tuple[float, float]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from homolog.errors import ShapeError
-from homolog.geometry.debris import require_usable
+from homolog.core.errors import ShapeError
+from homolog.geometry.components import require_usable
 from homolog.shapes import FEWEST_POINTS, Shape, components, face_areas
 
 

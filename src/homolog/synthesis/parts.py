@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import dijkstra
 
-from homolog.arguments import is_count
-from homolog.errors import bad_value
+from homolog.core.arguments import is_count
+from homolog.core.errors import bad_value
 from homolog.geometry import edge_graph, surface_area
 from homolog.shapes import Shape, face_areas
 from homolog.synthesis.drawing import Range, check_range, drawn, drawn_count, drawn_direction, given_direction
@@ -51,7 +51,7 @@ def cut(shape: Shape, *, removed: Range = (0.3, 0.6), normal: ArrayLike | None =
     return part_of_faces(shape, left_above(descending[min(place, len(faces) - 1)]), advice=_CUT_ADVICE)
 
 
-def pierce(shape: Shape, *, holes: int | tuple[int, int] = (5, 20), radius: Range = (0.03, 0.08), seed: int) -> Part:
+def cut_holes(shape: Shape, *, holes: int | tuple[int, int] = (5, 20), radius: Range = (0.03, 0.08), seed: int) -> Part:
     """Take many geodesic discs out of a mesh; the largest connected piece of what remains is left.
 
     Centres are points of the mesh, each as likely; all points nearer to one than its radius go, measured along the

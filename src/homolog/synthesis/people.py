@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.arguments import is_count, is_real
-from homolog.errors import bad_value
+from homolog.core.arguments import is_count, is_real
+from homolog.core.errors import bad_value
 from homolog.geometry.surface import Ground, Places, Surface
 from homolog.synthesis.builds import draw_build, nearer_the_mean
 from homolog.synthesis.crossings import crossing_share

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from homolog.files import all_or_nothing, atomic_path, expanded, made_folder, read_json, sha256, write_json
-from homolog.folders import MANIFEST, claim
+from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, read_json, sha256, write_json
+from homolog.core.folders import MANIFEST, claim
+from homolog.core.versions import version_of, versions
 from homolog.geometry.surface import Places, Surface
 from homolog.shapes import Shape, write_shape
 from homolog.synthesis.body_model import ASSETS
 from homolog.synthesis.people import MOST_CROSSING, MeshedBody, PeopleSettings, Person
-from homolog.versions import version_of, versions
 
 # Changes whenever the same settings come to give other bodies.
 _MAKING = 1

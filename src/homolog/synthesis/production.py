@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 
-from homolog.arguments import check_count
+from homolog.core.arguments import check_count
+from homolog.core.progress import Progress, no_progress
+from homolog.core.tasks import work_off
 from homolog.geometry.surface import Places
-from homolog.steps import Progress, unheard
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.people import PeopleSettings, make_person
 from homolog.synthesis.people_folder import PeopleFolder
 from homolog.synthesis.template import sample_evenly
-from homolog.work import work_off
 
 TEMPLATE_POINTS = 5000
 """How many points of the template carry the ground truth."""
@@ -25,7 +25,7 @@ def synthesize_people(
     settings: PeopleSettings | None = None,
     *,
     processes: int = 1,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
 ) -> PeopleFolder:
     """Make the first ``n`` bodies of an endless set, or those of them that are not there yet.
 

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
+from homolog.core.errors import DataError
+from homolog.core.files import expanded, sha256
 from homolog.datasets import ShapeFolder, mesh_files
-from homolog.errors import DataError
-from homolog.files import expanded, sha256
 
 SetSplit = Literal["train", "test"]
 

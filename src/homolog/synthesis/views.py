@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from homolog.arguments import is_count, is_real
-from homolog.errors import ShapeError, bad_value
+from homolog.core.arguments import is_count, is_real
+from homolog.core.errors import ShapeError, bad_value
 from homolog.shapes import FEWEST_POINTS, Shape, face_areas
 from homolog.synthesis.drawing import Range, check_number, check_range, drawn
 from homolog.synthesis.part import Part, mesh_faces, part_of_faces

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
-from homolog.errors import ArgumentError, TrainingError, bad_value
+from homolog.core.errors import ArgumentError, TrainingError, bad_value
+from homolog.core.progress import Listener
+from homolog.features import AugmentationSettings, DiffusionNet
 from homolog.geometry import Basis
 from homolog.matching import Matcher, Prepared, Side
-from homolog.network import AugmentationSettings, DiffusionNet
-from homolog.steps import Listener
 from homolog.training.objective import LossSettings, TrainingShape, pair_losses
 from homolog.training.recipe import OptimiserSettings, SampleSettings
 from homolog.training.samples import at_points, subsets
@@ -113,8 +113,8 @@ def _training_shapes(matcher: Matcher, prepared: Prepared, settings: SampleSetti
 
 
 def _cloud_basis(matcher: Matcher, prepared: Prepared) -> Basis:
-    length = prepared.operators.length
-    cloud = matcher.operators(prepared.repaired.shape, as_cloud=True, length=length).basis
+    scale = prepared.operators.scale
+    cloud = matcher.operators(prepared.repaired.shape, as_cloud=True, scale=scale).basis
     return replace(cloud, points=prepared.operators.basis.points)  # of the same points, wherever a part was placed
 
 

@@ -17,13 +17,13 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.core.errors import ArgumentError, DataError, ShapeError
+from homolog.core.progress import Progress
 from homolog.datasets import Pair
-from homolog.errors import ArgumentError, DataError, ShapeError
 from homolog.geometry import Basis, Frame, Operators, unit_frame
-from homolog.maps import elastic_positions
+from homolog.maps import registered_positions
 from homolog.matching import OperatorSource
 from homolog.shapes import Shape, repair
-from homolog.steps import Progress
 from homolog.training.clouds import Cloud, cloud_variants, make_cloud
 from homolog.training.data import TrainingSet
 from homolog.training.objective import TrainingShape
@@ -48,14 +48,14 @@ class TrainingPair:
         draw: what was drawn.
         x: one shape.
         y: the other.
-        skin: where the points of y's cloud lie on x's, drawn onto each other with all of their points (n_y, 3); None
-            where no loss asks for it.
+        registration_targets: where y's cloud lies once it is registered to x's, both with all of their points (n_y, 3);
+            None where no loss asks for it.
     """
 
     draw: Draw
     x: TrainingShape
     y: TrainingShape
-    skin: Float[Tensor, "n_y 3"] | None = None
+    registration_targets: Float[Tensor, "n_y 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ class ShapeBank:
         """A pair of shapes in the order that a step takes them in: where one may be a part, the larger one first."""
         if self.recipe.partial is None:
             return pair
-        first, second = (self._frame(name).length for name in pair)
+        first, second = (self._frame(name).scale for name in pair)
         return pair if first >= second else (pair[1], pair[0])
 
     def _frame(self, name: str) -> Frame:
@@ -150,19 +150,19 @@ class ShapeBank:
     def _pair(self, draw: Draw) -> TrainingPair:
         x, y = self.shape(draw.x), self.shape(draw.y)
         if self.recipe.partial is None:
-            return TrainingPair(draw, x, y, self._skin(draw.x, draw.y))
+            return TrainingPair(draw, x, y, self._registration_targets(draw.x, draw.y))
         first, _ = self.whole_first((draw.x.name, draw.y.name))
         if first != draw.x.name:
             draw, x, y = replace(draw, x=draw.y, y=draw.x), y, x
         whole, part = self._frames[draw.x.name], self._frames[draw.y.name]
-        y = _changed(y, lambda basis: basis.scaled(part.length / whole.length))
+        y = _changed(y, lambda basis: basis.scaled(part.scale / whole.scale))
         if self._in_place:
-            away = torch.from_numpy(whole.inside(part.centre)).float().to(self.device)
+            away = torch.from_numpy(whole.to_unit(part.centre)).float().to(self.device)
             y = _changed(y, lambda basis: basis.moved(away))
         return TrainingPair(draw, x, y)
 
-    def _skin(self, x: Member, y: Member) -> Float[Tensor, "n_y 3"] | None:
-        if not self.recipe.loss.elastic or any(self.variants[member.variant].is_part for member in (x, y)):
+    def _registration_targets(self, x: Member, y: Member) -> Float[Tensor, "n_y 3"] | None:
+        if not self.recipe.loss.registration or any(self.variants[member.variant].is_part for member in (x, y)):
             return None
         first, second = sorted([(x.name, x.variant), (y.name, y.variant)])
         on_second, on_first = self._drawn(first, second)
@@ -173,11 +173,11 @@ class ShapeBank:
     def _draw_onto_each_other(
         self, first: tuple[str, int], second: tuple[str, int]
     ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, "m 3"]]:
-        return elastic_positions(self._samples(*first).whole, self._samples(*second).whole)
+        return registered_positions(self._samples(*first).whole, self._samples(*second).whole)
 
     @property
     def _in_place(self) -> bool:
-        return self.recipe.partial is not None and bool(self.recipe.partial.in_place)
+        return self.recipe.partial is not None and bool(self.recipe.partial.pre_aligned)
 
     def _prepare(self, name: str) -> str:
         for variant in (_MESH, *range(len(self.variants))):
@@ -258,10 +258,10 @@ class ShapeBank:
         shape = repair(self.shapes.shape(name)).shape
         frame = unit_frame(shape)
         self._frames[name] = frame
-        return Shape(frame.inside(shape.points), shape.faces, name=shape.name)
+        return Shape(frame.to_unit(shape.points), shape.faces, name=shape.name)
 
     def _operators_of(self, shape: Shape) -> Operators:
-        return self.operators(shape, settings=self.recipe.operators, length=1.0)
+        return self.operators(shape, settings=self.recipe.operators, scale=1.0)
 
     def _near(self, weights: sparse.csr_array) -> Int[np.ndarray, " s"]:
         """For each point of a cloud the point of the mesh with the largest weight; or all, where all are wanted."""

@@ -12,8 +12,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from homolog.errors import TrainingError
-from homolog.files import atomic_path
+from homolog.core.errors import TrainingError
+from homolog.core.files import atomic_path
 from homolog.training.recipe import Recipe
 from homolog.training.state import TrainingState
 

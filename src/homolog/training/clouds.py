@@ -9,9 +9,9 @@ import numpy as np
 import scipy.sparse as sparse
 from jaxtyping import Float, Int
 
-from homolog.errors import ShapeError
+from homolog.core.errors import ShapeError
 from homolog.shapes import Shape, add_noise, face_areas
-from homolog.synthesis import Part, ViewSettings, cut, pierce, view
+from homolog.synthesis import Part, ViewSettings, cut, cut_holes, view
 from homolog.training.recipe import CloudSettings
 
 # Variants that take no faces.
@@ -59,10 +59,10 @@ def cloud_variants(settings: CloudSettings) -> tuple[CloudVariant, ...]:
     return (
         CloudVariant(),
         *(CloudVariant("noisy", sigma) for sigma in settings.noise),
-        *(CloudVariant("thinned", share) for share in settings.thinned),
+        *(CloudVariant("thinned", share) for share in settings.subsampled),
         *(CloudVariant("resampled", number) for number in settings.resampled),
         *(CloudVariant("cut", share) for share in settings.cut),
-        *(CloudVariant("pierced", number) for number in settings.pierced),
+        *(CloudVariant("pierced", number) for number in settings.holes),
         *(CloudVariant("seen", sigma) for sigma in settings.seen),
     )
 
@@ -85,7 +85,7 @@ def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
     if variant.kind == "cut":
         return _part(mesh, cut(mesh, removed=1 - variant.amount, seed=seed))
     if variant.kind == "pierced":
-        return _part(mesh, pierce(mesh, holes=round(variant.amount), seed=seed))
+        return _part(mesh, cut_holes(mesh, holes=round(variant.amount), seed=seed))
     if variant.kind == "seen":
         return _seen(mesh, view(mesh, ViewSettings(noise=variant.amount), seed=seed).cloud)
     return Cloud(mesh.as_cloud(), None)

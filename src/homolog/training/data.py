@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from homolog.datasets import Pair, SetDescription, ShapeFolder, mesh_files, partner
-from homolog.errors import ArgumentError, DataError
-from homolog.files import expanded
+from homolog.core.errors import ArgumentError, DataError
+from homolog.core.files import expanded
+from homolog.datasets import DatasetDescription, Pair, ShapeFolder, mesh_files, partner
 from homolog.shapes import Shape, Up, read_shape, stand_upright
 from homolog.training.recipe import DataSettings, Recipe
 
@@ -51,7 +51,7 @@ class TrainingSet:
     described: ShapeFolder | None = None
 
     @classmethod
-    def open(cls, root: str | Path, recipe: Recipe, description: SetDescription | None = None) -> TrainingSet:
+    def open(cls, root: str | Path, recipe: Recipe, description: DatasetDescription | None = None) -> TrainingSet:
         """Look into a folder: a set as its description has it, or one of one's own.
 
         That is ``off/NAME.off`` with or without ground truth, complete shapes and parts, or any meshes, or clouds.
@@ -212,7 +212,7 @@ def _pair(names: Sequence[str], number: int) -> Pair:
     return names[first], names[second + (second >= first)]
 
 
-def _ground_truth(root: Path, recipe: Recipe, description: SetDescription | None) -> ShapeFolder | None:
+def _ground_truth(root: Path, recipe: Recipe, description: DatasetDescription | None) -> ShapeFolder | None:
     if not recipe.validation.score_every:
         return None
     try:

@@ -15,14 +15,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.datasets import SetDescription
-from homolog.errors import ArgumentError, TrainingError, needs_extra
-from homolog.files import expanded
+from homolog.core.errors import ArgumentError, TrainingError, needs_extra
+from homolog.core.files import expanded
+from homolog.core.memory import keep_freed_memory
+from homolog.core.progress import Progress, no_progress
+from homolog.datasets import DatasetDescription
+from homolog.features import DiffusionNet
 from homolog.geometry import OperatorCache
 from homolog.matching import Device, Matcher, MatcherSettings, OperatorSource, choose_device
-from homolog.memory import keep_freed_memory
-from homolog.network import DiffusionNet
-from homolog.steps import Progress, unheard
 from homolog.training.bank import ShapeBank, TrainingPair, prefetched
 from homolog.training.data import TrainingSet
 from homolog.training.interrupts import Interrupts, deferred_interrupts
@@ -49,7 +49,7 @@ def train(
     data: str | Path,
     run: str | Path,
     *,
-    description: SetDescription | None = None,
+    description: DatasetDescription | None = None,
     resume: bool = False,
     weights: str | Path | None = None,
     device: Device = "auto",
@@ -99,7 +99,7 @@ def train(
             until_the_end.enter_context(folder.held())
         fabric.launch()
         until_the_end.enter_context(leaving_together())
-        report = progress if progress is not None and fabric.is_global_zero else unheard
+        report = progress if progress is not None and fabric.is_global_zero else no_progress
         bank = ShapeBank(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
         with failing_together():
             state = folder.load(fabric.device, weights=weights)
@@ -234,7 +234,7 @@ class _Training:
                 augmentation=self.recipe.augmentation,
                 generator=generator,
                 partial=self.recipe.partial is not None,
-                skin=pair.skin,
+                registration_targets=pair.registration_targets,
             )
 
     def _share(self, losses: Float[Tensor, "p t"], stop: bool) -> bool:

@@ -8,25 +8,25 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.errors import ArgumentError, TrainingError, bad_value
+from homolog.core.errors import ArgumentError, TrainingError, bad_value
+from homolog.features import AugmentationSettings, DiffusionNet, augmented
 from homolog.geometry import Basis
-from homolog.maps import elastic_positions, functional_map, normalised, resolvent_mask
+from homolog.maps import functional_map, normalised, registered_positions, resolvent_mask
 from homolog.maps.losses import (
-    CONTRAST_TEMPERATURE,
-    ELASTIC_REACH,
+    INFONCE_TEMPERATURE,
+    REGISTRATION_REACH,
     alignment_loss,
     bijectivity_loss,
     commutativity_loss,
-    contrastive_loss,
-    displacement_loss,
-    elastic_loss,
+    infonce_loss,
     orthogonality_loss,
     partial_alignment_loss,
     partial_bijectivity_loss,
     partial_orthogonality_loss,
     partial_rank,
+    registration_loss,
+    smoothness_loss,
 )
-from homolog.network import AugmentationSettings, DiffusionNet, augmented
 
 # Points of a shape in the benchmarks that the paper's weights were chosen on.
 _USUAL_POINTS = 5000
@@ -39,44 +39,44 @@ class LossSettings:
     Args:
         bijectivity: weight of the functional maps being each other's inverse.
         orthogonality: weight of their keeping areas. With 0, the weights are for shapes that are not nearly isometric:
-            see ``near_isometric`` of ``homolog.network.WeightsInfo``.
+            see ``near_isometric`` of ``homolog.features.WeightsInfo``.
         alignment: weight of the soft map of the clouds agreeing with the functional map of the meshes, per sample as
             if there were 5,000 of them.
-        contrast: weight of a cloud's features resembling those of its own mesh.
+        infonce: weight of a cloud's features resembling those of its own mesh.
         commutativity: weight of functional maps commuting with the Laplacians.
-        displacement: weight of what functional maps do to positions being smooth; for organs and the like, which stand
+        smoothness: weight of what functional maps do to positions being smooth; for organs and the like, which stand
             alike and keep neither lengths nor areas.
-        elastic: weight of points of the clouds resembling what lies where an elastic skin takes them; for the same
+        registration: weight of points of the clouds resembling what lies where their registration takes them; for the same
             shapes, and not for parts, which lack what would have to go somewhere.
-        elastic_reach: how far around, in units of sqrt(area).
+        registration_reach: how far around, in units of sqrt(area).
         map_eigenpairs: size of the functional maps.
         regularisation: of the functional maps.
         soft_temperature: of the soft map.
         soft_iterations: of Sinkhorn's algorithm.
         raw_products: make the soft map of features as they come, as the published code does, not of unit ones.
-        contrast_temperature: of the contrastive loss.
+        infonce_temperature: of the contrastive loss.
     """
 
     bijectivity: float = 1.0
     orthogonality: float = 1.0
     alignment: float = 1e-3
-    contrast: float = 10.0
+    infonce: float = 10.0
     commutativity: float = 0.0
-    displacement: float = 0.0
-    elastic: float = 0.0
+    smoothness: float = 0.0
+    registration: float = 0.0
     map_eigenpairs: int = 80
     regularisation: float = 100.0
     soft_temperature: float = 0.1
     soft_iterations: int = 10
     raw_products: bool = False
-    contrast_temperature: float = CONTRAST_TEMPERATURE
-    elastic_reach: float = ELASTIC_REACH
+    infonce_temperature: float = INFONCE_TEMPERATURE
+    registration_reach: float = REGISTRATION_REACH
 
     def __post_init__(self) -> None:
         for name in (*(f.name for f in fields(Losses)), "regularisation"):
             if not 0 <= getattr(self, name) < float("inf"):
                 raise bad_value(name, getattr(self, name), "a finite number of at least 0")
-        for name in ("soft_temperature", "contrast_temperature", "elastic_reach"):
+        for name in ("soft_temperature", "infonce_temperature", "registration_reach"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise bad_value(name, getattr(self, name), "a positive finite number")
         for name in ("map_eigenpairs", "soft_iterations"):
@@ -115,16 +115,16 @@ class Losses:
     bijectivity: Float[Tensor, ""]
     orthogonality: Float[Tensor, ""]
     alignment: Float[Tensor, ""]
-    contrast: Float[Tensor, ""]
+    infonce: Float[Tensor, ""]
     commutativity: Float[Tensor, ""]
-    displacement: Float[Tensor, ""]
-    elastic: Float[Tensor, ""]
+    smoothness: Float[Tensor, ""]
+    registration: Float[Tensor, ""]
 
     @property
     def total(self) -> Float[Tensor, ""]:
         """The sum of all, what is minimised."""
-        known = self.bijectivity + self.orthogonality + self.alignment + self.contrast
-        return known + self.commutativity + self.displacement + self.elastic
+        known = self.bijectivity + self.orthogonality + self.alignment + self.infonce
+        return known + self.commutativity + self.smoothness + self.registration
 
     def as_dict(self) -> dict[str, float]:
         """All of them as numbers, ``total`` included."""
@@ -141,7 +141,7 @@ def pair_losses(
     augmentation: AugmentationSettings | None = None,
     generator: torch.Generator | None = None,
     partial: bool = False,
-    skin: Float[Tensor, "n_y 3"] | None = None,
+    registration_targets: Float[Tensor, "n_y 3"] | None = None,
 ) -> Losses:
     """The losses of a pair of shapes, from four passes of the network.
 
@@ -153,8 +153,8 @@ def pair_losses(
         augmentation: how to vary the input of each pass; None to leave it.
         generator: of all that is random, dropout included; torch's own by default.
         partial: use the losses for a part of a shape.
-        skin: where the points of y's cloud lie on x's, as ``homolog.maps.elastic_positions`` draws them there; the
-            elastic loss takes it from these points where it is not given.
+        registration_targets: where y's cloud lies once it is registered to x's, see ``homolog.maps.registered_positions``;
+            by default that of the samples.
     """
     bases = [x.mesh, y.mesh, x.cloud, y.cloud]
     inputs = [basis.points for basis in bases]
@@ -164,7 +164,7 @@ def pair_losses(
     mesh_x, mesh_y, *clouds = network.several(inputs, bases, generator=generator)
     with _full_precision(inputs[0].device):
         meshes = _Side(x, mesh_x, settings), _Side(y, mesh_y, settings)
-        return _losses(*meshes, *clouds, settings=settings, partial=partial, skin=skin)
+        return _losses(*meshes, *clouds, settings=settings, partial=partial, registration_targets=registration_targets)
 
 
 def _full_precision(device: torch.device) -> torch.autocast:
@@ -178,14 +178,14 @@ class _Side:
     def __init__(self, shape: TrainingShape, features: Float[Tensor, "n d"], settings: LossSettings) -> None:
         k = settings.map_eigenpairs
         self.shape, self.features = shape, features
-        self.coefficients = shape.mesh.analysis[:k] @ features
-        self.positions = shape.mesh.analysis[:k] @ shape.mesh.points
+        self.coefficients = shape.mesh.pseudo_inverse[:k] @ features
+        self.positions = shape.mesh.pseudo_inverse[:k] @ shape.mesh.points
         self.eigenvalues = shape.mesh.eigenvalues[:k]
         self.eigenvectors = shape.at_cloud(shape.mesh.eigenvectors[:, :k].contiguous())
 
-    def contrast(self, cloud: Float[Tensor, "n d"], settings: LossSettings) -> Float[Tensor, ""]:
+    def infonce(self, cloud: Float[Tensor, "n d"], settings: LossSettings) -> Float[Tensor, ""]:
         own = self.shape.at_cloud(self.features)
-        return contrastive_loss(normalised(cloud), normalised(own), temperature=settings.contrast_temperature)
+        return infonce_loss(normalised(cloud), normalised(own), temperature=settings.infonce_temperature)
 
 
 def _losses(
@@ -196,7 +196,7 @@ def _losses(
     *,
     settings: LossSettings,
     partial: bool,
-    skin: Float[Tensor, "n_y 3"] | None,
+    registration_targets: Float[Tensor, "n_y 3"] | None,
 ) -> Losses:
     c_xy, c_yx = _functional_maps(x, y, settings)
     compared = (cloud_x, cloud_y) if settings.raw_products else (normalised(cloud_x), normalised(cloud_y))
@@ -211,20 +211,21 @@ def _losses(
         if settings.commutativity
         else torch.zeros_like(bijectivity)
     )
-    displacement = (
-        displacement_loss(c_xy, x.positions, y.positions, y.eigenvalues)
-        + displacement_loss(c_yx, y.positions, x.positions, x.eigenvalues)
-        if settings.displacement
+    smoothness = (
+        smoothness_loss(c_xy, x.positions, y.positions, y.eigenvalues)
+        + smoothness_loss(c_yx, y.positions, x.positions, x.eigenvalues)
+        if settings.smoothness
         else torch.zeros_like(bijectivity)
     )
     return Losses(
         bijectivity=settings.bijectivity * bijectivity,
         orthogonality=settings.orthogonality * orthogonality,
         alignment=settings.alignment * _alignment(c_xy, x, y, *compared, settings, partial=partial),
-        contrast=settings.contrast * (x.contrast(cloud_x, settings) + y.contrast(cloud_y, settings)),
+        infonce=settings.infonce * (x.infonce(cloud_x, settings) + y.infonce(cloud_y, settings)),
         commutativity=settings.commutativity * commutativity,
-        displacement=settings.displacement * displacement,
-        elastic=settings.elastic * _elastic(x, y, *compared, settings, skin=skin, partial=partial),
+        smoothness=settings.smoothness * smoothness,
+        registration=settings.registration
+        * _registration(x, y, *compared, settings, registration_targets=registration_targets, partial=partial),
     )
 
 
@@ -265,19 +266,19 @@ def _alignment(
     return share * alignment_loss(*shapes, temperature=temperature, iterations=iterations)
 
 
-def _elastic(
+def _registration(
     x: _Side,
     y: _Side,
     cloud_x: Float[Tensor, "n_x d"],
     cloud_y: Float[Tensor, "n_y d"],
     settings: LossSettings,
     *,
-    skin: Float[Tensor, "n_y 3"] | None,
+    registration_targets: Float[Tensor, "n_y 3"] | None,
     partial: bool,
 ) -> Float[Tensor, ""]:
-    if not settings.elastic or partial or x.shape.cloud_is_part or y.shape.cloud_is_part:
+    if not settings.registration or partial or x.shape.cloud_is_part or y.shape.cloud_is_part:
         return torch.zeros_like(cloud_x.sum())
     points, others = x.shape.cloud.points, y.shape.cloud.points
-    wanted = elastic_positions(points, others)[1] if skin is None else skin
-    reach, temperature = settings.elastic_reach, settings.soft_temperature
-    return elastic_loss(cloud_x, cloud_y, points, wanted, reach=reach, temperature=temperature)
+    wanted = registered_positions(points, others)[1] if registration_targets is None else registration_targets
+    reach, temperature = settings.registration_reach, settings.soft_temperature
+    return registration_loss(cloud_x, cloud_y, points, wanted, reach=reach, temperature=temperature)

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from homolog.datasets import SetDescription, Split
-from homolog.errors import ArgumentError, bad_choice, bad_value
-from homolog.files import expanded
+from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.files import expanded
+from homolog.core.tables import read_table, read_toml
+from homolog.datasets import DatasetDescription, Split
+from homolog.features import AugmentationSettings, NetworkSettings
 from homolog.geometry import OperatorSettings
-from homolog.network import AugmentationSettings, NetworkSettings
 from homolog.shapes import Up
-from homolog.tables import read_table, read_toml
 from homolog.training.objective import LossSettings
 
 Schedule = Literal["cosine", "constant", "one-cycle"]
@@ -93,22 +93,22 @@ class CloudSettings:
     """
 
     noise: tuple[float, ...] = ()
-    thinned: tuple[float, ...] = ()
+    subsampled: tuple[float, ...] = ()
     resampled: tuple[int, ...] = ()
     cut: tuple[float, ...] = ()
-    pierced: tuple[int, ...] = ()
+    holes: tuple[int, ...] = ()
     seen: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for value in self.noise:
             _require("noise", value, _positive, "a list of positive numbers, in units of sqrt(area)")
-        for value in self.thinned:
+        for value in self.subsampled:
             _require("thinned", value, lambda share: 0 < share < 1, "a list of shares between 0 and 1")
         for value in self.resampled:
             _require("resampled", value, lambda number: number >= 100, "a list of numbers of points, at least 100 each")
         for value in self.cut:
             _require("cut", value, lambda share: 0.1 <= share < 1, "a list of shares from 0.1 to below 1")
-        for value in self.pierced:
+        for value in self.holes:
             _require("pierced", value, _positive, "a list of numbers of holes, at least 1 each")
         for value in self.seen:
             _require("seen", value, _not_negative, "a list of numbers that are at least 0, in units of sqrt(area)")
@@ -213,19 +213,19 @@ class PartialSettings:
     Args:
         complete: the folder of the complete shapes; ``"null"`` where nothing says otherwise.
         parts: the folder of the partial ones; ``"cuts"`` where nothing says otherwise.
-        in_place: parts lie in the coordinates of their complete shapes, about where they belong. Otherwise, as where
+        pre_aligned: parts lie in the coordinates of their complete shapes, about where they belong. Otherwise, as where
             nothing says so, only their form counts, and the positions of each are around its own middle.
     """
 
     complete: str | None = None
     parts: str | None = None
-    in_place: bool | None = None
+    pre_aligned: bool | None = None
 
     def __post_init__(self) -> None:
         if self.complete is not None and self.complete == self.parts:
             raise bad_value("parts", self.parts, "another folder than that of the complete shapes")
 
-    def for_set(self, described: SetDescription) -> PartialSettings:
+    def for_set(self, described: DatasetDescription) -> PartialSettings:
         """These settings with nothing left out.
 
         Raises:
@@ -237,7 +237,7 @@ class PartialSettings:
                 raise ArgumentError(
                     f"[partial] {key} is {given!r}, but {described.name} has {wanted!r}; leave it out of the recipe"
                 )
-        return PartialSettings(complete, parts, described.in_place if self.in_place is None else self.in_place)
+        return PartialSettings(complete, parts, described.pre_aligned if self.pre_aligned is None else self.pre_aligned)
 
 
 @dataclass(frozen=True)
@@ -284,9 +284,11 @@ class Recipe:
         _require(
             "[loss] map_eigenpairs", self.loss.map_eigenpairs, lambda size: size <= n, f"at most n_eigenpairs, {n}"
         )
-        if self.partial is not None and self.loss.elastic:
+        if self.partial is not None and self.loss.registration:
             raise bad_value(
-                "[loss] elastic", self.loss.elastic, "0 with a section [partial], as skins are of whole shapes"
+                "[loss] registration",
+                self.loss.registration,
+                "0 with a section [partial], as registration is of full shapes",
             )
         # Coefficients of positions from as many samples as eigenpairs are off by a tenth, from twice as many by 2 %.
         _require(
@@ -304,13 +306,13 @@ class Recipe:
                 "are left",
             )
 
-    def for_set(self, description: SetDescription | None = None) -> Recipe:
+    def for_set(self, description: DatasetDescription | None = None) -> Recipe:
         """The recipe for a set, or for a folder of one's own: with what it leaves to the description filled in.
 
         Raises:
             ArgumentError: if it names other folders of parts than the description.
         """
-        described = description or SetDescription()
+        described = description or DatasetDescription()
         data = replace(self.data, up=self.data.up or described.up)
         return replace(self, data=data, partial=self.partial and self.partial.for_set(described))
 
@@ -339,13 +341,13 @@ def find_recipe(recipe: str | Path) -> Path:
     path = expanded(recipe)
     if path.is_file():
         return path
-    shipped = shipped_recipes()
+    shipped = builtin_recipes()
     if str(recipe) in shipped:
         return shipped[str(recipe)]
     raise bad_choice("recipe", str(recipe), list(shipped), "or give the path of a TOML file")
 
 
-def shipped_recipes() -> dict[str, Path]:
+def builtin_recipes() -> dict[str, Path]:
     """Name and file of the recipes that ship with the package."""
     return {file.stem: file for folder in _SHIPPED for file in sorted(folder.glob("*.toml"))}
 

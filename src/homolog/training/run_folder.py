@@ -14,14 +14,14 @@ from typing import Any
 
 import torch
 
-from homolog.errors import ArgumentError
-from homolog.files import made_folder, sha256, write_json
-from homolog.network import WeightsInfo, save_weights
+from homolog.core.errors import ArgumentError
+from homolog.core.files import made_folder, sha256, write_json
+from homolog.core.versions import versions
+from homolog.features import WeightsInfo, save_weights
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
 from homolog.training.recipe import Recipe
 from homolog.training.state import TrainingState
-from homolog.versions import versions
 
 WEIGHTS = "weights.safetensors"
 """The weights to use: those with the lowest validation loss, or the latest where nothing is validated."""

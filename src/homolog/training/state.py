@@ -11,8 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from homolog.errors import WeightsError
-from homolog.network import DiffusionNet, WeightsInfo, load_weights
+from homolog.core.errors import WeightsError
+from homolog.features import DiffusionNet, WeightsInfo, load_weights
 from homolog.training.recipe import OptimiserSettings, Recipe
 
 _log = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import torch.distributed as processes
 
-from homolog.errors import HomologError, TrainingError
+from homolog.core.errors import HomologError, TrainingError
 
 
 def is_started_by_another() -> bool:

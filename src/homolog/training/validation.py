@@ -10,12 +10,12 @@ from pathlib import Path
 
 import torch
 
+from homolog.core.errors import DataError
+from homolog.core.files import atomic_path
 from homolog.datasets import Pair, ShapeFolder
-from homolog.errors import DataError
 from homolog.evaluation import Modalities, Protocol, evaluate
-from homolog.files import atomic_path
+from homolog.features import DiffusionNet
 from homolog.matching import Matcher
-from homolog.network import DiffusionNet
 from homolog.training.bank import TrainingPair
 from homolog.training.objective import pair_losses
 from homolog.training.recipe import PartialSettings, Recipe
@@ -31,7 +31,12 @@ def validation_losses(network: DiffusionNet, pairs: Sequence[TrainingPair], reci
     sums: dict[str, float] = defaultdict(float)
     for pair in pairs:
         losses = pair_losses(
-            network, pair.x, pair.y, settings=recipe.loss, partial=recipe.partial is not None, skin=pair.skin
+            network,
+            pair.x,
+            pair.y,
+            settings=recipe.loss,
+            partial=recipe.partial is not None,
+            registration_targets=pair.registration_targets,
         )
         for term, value in losses.as_dict().items():
             sums[term] += value / len(pairs)
@@ -57,8 +62,8 @@ def scores(
     """
     with atomic_path(listed) as temporary:
         temporary.write_text("".join(f"{source},{target}\n" for source, target in pairs), encoding="utf-8")
-    in_place = partial is not None and bool(partial.in_place)
-    protocol = Protocol(pairs_file=str(listed), partial=partial is not None, in_place=in_place)
+    pre_aligned = partial is not None and bool(partial.pre_aligned)
+    protocol = Protocol(pairs_file=str(listed), partial=partial is not None, pre_aligned=pre_aligned)
     try:
         found = {way: evaluate(matcher, folder, replace(protocol, modality=way)) for way in _SCORED}
     except DataError as error:

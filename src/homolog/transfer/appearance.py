@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int, UInt8
 
-from homolog.errors import DataError, HomologError, needs_extra
+from homolog.core.errors import DataError, HomologError, needs_extra
 from homolog.shapes import Shape
 from homolog.shapes.gltf_format import quiet_trimesh
 from homolog.shapes.parsing import UnreadableError

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import distance_transform_edt
 
-from homolog.errors import needs_extra
+from homolog.core.errors import needs_extra
 from homolog.geometry.grouping import runs
 from homolog.transfer.appearance import NO_COLOUR
 from homolog.transfer.places import PlaceFinder, ShapePlaces

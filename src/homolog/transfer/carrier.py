@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int, Num, UInt8
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.matching import MatchResult
 from homolog.shapes import Shape
 from homolog.transfer.appearance import Appearance, Checkerboard
@@ -23,7 +23,7 @@ class Carrier:
     Points without a counterpart get NaN, the label -1, or grey.
 
     Args:
-        result: what ``read_result`` gives; ``result.swapped()`` carries the other way.
+        result: what ``read_result`` gives; ``result.inverse()`` carries the other way.
         source: the source as ``read_shape`` reads it, where faces must be counted as in its file; by default the
             result's own.
     """
@@ -36,7 +36,7 @@ class Carrier:
     @cached_property
     def to_source(self) -> SurfaceMap:
         """Where each of the target's points lies on the source."""
-        return surface_map(self.target, self.source, self.found.swapped())
+        return surface_map(self.target, self.source, self.found.inverse())
 
     @cached_property
     def to_target(self) -> SurfaceMap:

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from homolog.errors import ArgumentError, DataError
-from homolog.files import all_or_nothing, atomic_path, made_folder, write_json, write_npy
+from homolog.core.errors import ArgumentError, DataError
+from homolog.core.files import all_or_nothing, atomic_path, made_folder, write_json, write_npy
 from homolog.shapes import drawable, write_shape
 from homolog.transfer.appearance import Appearance, Checkerboard
 from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, painted, unwrapped

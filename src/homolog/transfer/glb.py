@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.spatial.transform import Rotation
 
-from homolog.errors import needs_extra
-from homolog.files import atomic_path
+from homolog.core.errors import needs_extra
+from homolog.core.files import atomic_path
 from homolog.geometry import unit
 from homolog.shapes import drawable
 from homolog.transfer.atlas import Atlas

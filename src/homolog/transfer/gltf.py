@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from homolog.errors import DataError
+from homolog.core.errors import DataError
 from homolog.shapes.gltf_format import gltf_content
 from homolog.shapes.parsing import UnreadableError
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int, Num
 
-from homolog.errors import DataError
-from homolog.files import expanded, sha256
+from homolog.core.errors import DataError
+from homolog.core.files import expanded, sha256
 from homolog.matching import MatchResult, Side
 from homolog.shapes import Shape, files_of_shape, read_shape
 from homolog.transfer.appearance import Appearance, read_appearance

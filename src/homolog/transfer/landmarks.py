@@ -15,8 +15,8 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float
 
-from homolog.errors import DataError
-from homolog.files import atomic_path, expanded
+from homolog.core.errors import DataError
+from homolog.core.files import atomic_path, expanded
 from homolog.shapes.parsing import UnreadableError, number_rows, shorten
 from homolog.shapes.point_formats import read_table_lines
 

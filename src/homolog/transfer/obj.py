@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.errors import DataError
-from homolog.files import atomic_path
+from homolog.core.errors import DataError
+from homolog.core.files import atomic_path
 from homolog.shapes import Shape
 from homolog.shapes.parsing import content_lines, fan_triangles, number_rows, read_text
 

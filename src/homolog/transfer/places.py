@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Num
 from scipy.spatial import cKDTree
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
+from homolog.core.memory import row_tiles
 from homolog.geometry import Ground, Pieces, Places, Surface, split_long, surface_area, unit
-from homolog.memory import row_tiles
 from homolog.shapes import Repaired, Shape, repair
 from homolog.shapes.cleaning import clean
 

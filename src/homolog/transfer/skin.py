@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
-from homolog.errors import DataError
+from homolog.core.errors import DataError
 from homolog.maps import rigid_motion
 from homolog.shapes import Shape
 from homolog.transfer.gltf import GltfReader

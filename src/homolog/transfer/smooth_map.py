@@ -17,7 +17,7 @@ import scipy.sparse as sparse
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.linalg import splu
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, cloud_laplacian, mesh_laplacian, unit
 from homolog.matching import Correspondence
 from homolog.shapes import Shape
@@ -112,7 +112,7 @@ def surface_map(start: Shape | PlaceFinder, goal: Shape | PlaceFinder, found: Co
     Args:
         start: the shape that the map is to lead from, in any state.
         goal: the one that it is to lead to.
-        found: point maps between the two, with ``start`` for their source; ``found.swapped()`` for the other way.
+        found: point maps between the two, with ``start`` for their source; ``found.inverse()`` for the other way.
 
     Returns:
         A place on the goal for each of the start's points that ``found`` has a counterpart for.

@@ -6,7 +6,7 @@ import errno
 import os
 import socket
 
-from homolog.errors import ArgumentError
+from homolog.core.errors import ArgumentError
 
 _PORTS = 100
 

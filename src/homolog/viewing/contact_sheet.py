@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
-from homolog.errors import ArgumentError, needs_extra
+from homolog.core.errors import ArgumentError, needs_extra
 from homolog.viewing.drawing import RADIUS, Canvas, averaged, shape_drawing, view_rotation
 
 MOST_TILES = 240

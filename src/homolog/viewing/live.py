@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, UInt8
 
-from homolog.errors import needs_extra
+from homolog.core.errors import needs_extra
 from homolog.matching import Side
 from homolog.viewing.addresses import address_of, free_port
 from homolog.viewing.colours import HIDDEN, Ramp

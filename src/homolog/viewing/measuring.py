@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from homolog.core.progress import Steps
 from homolog.datasets import Truth
 from homolog.evaluation import geodesic_errors
 from homolog.matching import Matcher, MatchResult, Side
 from homolog.shapes import Shape
-from homolog.steps import Steps
 from homolog.viewing.scene import SIDES
 
 # How far, in diagonals of the bounding box, a point takes its error from the nearest point that the truth names.
@@ -102,5 +102,11 @@ def pair_features(
 def _options(report: dict[str, Any]) -> dict[str, Any]:
     """How the shapes were prepared for their match; a match without options was made with the usual ones."""
     given = report.get("options", {})
-    usual = {"as_cloud": None, "partial": None, "part_scale": 1.0, "in_place": False, "up": dict.fromkeys(SIDES, "y")}
+    usual = {
+        "as_cloud": None,
+        "partial": None,
+        "partial_scale": 1.0,
+        "pre_aligned": False,
+        "up": dict.fromkeys(SIDES, "y"),
+    }
     return {name: given.get(name, value) for name, value in usual.items()}

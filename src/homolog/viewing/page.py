@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from homolog.files import atomic_path
+from homolog.core.files import atomic_path
 from homolog.viewing.layers import Layer
 from homolog.viewing.scene import SIDES, Body, Scene
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from homolog.arguments import is_number
-from homolog.errors import ArgumentError, bad_value, needs_extra
+from homolog.core.arguments import is_number
+from homolog.core.errors import ArgumentError, bad_value, needs_extra
 from homolog.matching import Side
 from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
 from homolog.viewing.png import write_png

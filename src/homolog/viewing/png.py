@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from homolog.errors import needs_extra
-from homolog.files import atomic_path
+from homolog.core.errors import needs_extra
+from homolog.core.files import atomic_path
 
 
 def write_png(path: str | Path, pixels: UInt8[np.ndarray, "h w 3"]) -> None:

@@ -218,7 +218,7 @@ def _scales(radii: dict[Side, float], options: dict[str, Any]) -> dict[Side, flo
     scales: dict[Side, float] = dict.fromkeys(SIDES, 1.0)
     part = options.get("partial")
     if part is not None:
-        scales[part] = options.get("part_scale", 1.0)
+        scales[part] = options.get("partial_scale", 1.0)
     elif max(radii.values()) > _COMPARABLE * min(radii.values()):
         scales = {side: 1 / radius for side, radius in radii.items()}
     largest = max(radii[side] * scales[side] for side in SIDES)

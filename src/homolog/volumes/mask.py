@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float
 
-from homolog.errors import ShapeError
+from homolog.core.errors import ShapeError
 
 
 @dataclass(frozen=True, eq=False)

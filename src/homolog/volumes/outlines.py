@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from homolog.arguments import check_count, is_real
-from homolog.errors import ShapeError, bad_value, needs_extra
+from homolog.core.arguments import check_count, is_real
+from homolog.core.errors import ShapeError, bad_value, needs_extra
 from homolog.shapes import FEWEST_POINTS, Shape, farthest_points
 from homolog.volumes.mask import Mask
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from homolog.errors import ShapeError, needs_extra
-from homolog.files import expanded
+from homolog.core.errors import ShapeError, needs_extra
+from homolog.core.files import expanded
 from homolog.shapes import VOLUMES
 from homolog.volumes.mask import Mask
 

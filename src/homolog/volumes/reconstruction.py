@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label, map_coordinates
 
-from homolog.arguments import check_count
-from homolog.errors import ShapeError
+from homolog.core.arguments import check_count
+from homolog.core.errors import ShapeError
 from homolog.shapes import Shape, repair
 from homolog.volumes.surface import check_points, level_surface
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.ndimage import gaussian_filter
 
-from homolog.arguments import check_count, is_real
-from homolog.errors import bad_value, needs_extra
+from homolog.core.arguments import check_count, is_real
+from homolog.core.errors import bad_value, needs_extra
 from homolog.shapes import FEWEST_POINTS, Shape
 from homolog.volumes.mask import Mask
 

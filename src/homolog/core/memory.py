@@ -1,0 +1,83 @@
+"""The working-memory bound: no n x n array is made unless it fits. And how a process keeps memory that it frees."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from homolog.core.arguments import is_number
+from homolog.core.errors import bad_value
+
+_MEBIBYTE = 2**20
+_bound = 1024.0
+
+# Rows are worked on in tiles of about this size even where more would fit: a tile then stays in the processor's cache
+# between the product that makes it and the reductions that read it.
+_TILE_BYTES = 4 * _MEBIBYTE
+# But of at least so many rows, the first number that the bound allows.
+_ENOUGH_ROWS = (128, 16)
+
+
+def set_working_memory(mebibytes: float) -> None:
+    """Bound the temporary memory of every product between all points of one shape and all of another.
+
+    Args:
+        mebibytes: the bound, 1024 by default. Results do not depend on it beyond rounding; speed does.
+
+    Raises:
+        ArgumentError: if it is not a positive number.
+    """
+    if not (is_number(mebibytes) and mebibytes > 0):
+        raise bad_value("working memory", mebibytes, "a positive number of mebibytes")
+    global _bound
+    _bound = float(mebibytes)
+
+
+def get_working_memory() -> float:
+    """The bound in mebibytes; see ``set_working_memory``."""
+    return _bound
+
+
+@contextmanager
+def working_memory(mebibytes: float) -> Iterator[None]:
+    """Set the bound within a ``with`` block, for the whole process."""
+    before = get_working_memory()
+    set_working_memory(mebibytes)
+    try:
+        yield
+    finally:
+        set_working_memory(before)
+
+
+def fits(n_bytes: float) -> bool:
+    """Whether an array of so many bytes may be made whole."""
+    return n_bytes <= get_working_memory() * _MEBIBYTE
+
+
+def row_tiles(n_rows: int, bytes_per_row: float) -> Iterator[slice]:
+    """Slices that cut ``n_rows`` into tiles of at least a row, within the bound and small enough for the cache."""
+    budget = min(_TILE_BYTES, get_working_memory() * _MEBIBYTE)
+    height = max(1, int(budget // max(bytes_per_row, 1)))
+    # Few rows make a matrix product slow, which weighs more than the cache where rows are long.
+    affordable = (rows for rows in _ENOUGH_ROWS if fits(rows * bytes_per_row))
+    height = max(height, next(affordable, 1))
+    for start in range(0, n_rows, height):
+        yield slice(start, min(start + height, n_rows))
+
+
+# Of the C library of Linux: from what size on freed memory at the heap's end is given back to the system, and from what
+# size on an array has memory of its own, given back at once; the latter at most 32 MiB.
+_MALLOPT_TRIM_THRESHOLD, _MALLOPT_MMAP_THRESHOLD = -1, -3
+
+
+def keep_freed_memory() -> None:
+    """Have this process keep the memory that it frees, for what comes next; it never shrinks then.
+
+    The steps of a training free and need the same memory over and over, and the system hands it out in small pieces
+    that it clears one by one. Does nothing where the C library is another than Linux's usual one.
+    """
+    with suppress(AttributeError, OSError, TypeError):
+        library = ctypes.CDLL(None)
+        library.mallopt(_MALLOPT_TRIM_THRESHOLD, 2**31 - 1)
+        library.mallopt(_MALLOPT_MMAP_THRESHOLD, 32 * _MEBIBYTE)

@@ -1,0 +1,63 @@
+"""Time and memory of each step of a longer computation."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import psutil
+
+Listener = Callable[[str], None]
+
+# Told how many steps are done of how many, and what is being done.
+Progress = Callable[[int, int, str], None]
+
+
+def no_progress(done: int, total: int, what: str) -> None:
+    """Progress that no one wants to know of."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One finished step.
+
+    Args:
+        name: what was done.
+        seconds: of wall time.
+        process_peak_mb: the most memory that the process has held from its start to the end of this step, in MB (2^20
+            bytes); it never falls from step to step, and only where it rises has a step needed more than all before.
+    """
+
+    name: str
+    seconds: float
+    process_peak_mb: float
+
+
+@dataclass
+class Steps:
+    """Collects steps as they finish; ``listener`` is told each step's name as it begins."""
+
+    listener: Listener | None = None
+    finished: list[Step] = field(default_factory=list)
+
+    @contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Measure a ``with`` block as one step."""
+        if self.listener is not None:
+            self.listener(name)
+        began = time.perf_counter()
+        yield
+        self.finished.append(Step(name, time.perf_counter() - began, peak_memory_mb()))
+
+
+def peak_memory_mb() -> float:
+    """The most memory this process has held, in MB (2^20 bytes)."""
+    if sys.platform == "win32":
+        return float(psutil.Process().memory_info().peak_wset) / 2**20
+    import resource
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10

@@ -1,0 +1,84 @@
+"""A collection for ShapeWorks: particles, and a project in JSON, as ShapeWorks 6 reads them.
+
+A particle file has a point a line. Local particles lie on the shape as it is, world particles where the alignment takes
+them; the project says where each file is, and has the alignment as a matrix, row by row.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from homolog.core.files import atomic_path, made_folder, write_json
+from homolog.statistics import Aligned
+
+_PROJECT, _PARTICLES = "collection.swproj", "particles"
+_STILL = " ".join(f"{entry:g}" for entry in np.eye(4).ravel())
+
+
+def write_shapeworks(
+    folder: Path,
+    names: Sequence[str],
+    points: Float[np.ndarray, "s n 3"],
+    aligned: Aligned,
+    meshes: Sequence[Path] | None,
+) -> list[Path]:
+    """Write a project and the particles of all shapes.
+
+    Args:
+        folder: where to; made if need be.
+        names: of the shapes.
+        points: on each shape, in its own coordinates.
+        aligned: the same, aligned.
+        meshes: a mesh of each shape, which the project refers to; None for clouds.
+
+    Returns:
+        The files.
+
+    Raises:
+        ArgumentError: if a file cannot be written.
+    """
+    particles, written = made_folder(folder / _PARTICLES), []
+    entries: list[dict[str, str]] = []
+    for number, name in enumerate(names):
+        local, world = (particles / f"{name}_{kind}.particles" for kind in ("local", "world"))
+        _write_particles(local, points[number])
+        _write_particles(world, aligned.points[number])
+        written += [local, world]
+        mesh = {} if meshes is None else _mesh(meshes[number], folder)
+        entries.append(
+            {
+                "name": name,
+                **mesh,
+                "local_particles_1": f"{_PARTICLES}/{local.name}",
+                "world_particles_1": f"{_PARTICLES}/{world.name}",
+                "alignment_1": _STILL,
+                "procrustes_1": _matrix(aligned, number),
+            }
+        )
+    project: dict[str, Any] = {"data": entries, "project": {"version": "2"}, "landmarks": []}
+    write_json(folder / _PROJECT, project)
+    return [*written, folder / _PROJECT]
+
+
+def _mesh(mesh: Path, folder: Path) -> dict[str, str]:
+    place = Path(os.path.relpath(mesh, folder)).as_posix()
+    return {"shape_1": place, "groomed_1": place}
+
+
+def _matrix(aligned: Aligned, number: int) -> str:
+    matrix = np.eye(4)
+    matrix[:3, :3] = aligned.scales[number] * aligned.rotations[number]
+    matrix[:3, 3] = aligned.shifts[number]
+    return " ".join(repr(float(entry)) for entry in matrix.ravel())
+
+
+def _write_particles(path: Path, points: Float[np.ndarray, "n 3"]) -> None:
+    # A reader that stops at the end of the file would lose the last point without a line's end.
+    with atomic_path(path) as temporary:
+        np.savetxt(temporary, points, fmt="%.17g", newline="\n")

@@ -1,0 +1,46 @@
+"""Paths and files, on their own."""
+
+import csv
+import sys
+from pathlib import Path
+
+import pytest
+
+from homolog.core.errors import ArgumentError
+from homolog.core.files import atomic_path, expanded, sha256, write_csv
+
+
+def written(path):
+    with atomic_path(path):
+        raise AssertionError("never reached")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows knows no ~name")
+@pytest.mark.parametrize("use", [expanded, sha256, written])
+def test_a_home_folder_that_is_not_there_is_named(use):
+    with pytest.raises(ArgumentError, match=r"^~nobody-of-that-name/a\.off: there is no such user's home folder"):
+        use("~nobody-of-that-name/a.off")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other permissions")
+def test_who_may_read_a_file_is_not_for_the_library_that_writes_it_to_say(tmp_path):
+    (tmp_path / "plain").touch()
+    usual = (tmp_path / "plain").stat().st_mode
+    old = tmp_path / "old"
+    old.touch()
+    old.chmod(0o640)
+    for path, mode in ((tmp_path / "new", usual), (old, old.stat().st_mode)):
+        with atomic_path(path) as temporary:
+            temporary.write_text("content")
+            temporary.chmod(0o600)
+        assert path.stat().st_mode == mode
+        assert path.read_text() == "content"
+
+
+def test_no_cell_of_a_table_is_run_by_a_spreadsheet(tmp_path):
+    asked = ["=1+1", "+x", "-x", "@x", "\tx", "a=1", "-0.5", "+1e-3", -0.5, 7, None, Path("-a.ply"), Path("a-b.ply")]
+    write_csv(tmp_path / "table.csv", [asked])
+    with (tmp_path / "table.csv").open(encoding="utf-8", newline="") as file:
+        (found,) = csv.reader(file)
+    harmless = ["'=1+1", "'+x", "'-x", "'@x", "'\tx", "a=1", "-0.5", "+1e-3", "-0.5", "7", "", "'-a.ply", "a-b.ply"]
+    assert found == harmless

@@ -1,0 +1,80 @@
+"""Clouds drawn onto each other, against maps that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from homolog.maps import registered_positions
+
+
+def skin(n: int, seed: int = 0) -> Tensor:
+    """Points on an ellipsoid of the axes 1, 1.4 and 2, spread evenly along a spiral, jittered, and shuffled."""
+    random = np.random.default_rng(seed)
+    height, angle = 1 - (2 * np.arange(n) + 1) / n, np.pi * (3 - 5**0.5) * np.arange(n) + random.uniform(0, 6)
+    width = np.sqrt(1 - height**2)
+    points = np.stack([width * np.cos(angle), width * np.sin(angle), height], axis=1)
+    points += random.normal(scale=0.3 / n**0.5, size=points.shape)
+    points *= np.array([1, 1.4, 2]) / np.linalg.norm(points, axis=1, keepdims=True)
+    return torch.from_numpy(random.permutation(points))
+
+
+def bent(points: Tensor) -> Tensor:
+    """Bulged, pinched and curved, by up to half of the least axis."""
+    x, y, z = points.T
+    return torch.stack([x * (1 + 0.25 * z) + 0.1 * z**2, y * (1 - 0.15 * z), 1.1 * z + 0.3 * x * y], dim=1)
+
+
+def off(found: Tensor, true: Tensor) -> float:
+    return (found - true).norm(dim=1).mean().item()
+
+
+def test_a_cloud_stays_on_itself() -> None:
+    x = skin(700)
+    order = torch.randperm(700, generator=torch.Generator().manual_seed(1))
+    on_y, on_x = registered_positions(x, x[order])
+    spacing = KDTree(x.numpy()).query(x.numpy(), k=2)[0][:, 1].mean()
+    assert off(on_y, x) < 0.5 * spacing and off(on_x, x[order]) < 0.5 * spacing
+
+
+def test_a_bend_is_followed_where_nearest_points_do_not() -> None:
+    """The same points, and others of the same surface; both ways."""
+    x = skin(900)
+    true, nearest = bent(x), KDTree(bent(x).numpy())
+    alone = off(true[nearest.query(x - x.mean(dim=0) + true.mean(dim=0))[1]], true)
+    order = torch.randperm(900, generator=torch.Generator().manual_seed(2))
+    on_y, on_x = registered_positions(x, true[order])
+    assert off(on_y, true) < 0.7 * alone and off(on_x, x[order]) < 0.7 * alone
+    other = bent(skin(1200, seed=5))
+    on_y, on_x = registered_positions(x, other)
+    assert off(on_y, true) < 0.7 * alone and off(on_x, skin(1200, seed=5)) < 0.7 * alone
+
+
+def test_places_and_sizes_do_not_matter() -> None:
+    x, y = skin(300), bent(skin(400, seed=1))
+    on_y, on_x = registered_positions(x, y)
+    far_on_y, far_on_x = registered_positions(3 * x + 7, 0.01 * y - 40)
+    # Rounding may tip who is nearest where two are as near.
+    assert off(far_on_y, 0.01 * on_y - 40) < 3e-5 and off(far_on_x, 3 * on_x + 7) < 1e-2
+
+
+def test_the_two_ways_are_one() -> None:
+    x, y = skin(300), bent(skin(400, seed=1))
+    there, back = registered_positions(x, y), registered_positions(y, x)
+    torch.testing.assert_close(there[0], back[1])
+    torch.testing.assert_close(there[1], back[0])
+
+
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_few_points_are_drawn_too(n: int) -> None:
+    on_y, on_x = registered_positions(skin(n), skin(40, seed=3))
+    assert on_y.shape == (n, 3) and on_x.shape == (40, 3)
+    assert torch.isfinite(on_y).all() and torch.isfinite(on_x).all()
+
+
+def test_it_keeps_the_kind_of_number() -> None:
+    on_y, on_x = registered_positions(skin(50).float(), skin(60).float())
+    assert on_y.dtype == on_x.dtype == torch.float32
