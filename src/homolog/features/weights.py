@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, fields
 from os import PathLike
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
 
 import torch
@@ -19,7 +18,9 @@ from homolog.core.arguments import check_kind
 from homolog.core.errors import WeightsError
 from homolog.core.files import atomic_path, expanded, sha256
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
-from homolog.geometry import CLOUD_NEIGHBOURS, LaplacianKind
+from homolog.features.extractor import NetworkFeatures
+from homolog.features.info import FeatureInfo
+from homolog.features.published import read_published
 
 _FORMAT = "homolog-weights-1"
 _PRETRAINED = Path(__file__).parent / "pretrained"
@@ -28,37 +29,7 @@ DEFAULT_WEIGHTS = "people"
 """The name of the weights that are used where none are given."""
 
 
-@dataclass(frozen=True)
-class WeightsInfo:
-    """What one must know to use weights rightly.
-
-    Args:
-        name: a short name, or the file's.
-        licence: the terms of the weights.
-        upright: whether shapes must stand as those trained on did: +y up, facing +z.
-        n_eigenpairs: eigenpairs of the operators that the network was trained with.
-        laplacian: the Laplacian of meshes that it was trained with.
-        n_neighbours: points that each point of a cloud is connected to in its operators.
-        map_eigenpairs: eigenpairs of the functional map that it was trained with.
-        partial: whether it was trained on parts with their complete shapes.
-        near_isometric: whether surfaces were taken to bend without stretching much: maps between meshes are then
-            functional maps, and all maps are refined as such. Where not, features alone say what goes where.
-        sha256: hash of the file; empty before it is saved.
-    """
-
-    name: str = "untitled"
-    licence: str = "unknown"
-    upright: bool = True
-    n_eigenpairs: int = 128
-    laplacian: LaplacianKind = "robust"
-    n_neighbours: int = CLOUD_NEIGHBOURS
-    map_eigenpairs: int = 80
-    partial: bool = False
-    near_isometric: bool = True
-    sha256: str = field(default="", compare=False)
-
-
-def save_weights(path: str | Path, network: DiffusionNet, info: WeightsInfo) -> None:
+def save_weights(path: str | Path, network: DiffusionNet, info: FeatureInfo) -> None:
     """Write a network as safetensors, its settings and ``info`` in the header. Written whole or not at all."""
     described = {"format": _FORMAT, "settings": json.dumps(asdict(network.settings)), "info": json.dumps(asdict(info))}
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
@@ -66,7 +37,7 @@ def save_weights(path: str | Path, network: DiffusionNet, info: WeightsInfo) -> 
         save_file(tensors, temporary, metadata=described)
 
 
-def load_weights(weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
+def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     """Read a network in evaluation mode from a safetensors file of ours or a ``.pth`` of the paper's authors.
 
     Neither can run code: a ``.pth`` is read for its tensors alone.
@@ -80,7 +51,7 @@ def load_weights(weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
     """
     check_kind("weights", weights, PathLike, str)
     path = _found(weights)
-    read = _read_published if path.suffix.lower() in (".pth", ".pt") else _read_own
+    read = read_published if path.suffix.lower() in (".pth", ".pt") else _read_own
     try:
         settings, info, tensors = read(path)
         network = DiffusionNet(settings)
@@ -94,10 +65,10 @@ def load_weights(weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
         raise WeightsError(f"{path} does not hold weights of this network ({reason}); check the file") from None
     if not all(torch.isfinite(tensor).all() for tensor in network.state_dict().values()):
         raise WeightsError(f"{path} holds weights that are not finite; check the file")
-    return network.eval(), info
+    return NetworkFeatures(network.eval(), info)
 
 
-_Contents = tuple[NetworkSettings, WeightsInfo, dict[str, Tensor]]
+_Contents = tuple[NetworkSettings, FeatureInfo, dict[str, Tensor]]
 
 
 def _read_own(path: Path) -> _Contents:
@@ -109,42 +80,8 @@ def _read_own(path: Path) -> _Contents:
     if described.get("format") != _FORMAT:
         raise WeightsError(f"{path} is a safetensors file, but not one that homolog wrote")
     settings = NetworkSettings(**_known(NetworkSettings, json.loads(described["settings"])))
-    info = _known(WeightsInfo, json.loads(described["info"]))
-    return settings, WeightsInfo(**{**info, "sha256": sha256(path)}), tensors
-
-
-def _read_published(path: Path) -> _Contents:
-    try:
-        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
-    except UnpicklingError:
-        raise ValueError("it holds something other than numbers, or is damaged") from None
-    published = checkpoint["networks"]["feature_extractor"]
-    tensors = {_own_name(name): tensor for name, tensor in published.items()}
-    settings = NetworkSettings(
-        in_channels=tensors["first.weight"].shape[1],
-        out_channels=tensors["last.weight"].shape[0],
-        width=tensors["first.weight"].shape[0],
-        blocks=sum(name.endswith(".times") for name in tensors),
-        gradient_product="published",
-    )
-    info = WeightsInfo(name=path.stem, licence="as its authors state", laplacian="cotangent", sha256=sha256(path))
-    return settings, info, tensors
-
-
-_OWN_NAMES = {
-    "first_linear": "first",
-    "last_linear": "last",
-    "diffusion.diffusion_time": "times",
-    "gradient_features.A_re": "real",
-    "gradient_features.A_im": "imaginary",
-    "mlp.miniMLP_linear_00": "perceptron.",
-}
-
-
-def _own_name(published: str) -> str:
-    for theirs, ours in _OWN_NAMES.items():
-        published = published.replace(theirs, ours)
-    return published
+    info = _known(FeatureInfo, json.loads(described["info"]))
+    return settings, FeatureInfo(**{**info, "sha256": sha256(path)}), tensors
 
 
 def _known(settings: type, given: Mapping[str, Any]) -> dict[str, Any]:

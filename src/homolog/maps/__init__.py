@@ -1,7 +1,7 @@
 """Correspondence as mathematics: pure functions of tensors."""
 
 from homolog.maps.confidence import confidence, coverage_density, local_stretch, overlap
-from homolog.maps.descriptors import smoothed_positions, wave_kernel_signature
+from homolog.maps.descriptors import heat_kernel_signature, smoothed_positions, wave_kernel_signature
 from homolog.maps.functional_map import (
     functional_map,
     functional_map_from_point_map,

@@ -37,6 +37,25 @@ def wave_kernel_signature(
     return signature / weights.sum(dim=1)
 
 
+@takes_arrays
+def heat_kernel_signature(
+    eigenvalues: Float[Tensor, " k"], eigenvectors: Float[Tensor, "n k"], *, n_times: int = 16
+) -> Float[Tensor, "n t"]:
+    """The heat kernel signature: how much heat stays at each point, for times from 0.01 to 1 in unit area.
+
+    Sun, Ovsjanikov and Guibas, "A concise and provably informative multi-scale signature based on heat diffusion",
+    SGP 2009; with the times of Sharp et al., "DiffusionNet", ACM TOG 2022.
+
+    Example:
+        >>> import torch
+        >>> from homolog.maps import heat_kernel_signature
+        >>> heat_kernel_signature(torch.tensor([0.0, 1.0]), torch.ones(5, 2), n_times=3).shape
+        torch.Size([5, 3])
+    """
+    times = torch.logspace(-2.0, 0.0, n_times, dtype=eigenvalues.dtype, device=eigenvalues.device)
+    return eigenvectors.square() @ torch.exp(-eigenvalues[:, None] * times)
+
+
 def smoothed_positions(operators: Operators, *, n_eigenpairs: int = 20) -> Float[Tensor, "n 3"]:
     """Positions without detail: their part in the lowest eigenfunctions."""
     low = operators.truncated(n_eigenpairs)
