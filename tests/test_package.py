@@ -22,6 +22,7 @@ CORE = {
     "core.arrays": {"core.errors"},
     "core.files": {"core.errors"},
     "core.tables": {"core.errors"},
+    "core.tensors": {"core.files"},
     "core.folders": {"core.errors", "core.files"},
     "core.tasks": {"core.errors", "core.progress"},
     "core": set(),
