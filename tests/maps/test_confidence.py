@@ -114,7 +114,7 @@ def test_a_whole_shape_covers_itself_and_a_coarse_one_the_fine_one(make) -> None
     assert overlap(fine, coarse, identity[: coarse.n_points]).float().mean() > 0.99
     nowhere = identity[: coarse.n_points].clone()
     nowhere[3] = -1
-    with pytest.raises(ArgumentError, match="partial_to_complete holds -1"):
+    with pytest.raises(ArgumentError, match="partial_to_full holds -1"):
         overlap(fine, coarse, nowhere)
 
 

@@ -10,13 +10,13 @@ from torch import Tensor
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import (
+    RefinementSettings,
     functional_map_from_point_map,
     normalised,
     point_map_from_functional_map,
     zoomout,
     zoomout_partial,
 )
-from homolog.maps.zoomout import _FIRST_GUIDANCE, _LAST_GUIDANCE
 from homolog.shapes import Shape
 
 
@@ -35,7 +35,7 @@ def slow_guided_zoom_out(
     """All points in every round, distances point by point, functional maps by least squares over the listed pairs."""
     (phi_x, phi_y), (f_x, f_y) = phi, f
     for number, size in enumerate(sizes):
-        weight = np.geomspace(_FIRST_GUIDANCE, _LAST_GUIDANCE, len(sizes))[number]
+        weight = np.geomspace(1.0, 0.1, len(sizes))[number]
         pairs = [(int(i), j) for j, i in enumerate(y_to_x)] + [(i, int(j)) for i, j in enumerate(x_to_y)]
         in_x = np.stack([phi_x[i, :size] for i, _ in pairs])
         in_y = np.stack([phi_y[j, :size] for _, j in pairs])
@@ -62,7 +62,7 @@ def test_it_is_the_slow_reference_where_all_points_take_part(blob, make) -> None
     f_x, f_y = normalised(random(len(x), 6, seed=1)), normalised(random(len(y), 6, seed=2))
     y_to_x = torch.randint(len(x), (len(y),), generator=torch.Generator().manual_seed(3))
     x_to_y = torch.randint(len(y), (len(x),), generator=torch.Generator().manual_seed(4))
-    found = zoomout(y_to_x, x_to_y, x, y, f_x, f_y, k_init=10, k_step=15)
+    found = zoomout(y_to_x, x_to_y, x, y, f_x, f_y, settings=RefinementSettings(k_init=10, k_step=15))
     phi, features = ([t.double().numpy() for t in pair] for pair in ((x, y), (f_x, f_y)))
     expected = slow_guided_zoom_out(y_to_x.numpy(), x_to_y.numpy(), tuple(phi), tuple(features), [10, 25, 40, 48])
     for one, other_one in zip(found, expected, strict=True):
@@ -79,7 +79,7 @@ def slow_guided_zoom_out_to_part(
     """All points in every round; the part's functions carried to the whole's, and distances point by point there."""
     (phi_x, phi_y), (f_x, f_y) = phi, f
     for number, size in enumerate(sizes):
-        weight = np.geomspace(_FIRST_GUIDANCE, _LAST_GUIDANCE, len(sizes))[number]
+        weight = np.geomspace(1.0, 0.1, len(sizes))[number]
         as_slow = sum(value <= eigenvalues[0][size - 1] for value in eigenvalues[1])
         in_x = np.stack([phi_x[i, :size] for i in y_to_x])
         carried = phi_y[:, :as_slow] @ np.linalg.lstsq(phi_y[:, :as_slow], in_x, rcond=None)[0]
@@ -107,7 +107,7 @@ def test_to_a_part_it_is_the_slow_reference(blob, half) -> None:
     f_x, f_y = normalised(random(len(blob.points), 6, seed=1)), normalised(random(len(part.points), 6, seed=2))
     y_to_x = torch.randint(len(blob.points), (len(part.points),), generator=torch.Generator().manual_seed(3))
     given = given_for_a_part(blob, part, f_x, f_y)
-    found = zoomout_partial(y_to_x, *given, k_init=10, k_step=25)
+    found = zoomout_partial(y_to_x, *given, settings=RefinementSettings(k_init=10, k_step=25))
     phi_x, phi_y, values_x, values_y, *_ = (tensor.double().numpy() for tensor in given)
     features = f_x.double().numpy(), f_y.double().numpy()
     sizes = [10, 35, 60]
@@ -139,8 +139,6 @@ def test_what_cannot_be_is_named_for_a_part_too(blob, half) -> None:
     given = given_for_a_part(blob, part, *flat)
     with pytest.raises(ArgumentError, match="y_to_x"):
         zoomout_partial(truth - 1000, *given)
-    with pytest.raises(ArgumentError, match="k_step"):
-        zoomout_partial(truth, *given, k_step=0)
     with pytest.raises(ArgumentError, match="features_y"):
         zoomout_partial(truth, *given[:-1], flat[1] + float("nan"))
 
@@ -213,8 +211,6 @@ def test_fewer_eigenvectors_than_the_first_round_wants_are_used_as_they_are(blob
         ("y_to_x", {"y_to_x": torch.tensor([-1] * 642)}),
         ("x_to_y", {"x_to_y": torch.full((642,), 642)}),
         ("features_x", {"features_x": torch.full((642, 2), float("nan"))}),
-        ("k_init", {"k_init": 0}),
-        ("k_step", {"k_step": 1.5}),
     ],
 )
 def test_what_cannot_be_is_named(name: str, change: dict, blob) -> None:

@@ -6,7 +6,7 @@ import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, ParamSpec, TypeVar, get_type_hints
+from typing import Any, ParamSpec, Protocol, TypeVar, get_type_hints, overload
 
 import numpy as np
 import torch
@@ -16,26 +16,39 @@ from homolog.core.errors import ArgumentError
 
 P = ParamSpec("P")
 R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+N_co = TypeVar("N_co", covariant=True)
+
+Array = TypeVar("Array", Tensor, np.ndarray)
+"""Either kind of array: what a dataclass holds that comes out of a function of tensors or of numpy arrays."""
 
 
-def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function of tensors take numpy arrays: if any argument is one, its results are numpy arrays too.
+class ArrayFunction(Protocol[P, R_co, N_co]):
+    """A function of tensors that takes numpy arrays as well, and then returns numpy arrays."""
 
-    Arguments that are annotated as ``Float[Tensor, "n d"]`` or ``Int[Tensor, " n"]`` are checked by that: dimensions,
-    none of them empty, equal where they have one name; and all real ones must have one type.
+    @overload
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R_co: ...
 
-    Raises:
-        ArgumentError: if an argument does not fit.
-    """
-    return _taking(function, one_type=True)
+    @overload
+    def __call__(self, *args: np.ndarray, **kwargs: Any) -> N_co: ...
 
 
-def takes_arrays_of_any_precision(function: Callable[P, R]) -> Callable[P, R]:
-    """The same for a function that does not mind if its arguments differ in precision."""
-    return _taking(function, one_type=False)
+class _TakesArrays(Protocol):
+    """A decorator that turns functions of tensors into an ``ArrayFunction``."""
+
+    @overload
+    def __call__(self, function: Callable[P, Tensor]) -> ArrayFunction[P, Tensor, np.ndarray]: ...
+
+    @overload
+    def __call__(
+        self, function: Callable[P, tuple[Tensor, Tensor]]
+    ) -> ArrayFunction[P, tuple[Tensor, Tensor], tuple[np.ndarray, np.ndarray]]: ...
+
+    @overload
+    def __call__(self, function: Callable[P, R]) -> ArrayFunction[P, R, Any]: ...
 
 
-def _taking(function: Callable[P, R], *, one_type: bool) -> Callable[P, R]:
+def _taking(function: Callable[..., Any], *, one_type: bool) -> Any:
     names, wanted = list(inspect.signature(function).parameters), _wanted(function)
 
     @functools.wraps(function)
@@ -50,6 +63,18 @@ def _taking(function: Callable[P, R], *, one_type: bool) -> Callable[P, R]:
         return _to_numpy(function(*given, **named))
 
     return wrapper
+
+
+takes_arrays: _TakesArrays = functools.partial(_taking, one_type=True)
+"""Let a function of tensors take numpy arrays: if any argument is one, its results are numpy arrays too.
+
+Arguments that are annotated as ``Float[Tensor, "n d"]`` or ``Int[Tensor, " n"]`` are checked by that: dimensions, none of
+them empty, equal where they have one name; and all real ones must have one type. What does not fit is an
+``ArgumentError`` of one line.
+"""
+
+takes_arrays_of_any_precision: _TakesArrays = functools.partial(_taking, one_type=False)
+"""The same for a function that does not mind if its arguments differ in precision."""
 
 
 @dataclass(frozen=True)

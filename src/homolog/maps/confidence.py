@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -10,18 +12,37 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_indices
+from homolog.core.arguments import check_count, check_indices, check_number
 from homolog.core.arrays import takes_arrays
 from homolog.geometry import Operators
 from homolog.maps.quality import cycle_error
 
-# Neighbours of a point that its match is judged with.
-_NEIGHBOURS = 20
-# Distortion, in inner units, at which the confidence has fallen to 1/e.
-_SCALE = 0.1
-# The pushed-forward mass is smoothed over about this many point spacings; less leaves gaps between samples open.
-_COVERAGE_SPACINGS = 2.0
-_COVERED = 0.5
+
+@dataclass(frozen=True, kw_only=True)
+class ConfidenceSettings:
+    """Settings of ``confidence`` and ``overlap``.
+
+    Args:
+        n_neighbours: nearest points over which the confidence of a point is averaged, at least 1; 10 to 40 are
+            sensible.
+        scale: distortion in normalised coordinates, of unit area, at which the confidence has fallen to 1/e; above 0,
+            0.03 to 0.3 are sensible. It sets the scale of confidence and changes no ranking.
+        smoothing: mass that is carried to the full shape is smoothed over about so many point spacings; above 0, 1 to 4
+            are sensible. Less leaves gaps between samples open, more blurs the edge of a cut.
+        overlap_threshold: a point of the full shape has a counterpart if the density of the carried mass is at least
+            this, above 0 and at most 1. The density is 1 within, 0 outside, and 0.5 on the edge of a straight cut.
+    """
+
+    n_neighbours: int = 20
+    scale: float = 0.1
+    smoothing: float = 2.0
+    overlap_threshold: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_count("n_neighbours", self.n_neighbours)
+        for name in ("scale", "smoothing"):
+            check_number(name, getattr(self, name), above=0)
+        check_number("overlap_threshold", self.overlap_threshold, above=0, most=1)
 
 
 @takes_arrays
@@ -30,6 +51,8 @@ def confidence(
     points_x: Float[Tensor, "n_x 3"],
     y_to_x: Int[Tensor, " n_y"],
     x_to_y: Int[Tensor, " n_x"],
+    *,
+    settings: ConfidenceSettings | None = None,
 ) -> Float[Tensor, " n_y"]:
     """Confidence between 0 and 1 in each entry of ``y_to_x``; the points in inner units.
 
@@ -39,10 +62,13 @@ def confidence(
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
     """
+    settings = settings or ConfidenceSettings()
     home = cycle_error(points_y, y_to_x, x_to_y)
-    near = _neighbourhoods(points_y)
+    positions = points_y.cpu().numpy()
+    _, indices = KDTree(positions).query(positions, k=min(settings.n_neighbours + 1, len(positions)))
+    near = torch.from_numpy(indices).to(points_y.device)  # each point itself among them
     stretch = local_stretch(points_y, points_x[y_to_x], near)
-    return torch.exp(-(home[near].mean(dim=1) + stretch) / _SCALE)
+    return torch.exp(-(home[near].mean(dim=1) + stretch) / settings.scale)
 
 
 @takes_arrays
@@ -56,39 +82,42 @@ def local_stretch(
     return stretch
 
 
-def _neighbourhoods(points: Float[Tensor, "n 3"]) -> Int[Tensor, "n j"]:
-    """Indices of each point's nearest points, itself among them."""
-    positions = points.cpu().numpy()
-    _, near = KDTree(positions).query(positions, k=min(_NEIGHBOURS + 1, len(positions)))
-    return torch.from_numpy(near).to(points.device)
+def overlap(
+    full: Operators,
+    partial: Operators,
+    partial_to_full: Int[Tensor, " n_p"],
+    *,
+    settings: ConfidenceSettings | None = None,
+) -> Bool[Tensor, " n_f"]:
+    """Overlap region of a full and a partial shape: which points of the full one have a counterpart on the partial one.
 
-
-def overlap(complete: Operators, partial: Operators, partial_to_complete: Int[Tensor, " n_p"]) -> Bool[Tensor, " n_c"]:
-    """Which points of a complete shape have a counterpart on a partial one, both at one scale.
-
-    The partial shape's mass is pushed forward along the map and smoothed by a heat step on the complete shape. Where
-    the shape is covered the result is near one, elsewhere near zero, and a half on the edge of the cut.
+    The partial shape's mass is pushed forward along the map and smoothed by a heat step on the full shape, see
+    ``coverage_density``; both shapes at one scale. New here.
     """
-    density = coverage_density(complete, partial.mass, partial_to_complete)
-    return density >= _COVERED
+    settings = settings or ConfidenceSettings()
+    return coverage_density(full, partial.mass, partial_to_full, settings=settings) >= settings.overlap_threshold
 
 
 def coverage_density(
-    complete: Operators, mass: Float[Tensor, " n_p"], partial_to_complete: Int[Tensor, " n_p"]
-) -> Float[Tensor, " n_c"]:
-    """Smoothed density of pushed-forward mass relative to the complete shape's own; see ``covered``.
+    full: Operators,
+    mass: Float[Tensor, " n_p"],
+    partial_to_full: Int[Tensor, " n_p"],
+    *,
+    settings: ConfidenceSettings | None = None,
+) -> Float[Tensor, " n_f"]:
+    """Smoothed density of pushed-forward mass relative to the full shape's own; see ``overlap``.
 
     Raises:
-        ArgumentError: if an index is that of no point of the complete shape.
+        ArgumentError: if an index is that of no point of the full shape.
     """
-    check_indices("partial_to_complete", partial_to_complete, len(complete.mass))
-    own = complete.mass.double().cpu().numpy()
-    pushed = np.bincount(partial_to_complete.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))
-    spacing = np.sqrt(own.sum() / len(own))
-    laplacian = complete.laplacian.cpu()
+    check_indices("partial_to_full", partial_to_full, len(full.mass))
+    own = full.mass.double().cpu().numpy()
+    pushed = np.bincount(partial_to_full.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))
+    width = (settings or ConfidenceSettings()).smoothing * np.sqrt(own.sum() / len(own))
+    laplacian = full.laplacian.cpu()
     sparse = csc_matrix(
         (laplacian.values().double().numpy(), laplacian.col_indices().numpy(), laplacian.crow_indices().numpy()),
         shape=laplacian.shape,  # the last point may have no entry
     )
-    heat = splu((diags(own) + (_COVERAGE_SPACINGS * spacing) ** 2 * sparse).tocsc(), permc_spec="MMD_AT_PLUS_A")
-    return torch.from_numpy(heat.solve(pushed)).to(complete.mass)
+    heat = splu((diags(own) + width**2 * sparse).tocsc(), permc_spec="MMD_AT_PLUS_A")
+    return torch.from_numpy(heat.solve(pushed)).to(full.mass)

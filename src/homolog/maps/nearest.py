@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Generic
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.core.arrays import takes_arrays
+from homolog.core.arrays import Array, takes_arrays
 from homolog.core.memory import row_tiles
 
 
 @dataclass(frozen=True)
-class Nearest:
+class Nearest(Generic[Array]):
     """For each query its nearest candidate, and how near.
 
     Args:
@@ -22,12 +23,12 @@ class Nearest:
         value: squared distances, or inner products (n,).
     """
 
-    index: Int[Tensor, " n"]
-    value: Float[Tensor, " n"]
+    index: Int[Array, " n"]
+    value: Float[Array, " n"]
 
 
 @takes_arrays
-def nearest_neighbour(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"]) -> Nearest:
+def nearest_neighbour(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"]) -> Nearest[Tensor]:
     """The candidate at the least Euclidean distance from each query, with the squared distance.
 
     Costs 2 n m d operations as matrix products; temporary memory stays within ``homolog.set_working_memory``.
@@ -41,14 +42,14 @@ def nearest_neighbour(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "
 
 
 @takes_arrays
-def most_similar(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"]) -> Nearest:
+def most_similar(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"]) -> Nearest[Tensor]:
     """The candidate with the greatest inner product with each query, with that product."""
     return _largest_product(queries, candidates)
 
 
 def _largest_product(
     queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"], offsets: Float[Tensor, " m"] | None = None
-) -> Nearest:
+) -> Nearest[Tensor]:
     if offsets is not None:  # as one more dimension, so that adding them costs no pass over the products
         queries = torch.cat([queries, torch.ones_like(queries[:, :1])], dim=1)
         candidates = torch.cat([candidates, offsets[:, None]], dim=1)

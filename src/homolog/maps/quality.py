@@ -15,9 +15,6 @@ from homolog.core.arguments import check_indices
 from homolog.core.arrays import takes_arrays
 from homolog.geometry import Operators, Surface
 
-# A point is hit if what is hit comes this near, in spacings of the coarser shape: points of a shape that is sampled
-# like the other are hit by two in three, at random.
-_HIT_SPACINGS = 2.0
 # A surface has an outside if its normals nearly cancel, as those of a closed one do, and the flux of the position
 # through it has one sign for the most part.
 _NEARLY_CLOSED = 0.1
@@ -39,11 +36,18 @@ def cycle_error(
     return misses
 
 
-def coverage(hit: Operators, hitting: Operators, point_map: Int[Tensor, " n_hitting"]) -> float:
-    """The share of a shape's area that a map from another one hits, between 0 and 1.
+def coverage(
+    hit: Operators, hitting: Operators, point_map: Int[Tensor, " n_hitting"], *, spacings: float = 2.0
+) -> float:
+    """Coverage of a point map: the share of a shape's area that a map from another shape hits, from 0 to 1. New here.
 
-    A point counts as hit if it lies within two point spacings of one that is, in a straight line; the spacing is that
-    of the coarser of the two shapes, sqrt(area / points). Entries of -1 hit nothing.
+    Args:
+        hit: the shape that the map leads to.
+        hitting: the shape that it comes from.
+        point_map: for each point of ``hitting`` one of ``hit``; entries of -1 hit nothing.
+        spacings: a point counts as hit if one that is hit lies this near, in a straight line, in point spacings
+            sqrt(area / points) of the coarser shape; 1 to 3 are sensible. A random map between shapes of one sampling
+            hits two points in three, which 2 spacings make up for.
 
     Raises:
         ArgumentError: if another index is that of no point.
@@ -52,7 +56,7 @@ def coverage(hit: Operators, hitting: Operators, point_map: Int[Tensor, " n_hitt
     if not len(aims):
         return 0.0
     check_indices("point_map", aims, hit.n_points)
-    radius = _HIT_SPACINGS * max(_spacing(hit), _spacing(hitting))
+    radius = spacings * max(_spacing(hit), _spacing(hitting))
     points = hit.points.cpu().numpy()
     away, _ = KDTree(points[aims.cpu().numpy()]).query(points, distance_upper_bound=radius)
     return float(np.average(np.isfinite(away), weights=hit.mass.double().cpu().numpy()))

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Generic
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.core.arguments import check_finite
-from homolog.core.arrays import takes_arrays
+from homolog.core.arrays import Array, takes_arrays
 from homolog.maps.nearest import ColumnArgmax, row_argmax
 from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, balance
 
 
 @dataclass(frozen=True)
-class SoftMatches:
+class SoftMatches(Generic[Array]):
     """The matches of a soft map P (n_y, n_x), and the scalings that make it: P = exp(F_y F_x^T / temperature + f + g).
 
     Args:
@@ -25,10 +26,10 @@ class SoftMatches:
         column_scaling: g (n_x,).
     """
 
-    y_to_x: Int[Tensor, " n_y"]
-    x_to_y: Int[Tensor, " n_x"]
-    row_scaling: Float[Tensor, " n_y"]
-    column_scaling: Float[Tensor, " n_x"]
+    y_to_x: Int[Array, " n_y"]
+    x_to_y: Int[Array, " n_x"]
+    row_scaling: Float[Array, " n_y"]
+    column_scaling: Float[Array, " n_x"]
 
 
 @takes_arrays
@@ -44,7 +45,7 @@ def sinkhorn_matches(
     *,
     temperature: float = TEMPERATURE,
     iterations: int = ITERATIONS,
-) -> SoftMatches:
+) -> SoftMatches[Tensor]:
     """The matches of P_yx = Sinkhorn(F_y F_x^T / temperature), columns normalised first and rows last.
 
     Raises:

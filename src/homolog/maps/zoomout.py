@@ -1,4 +1,4 @@
-"""Spectral refinement of maps."""
+"""ZoomOut: spectral upsampling of point maps, guided by features, for full and for partial shapes."""
 
 from __future__ import annotations
 
@@ -10,19 +10,50 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_finite, check_indices
+from homolog.core.arguments import check_count, check_finite, check_indices, check_number
 from homolog.core.arrays import takes_arrays
 from homolog.maps.nearest import nearest_neighbour
 
-# Points of each shape that take part in the refinement; more change the map little and cost in proportion.
-_SAMPLES = 2000
 
-# In so many rounds, the last of them for all points, they look among all: only there is a sample's very counterpart.
-_ROUNDS_AMONG_ALL = 3
+@dataclass(frozen=True, kw_only=True)
+class RefinementSettings:
+    """Settings of the refinement by ``zoomout`` and ``zoomout_partial``.
 
-# What the squared distance of unit features weighs in the first round and in the last, against the mean one of
-# eigenfunctions; chosen on pairs of training shapes.
-_FIRST_GUIDANCE, _LAST_GUIDANCE = 1.0, 0.1
+    The weights of features were chosen on pairs of training shapes. All defaults were then fixed for every benchmark.
+
+    Args:
+        k_init: eigenfunctions in the first round, at least 1; 6 to 30 are sensible. A map that is known but roughly
+            wants few.
+        k_step: eigenfunctions added per round, at least 1; 1 to 40 are sensible. Time grows with the number of rounds.
+        n_samples: points of each shape that take part in all rounds but the last, at least 1; 1,000 to 5,000 are
+            sensible. More change the map little, and cost in proportion.
+        rounds_among_all: in so many of the last rounds, samples look for their counterparts among all points of the
+            other shape, and not among its samples alone; 1 or more. Only among all is a sample's very counterpart.
+        guidance_start: weight of the squared distance of unit features in the first round, against the mean squared
+            difference of eigenfunctions; above 0, 0.1 to 10 are sensible.
+        guidance_end: the same in the last round, above 0. The weight falls geometrically between the two. 1e-9 for
+            both leaves features out, as the published method does.
+    """
+
+    k_init: int = 20
+    k_step: int = 18
+    n_samples: int = 2000
+    rounds_among_all: int = 3
+    guidance_start: float = 1.0
+    guidance_end: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("k_init", "k_step", "n_samples", "rounds_among_all"):
+            check_count(name, getattr(self, name))
+        for name in ("guidance_start", "guidance_end"):
+            check_number(name, getattr(self, name), above=0)
+
+    def rounds(self, largest: int) -> Iterator[tuple[int, int, float]]:
+        """For each round how many follow it, its number of eigenfunctions up to the largest, and features' weight."""
+        sizes = [*range(min(self.k_init, largest), largest, self.k_step), largest]
+        fall = self.guidance_start / self.guidance_end
+        for n_left, size in zip(reversed(range(len(sizes))), sizes, strict=True):
+            yield n_left, size, self.guidance_end * fall ** (n_left / max(len(sizes) - 1, 1))
 
 
 @takes_arrays
@@ -34,8 +65,7 @@ def zoomout(
     features_x: Float[Tensor, "n_x d"],
     features_y: Float[Tensor, "n_y d"],
     *,
-    k_init: int = 20,
-    k_step: int = 18,
+    settings: RefinementSettings | None = None,
 ) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
     """Refine the point maps of two complete shapes, both at once, in a growing basis and guided by features.
 
@@ -52,25 +82,24 @@ def zoomout(
         eigenvectors_y: likewise.
         features_x: of unit length per point.
         features_y: likewise.
-        k_init: size of the first functional map.
-        k_step: eigenvectors added per round.
+        settings: sizes of the basis, samples, and how much features weigh.
 
     Returns:
         Both maps, y to x first.
 
     Raises:
-        ArgumentError: if an index is that of no point, a feature is not finite, or a size is no whole number of at
-            least 1.
+        ArgumentError: if an index is that of no point, or a feature is not finite.
     """
     check_indices("y_to_x", y_to_x, len(eigenvectors_x))
     check_indices("x_to_y", x_to_y, len(eigenvectors_y))
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
-    x, y = _Guided(eigenvectors_x, features_x), _Guided(eigenvectors_y, features_y)
+    settings = settings or RefinementSettings()
+    x, y = _Guided(eigenvectors_x, features_x, settings), _Guided(eigenvectors_y, features_y, settings)
     largest = min(eigenvectors_x.shape[1], eigenvectors_y.shape[1])
     rows_x, rows_y = x.samples, y.samples
     y_to_x, x_to_y = y_to_x[rows_y], x_to_y[rows_x]
-    for n_left, size, weight in _rounds(k_init, largest, k_step):
+    for n_left, size, weight in settings.rounds(largest):
         pairs_x, pairs_y = torch.cat([y_to_x, rows_x]), torch.cat([rows_y, x_to_y])
         among_x, among_y = x.candidates(n_left), y.candidates(n_left)
         rows_x, rows_y = (x.all, y.all) if n_left == 0 else (x.samples, y.samples)
@@ -89,8 +118,7 @@ def zoomout_partial(
     features_x: Float[Tensor, "n_x d"],
     features_y: Float[Tensor, "n_y d"],
     *,
-    k_init: int = 20,
-    k_step: int = 18,
+    settings: RefinementSettings | None = None,
 ) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
     """Refine the point map of a part y to its complete shape x; see ``zoomout``.
 
@@ -106,23 +134,22 @@ def zoomout_partial(
         eigenvalues_y: of the part.
         features_x: of unit length per point.
         features_y: likewise.
-        k_init: how many eigenvectors of x there are in the first round.
-        k_step: eigenvectors of x added per round.
+        settings: sizes of the basis, which are numbers of eigenvectors of x, samples, and how much features weigh.
 
     Returns:
         The map, and the map back, which gives every point of x some point of the part, also where it has none.
 
     Raises:
-        ArgumentError: if an index is that of no point, a feature is not finite, or a size is no whole number of at
-            least 1.
+        ArgumentError: if an index is that of no point, or a feature is not finite.
     """
     check_indices("y_to_x", y_to_x, len(eigenvectors_x))
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
-    x, y = _Guided(eigenvectors_x, features_x), _Guided(eigenvectors_y, features_y)
+    settings = settings or RefinementSettings()
+    x, y = _Guided(eigenvectors_x, features_x, settings), _Guided(eigenvectors_y, features_y, settings)
     rows = y.samples
     y_to_x = y_to_x[rows]
-    for n_left, size, weight in _rounds(k_init, eigenvectors_x.shape[1], k_step):
+    for n_left, size, weight in settings.rounds(eigenvectors_x.shape[1]):
         as_slow = max(int((eigenvalues_y <= eigenvalues_x[size - 1]).sum()), 1)
         phi_x, phi_y = x.eigenvectors[:, :size], y.eigenvectors[:, :as_slow]
         c_xy = _fitted(phi_x[y_to_x], phi_y[rows])
@@ -130,17 +157,8 @@ def zoomout_partial(
         rows = y.all if n_left == 0 else y.samples
         in_y, in_x = y.guided(rows, phi_y[rows] @ c_xy, weight), x.guided(among, phi_x[among], weight)
         y_to_x = among[nearest_neighbour(in_y, in_x).index]
-    in_y, in_x = y.guided(y.reached, phi_y[y.reached] @ c_xy, weight), x.guided(x.all, phi_x, weight)
-    return y_to_x, y.reached[nearest_neighbour(in_x, in_y).index]
-
-
-def _rounds(k_init: int, largest: int, k_step: int) -> Iterator[tuple[int, int, float]]:
-    """For each round how many follow, the size of the basis, and how much features weigh."""
-    check_count("k_init", k_init)
-    check_count("k_step", k_step)
-    sizes = [*range(min(k_init, largest), largest, k_step), largest]
-    for n_left, size in zip(reversed(range(len(sizes))), sizes, strict=True):
-        yield n_left, size, _LAST_GUIDANCE * (_FIRST_GUIDANCE / _LAST_GUIDANCE) ** (n_left / max(len(sizes) - 1, 1))
+    in_y, in_x = y.guided(y.main, phi_y[y.main] @ c_xy, weight), x.guided(x.all, phi_x, weight)
+    return y_to_x, y.main[nearest_neighbour(in_x, in_y).index]
 
 
 @dataclass(frozen=True)
@@ -149,6 +167,7 @@ class _Guided:
 
     eigenvectors: Float[Tensor, "n m"]
     features: Float[Tensor, "n d"]
+    settings: RefinementSettings
 
     @cached_property
     def all(self) -> Int[Tensor, " n"]:
@@ -156,13 +175,13 @@ class _Guided:
         return torch.arange(len(self.eigenvectors), device=self.eigenvectors.device)
 
     @cached_property
-    def reached(self) -> Int[Tensor, " r"]:
-        """Points that some eigenfunction reaches; of debris the embedding says nothing, so nothing is to go there."""
+    def main(self) -> Int[Tensor, " r"]:
+        """Points where not every eigenfunction is zero, as it is on small components: nothing is mapped to those."""
         return self.all[self.eigenvectors.any(dim=1)]
 
     def candidates(self, n_left: int) -> Int[Tensor, " c"]:
         """The points among which counterparts are looked for, where so many rounds follow."""
-        return self.reached if n_left < _ROUNDS_AMONG_ALL else self.samples
+        return self.main if n_left < self.settings.rounds_among_all else self.samples
 
     def guided(self, rows: Int[Tensor, " r"], embedding: Float[Tensor, "r k"], weight: float) -> Float[Tensor, "r e"]:
         """An embedding of some points whose squared distances also count those of features, by this weight.
@@ -175,8 +194,8 @@ class _Guided:
     @cached_property
     def samples(self) -> Int[Tensor, " s"]:
         """Some of the points that are reached."""
-        shuffled = torch.randperm(len(self.reached), generator=torch.Generator().manual_seed(0))
-        return self.reached[shuffled[:_SAMPLES].sort().values.to(self.reached.device)]
+        shuffled = torch.randperm(len(self.main), generator=torch.Generator().manual_seed(0))
+        return self.main[shuffled[: self.settings.n_samples].sort().values.to(self.main.device)]
 
 
 def _counterparts(
