@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from homolog.shapes import Report, Shape, check, read_shape, repair, stand_upright, write_shape
 
 __all__ = [
-    "Correspondence",
+    "Match",
     "HomologError",
     "Matcher",
     "MatcherSettings",

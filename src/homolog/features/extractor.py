@@ -109,6 +109,23 @@ class FunctionFeatures:
         return features
 
 
+@dataclass(frozen=True)
+class GivenFeatures:
+    """Stands for features that are given with each pair, as arrays.
+
+    Args:
+        info: how they are to be compared.
+    """
+
+    info: FeatureInfo
+
+    def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
+        """There is nothing to compute."""
+        raise ArgumentError(
+            f"features {self.info.name!r} are given with each pair, but none are; give features=(of_source, of_target)"
+        )
+
+
 def check_features(name: str, features: Tensor, n_points: int) -> None:
     """Refuse features that are not one row of finite numbers per point.
 
@@ -127,7 +144,8 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
     """Make a feature extractor of what a user has.
 
     Args:
-        features: a ``FeatureExtractor``; a ``DiffusionNet``; or a function of ``Operators``, such as any
+        features: a ``FeatureExtractor``; a ``DiffusionNet``; a ``FeatureInfo`` of features that are given with each
+            pair; or a function of ``Operators``, such as any
             ``torch.nn.Module`` that is called with them, which gives (n, d).
         info: what it expects of shapes. By default a DiffusionNet is taken to be trained on upright shapes, and the
             features of a function not to follow the pose.
@@ -144,6 +162,8 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
     """
     if isinstance(features, DiffusionNet):
         return NetworkFeatures(features, info or FeatureInfo())
+    if isinstance(features, FeatureInfo):
+        return GivenFeatures(features)
     if isinstance(features, FeatureExtractor):
         return features
     if callable(features):

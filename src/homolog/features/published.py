@@ -54,7 +54,9 @@ _LAYOUTS = (
     # Cao and Bernard, "Self-supervised learning for multimodal non-rigid 3D shape matching", CVPR 2023, and
     # Cao, Roetzer and Bernard, "Unsupervised learning of robust spectral shape matching", SIGGRAPH 2023.
     _Layout(
-        "first_linear.weight", ((r"^first_linear\.", "first."), (r"^last_linear\.", "last."), *_BLOCK_NAMES), "published"
+        "first_linear.weight",
+        ((r"^first_linear\.", "first."), (r"^last_linear\.", "last."), *_BLOCK_NAMES),
+        "published",
     ),
     # Sharp et al., "DiffusionNet", ACM TOG 2022, and what builds on its code.
     _Layout(

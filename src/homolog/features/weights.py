@@ -98,7 +98,6 @@ def _read_own(path: Path) -> _Contents:
     return settings, FeatureInfo(**{**info, "sha256": sha256(path)}), tensors
 
 
-
 def _known(given: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of a network, none of which can be left out of account, unlike what an info may hold more."""
     unknown = sorted(set(given) - {f.name for f in fields(NetworkSettings)})

@@ -1,12 +1,7 @@
 """Correspondence as mathematics: pure functions of tensors."""
 
-<<<<<<< HEAD
-from homolog.maps.confidence import confidence, coverage_density, local_stretch, overlap
-from homolog.maps.descriptors import heat_kernel_signature, smoothed_positions, wave_kernel_signature
-=======
 from homolog.maps.confidence import ConfidenceSettings, confidence, coverage_density, local_stretch, overlap
-from homolog.maps.descriptors import smoothed_positions, wave_kernel_signature
->>>>>>> maths
+from homolog.maps.descriptors import heat_kernel_signature, smoothed_positions, wave_kernel_signature
 from homolog.maps.functional_map import (
     functional_map,
     functional_map_from_point_map,
@@ -34,6 +29,7 @@ __all__ = [
     "flipped_triangles",
     "functional_map",
     "functional_map_from_point_map",
+    "heat_kernel_signature",
     "local_stretch",
     "most_similar",
     "nearest_neighbour",

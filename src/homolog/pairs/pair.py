@@ -106,9 +106,7 @@ class Pair:
             full = found[side].operators
             scale = full.scale / options.partial_scale if options.partial else None
             centre = full.centre / options.partial_scale if options.pre_aligned else None
-        return cls(
-            found["source"], found["target"], options, settings or MatcherSettings(), preprocessor.extractor
-        )
+        return cls(found["source"], found["target"], options, settings or MatcherSettings(), preprocessor.extractor)
 
     @property
     def x(self) -> PreprocessedShape:

@@ -159,9 +159,7 @@ class Preprocessor:
         return self.extractor(operators) * operators.in_main_component[:, None]
 
 
-def _of_points(
-    features: ArrayLike, shape: Shape, repaired: Repaired, operators: Operators
-) -> Float[Tensor, "n d"]:
+def _of_points(features: ArrayLike, shape: Shape, repaired: Repaired, operators: Operators) -> Float[Tensor, "n d"]:
     """Features that a user gave for the points of a shape, at its clean points."""
     values = torch.as_tensor(np.array(features), dtype=operators.points.dtype)
     check_features(shape.name, values, shape.n_points)

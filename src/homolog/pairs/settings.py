@@ -34,7 +34,7 @@ def _check(settings: object, **rules: _Rule) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class FunctionalMapSettings:
-    """The functional map that fits features (Ren et al., "Structured regularization of functional map computations", 2019).
+    """The functional map that fits features (Ren et al., "Structured regularization of functional map computations").
 
     Args:
         n_eigenpairs: its size; by default what the features were trained with (``FeatureInfo.map_eigenpairs``).
@@ -47,9 +47,7 @@ class FunctionalMapSettings:
     regularisation: float = 100.0
 
     def __post_init__(self) -> None:
-        _check(
-            self, n_eigenpairs=_COUNT_OR_NONE, n_eigenpairs_partial=_COUNT_OR_NONE, regularisation=_NOT_NEGATIVE
-        )
+        _check(self, n_eigenpairs=_COUNT_OR_NONE, n_eigenpairs_partial=_COUNT_OR_NONE, regularisation=_NOT_NEGATIVE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,8 +93,8 @@ class AlignmentSettings:
 
     Args:
         steps: how many positions are looked at from each start, the start included.
-        partial_samples: points of the partial shape that are compared; a basis at samples needs some twice as many as it
-            has eigenvectors.
+        partial_samples: points of the partial shape that are compared; a basis at samples needs some twice as many as
+            it has eigenvectors.
         full_samples: points of the full shape.
         similar: mean cosine between features from which on the partial shape is aligned, and no other start is tried.
         followed: how many starts are followed.
@@ -135,8 +133,8 @@ class WarningSettings:
     Args:
         least_confidence: mean confidence below which it is. Good matches of bodies have 0.7 to 0.9, hopeless ones under
             0.2.
-        most_dirichlet_energy: mean Dirichlet energy of the maps above which it is. Of 72 maps of people and animals, all
-            above 8 were off by more than 6 % of sqrt(area), and all but one of those below by less than 8 %.
+        most_dirichlet_energy: mean Dirichlet energy of the maps above which it is. Of 72 maps of people and animals,
+            all above 8 were off by more than 6 % of sqrt(area), and all but one of those below by less than 8 %.
     """
 
     least_confidence: float = 0.35
