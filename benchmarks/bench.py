@@ -35,7 +35,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from homolog.core.files import atomic_path
 from homolog.core.memory import keep_freed_memory
-from homolog.features import AugmentationSettings, DiffusionNet, WeightsInfo, save_weights
+from homolog.features import AugmentationSettings, DiffusionNet, FeatureInfo, save_weights
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import (
     functional_map,
@@ -246,7 +246,7 @@ def measure_match(name: str, n_points: int) -> dict[str, object]:
         folder = Path(scratch)
         for which in ("amber", "boris"):
             write_shape(folder / f"{which}.ply", body(which, n_points))
-        save_weights(folder / "untrained.safetensors", untrained_network(), WeightsInfo(name="untrained"))
+        save_weights(folder / "untrained.safetensors", untrained_network(), FeatureInfo(name="untrained"))
         command = [sys.executable, "-m", "homolog", "match", "amber.ply", "boris.ply", "-o", "out", "--quiet"]
         command += ["--weights", "untrained.safetensors"]
         environment = {**os.environ, "HOMOLOG_CACHE": str(folder / "cache")}

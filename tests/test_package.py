@@ -129,7 +129,7 @@ def test_exports():
     assert len(set(homolog.__all__)) == len(homolog.__all__)
     for name in homolog.__all__:
         assert getattr(homolog, name) is not None
-    for name in ("Matcher", "Shape", "read_shape", "Correspondence", "HomologError"):
+    for name in ("Matcher", "Shape", "read_shape", "Match", "HomologError"):
         assert name in homolog.__all__
 
 

@@ -31,16 +31,18 @@ if TYPE_CHECKING:
     from homolog.features import load_weights
     from homolog.geometry import OperatorCache, Operators, compute_operators
     from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches
-    from homolog.matching import Correspondence, Matcher, MatcherSettings
+    from homolog.matching import Match, Matcher, match
+    from homolog.pairs import MatcherSettings, PairOptions
     from homolog.shapes import Report, Shape, check, read_shape, repair, stand_upright, write_shape
 
 __all__ = [
-    "Match",
     "HomologError",
+    "Match",
     "Matcher",
     "MatcherSettings",
     "OperatorCache",
     "Operators",
+    "PairOptions",
     "Report",
     "Shape",
     "check",
@@ -48,6 +50,7 @@ __all__ = [
     "functional_map",
     "get_working_memory",
     "load_weights",
+    "match",
     "point_map_from_functional_map",
     "read_shape",
     "repair",
@@ -59,7 +62,7 @@ __all__ = [
     "write_shape",
 ]
 
-_HOMES = ("core.errors", "core.memory", "shapes", "geometry", "maps", "features", "matching")
+_HOMES = ("core.errors", "core.memory", "shapes", "geometry", "maps", "features", "pairs", "matching")
 
 
 def __getattr__(name: str) -> Any:

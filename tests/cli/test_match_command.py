@@ -13,7 +13,8 @@ import trimesh
 
 from homolog.cli import match as match_module
 from homolog.core.errors import ShapeError
-from homolog.matching import Matcher, MatcherSettings
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
 from homolog.shapes import reading as reading_module
 from homolog.training import AdaptationSettings, adapt_to_pair

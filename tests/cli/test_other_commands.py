@@ -18,7 +18,7 @@ from homolog.cli import doctor as doctor_module
 from homolog.cli import evaluate as evaluate_module
 from homolog.cli.options import check_file
 from homolog.core.errors import DataError
-from homolog.matching import Correspondence, Matcher
+from homolog.matching import Match, Matcher
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
 from homolog.training import adapt_to_pair
 
@@ -420,7 +420,7 @@ def test_demo_fails_if_the_maps_are_bad(homolog, tmp_path, monkeypatch):
         def run(self, steps, **options):
             outcome = super().run(steps, **options)
             n, m = (outcome.shapes[side].n_points for side in ("source", "target"))
-            bad = Correspondence(np.zeros(n, int), np.zeros(m, int), np.zeros(n), np.zeros(m), "axiomatic")
+            bad = Match(np.zeros(n, int), np.zeros(m, int), np.zeros(n), np.zeros(m), "axiomatic")
             return replace(outcome, found=bad)
 
     monkeypatch.setattr(demo_module, "Job", Bad)

@@ -41,7 +41,7 @@ def test_page(homolog, result, tmp_path):
     ended = homolog("view", result, "--html", page)
     assert (ended.code, ended.out, ended.err) == (0, f"{page}\n", "")
     assert "<title>mesh.off → other.obj</title>" in page.read_text(encoding="utf-8")
-    assert list(layers_of(page)) == ["Correspondence", "Confidence"]
+    assert list(layers_of(page)) == ["Match", "Confidence"]
 
 
 def test_match_writes_the_same_page(homolog, result, files, tmp_path):
@@ -62,7 +62,7 @@ def test_page_with_all_layers(homolog, result, truth, files, tmp_path):
     ended = homolog("view", result, "--html", page, "--truth", *truth, "--weights", files.weights, "-q")
     assert (ended.code, ended.err) == (0, "")
     layers = layers_of(page)
-    assert list(layers) == ["Correspondence", "Confidence", "Error", "Features"]
+    assert list(layers) == ["Match", "Confidence", "Error", "Features"]
     assert layers["Error"]["ramp"]["unit"] == "% of √area"
 
 

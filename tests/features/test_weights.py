@@ -18,14 +18,14 @@ from homolog.features import (
     DEFAULT_WEIGHTS,
     DiffusionNet,
     NetworkSettings,
-    WeightsInfo,
+    FeatureInfo,
     load_weights,
     pretrained_weights,
     save_weights,
 )
 
 SMALL = NetworkSettings(in_channels=5, out_channels=4, width=6, blocks=2, dropout=0.25)
-INFO = WeightsInfo(name="bones", licence="CC0-1.0", upright=False, n_eigenpairs=64, map_eigenpairs=30, temperature=0.05)
+INFO = FeatureInfo(name="bones", licence="CC0-1.0", upright=False, n_eigenpairs=64, map_eigenpairs=30, temperature=0.05)
 
 
 def network_of(settings: NetworkSettings = SMALL) -> DiffusionNet:
@@ -87,17 +87,17 @@ def test_the_same_network_and_info_give_the_same_bytes(saved: Path, tmp_path: Pa
 def test_optional_keys_of_a_newer_version_are_ignored_and_absent_ones_are_the_defaults(saved: Path) -> None:
     stored = {"name": "bones", "licence": "CC0-1.0", "symmetric": True}
     network, info = load_weights(rewritten(saved, info=json.dumps(stored)))
-    assert info == WeightsInfo(name="bones", licence="CC0-1.0") and info.temperature == 0.1
+    assert info == FeatureInfo(name="bones", licence="CC0-1.0") and info.temperature == 0.1
     assert network.settings == SMALL
 
 
 def test_saving_again_replaces_the_file_and_leaves_nothing_else(saved: Path) -> None:
     other = DiffusionNet(NetworkSettings(width=3))
-    save_weights(saved, other, WeightsInfo())
+    save_weights(saved, other, FeatureInfo())
     assert load_weights(saved)[0].settings.width == 3
     assert [path.name for path in saved.parent.iterdir()] == [saved.name]
     with pytest.raises(ArgumentError, match="does not exist"):
-        save_weights(saved.parent / "nowhere" / "w.safetensors", other, WeightsInfo())
+        save_weights(saved.parent / "nowhere" / "w.safetensors", other, FeatureInfo())
 
 
 def test_a_published_checkpoint_is_read_by_its_own_names(tmp_path: Path) -> None:

@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 from homolog.core.errors import ArgumentError
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import overlap
-from homolog.matching import Matcher, PointMaps
+from homolog.matching import Matcher
+from homolog.pairs import PointMaps
 from homolog.shapes import Shape, repair
 
 KINDS = [("mesh", None), ("cloud", "both")]

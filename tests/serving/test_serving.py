@@ -18,7 +18,7 @@ import pytest
 from serving_tools import TRIANGLE, Listener, gone, pids, program, until
 
 from homolog.core.errors import ArgumentError
-from homolog.matching import RESULT_FILES, read_result
+from homolog.matching import Match, RESULT_FILES
 from homolog.serving import Limits, MatchCommand
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
@@ -91,7 +91,7 @@ def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
     got = tmp_path / "got" / "homolog-result"
     assert {file.name for file in got.iterdir()} == {*RESULT_FILES, "view.html"}
     assert (got / "view.html").read_bytes() == page
-    result = read_result(got)
+    result = Match.load(got)
     order = result.source.points[:, 0].argsort()
     assert np.mean(result.found.target_to_source == order) > 0.9
     assert result.report["inputs"]["source"]["file"] == str(Path("source", "one.off"))

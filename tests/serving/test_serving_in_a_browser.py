@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from serving_tools import gone, pids, program, until
 
-from homolog.matching import read_result
+from homolog.matching import Match
 from homolog.serving import MatchCommand
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
@@ -49,7 +49,7 @@ def download(page, folder):
     waited.value.save_as(folder / "got.zip")
     with zipfile.ZipFile(folder / "got.zip") as archive:
         archive.extractall(folder)
-    return waited.value.suggested_filename, read_result(folder / "homolog-result")
+    return waited.value.suggested_filename, Match.load(folder / "homolog-result")
 
 
 def seen(page):

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from homolog.core.errors import ArgumentError, TrainingError
-from homolog.features import DiffusionNet, NetworkSettings, WeightsInfo
+from homolog.features import DiffusionNet, NetworkSettings, FeatureInfo
 from homolog.geometry import OperatorSettings
-from homolog.matching import Matcher, MatcherSettings
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape
 from homolog.training import AdaptationSettings, LossSettings, TrainingShape, adapt_to_pair, adaptation, pair_losses
 from homolog.training.recipe import OptimiserSettings, SampleSettings
@@ -23,7 +24,7 @@ SETTINGS = AdaptationSettings(
 def matcher():
     torch.manual_seed(0)
     network = DiffusionNet(NetworkSettings(width=16, out_channels=16, blocks=2))
-    info = WeightsInfo(upright=False, map_eigenpairs=12)
+    info = FeatureInfo(upright=False, map_eigenpairs=12)
     return Matcher(network, info, settings=MatcherSettings(operators=OperatorSettings(24), partial_eigenpairs=10))
 
 

@@ -59,7 +59,7 @@ def test_it_holds_the_scene(known):
         np.testing.assert_array_equal(read(written["counterpart"]), body.counterpart)
         np.testing.assert_array_equal(read(written["rank"]), body.rank)
         np.testing.assert_allclose(read(written["confidence"]), body.confidence, atol=1e-6)
-    assert [layer["name"] for layer in told["layers"]] == ["Correspondence", "Confidence"]
+    assert [layer["name"] for layer in told["layers"]] == ["Match", "Confidence"]
     for layer, written in zip(scene.layers, told["layers"], strict=True):
         for number, side in enumerate(("source", "target")):
             np.testing.assert_array_equal(read(written["colours"][number]).reshape(-1, 3), layer.colours[side])

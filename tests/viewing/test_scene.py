@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homolog.matching import MatchResult, matched_colours
+from homolog.matching import Match, matched_colours
 from homolog.shapes import Shape, upright_rotation
 from homolog.viewing import Ray, Scene, Shown, scene_of
 from homolog.viewing.colours import HIDDEN
@@ -38,7 +38,7 @@ def test_shapes_stand_side_by_side_in_their_own_proportions(known):
     assert scene.title == "a blob.off \N{RIGHTWARDS ARROW} other.off"
 
 
-def resized(known: MatchResult, factor, **options):
+def resized(known: Match, factor, **options):
     target = Shape(known.target.points * factor, known.target.faces)
     return scene_of(replace(known, target=target, report={"options": options}))
 
@@ -146,7 +146,7 @@ def test_hidden_points_are_not_met(known_clouds):
 
 def test_colours(known):
     scene = scene_of(known)
-    layer = scene.layer("Correspondence")
+    layer = scene.layer("Match")
     assert scene.layers[0] is layer
     for side, expected in zip(SIDES, matched_colours(known.source, known.found), strict=True):
         np.testing.assert_array_equal(scene.colours(layer, side, Shown()), expected)

@@ -21,7 +21,6 @@ from homolog.cli.options import (
     build_matcher,
     check_folder,
     check_outside,
-    described,
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar, say
@@ -118,7 +117,7 @@ def collection(
         report = {
             "command": ["homolog", *sys.argv[1:]],
             "inputs": {"template": str(template), "sha256": digest},
-            **described(matcher, weights),
+            **matcher.describe(),
             "versions": versions(),
         }
         files = deliver(folder, base, outcomes, model, told=report)

@@ -10,13 +10,13 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from homolog.cli.match import Job, counted
-from homolog.cli.options import Quiet, build_matcher, check_folder, described
+from homolog.cli.match import counted
+from homolog.cli.options import Quiet, build_matcher, check_folder
 from homolog.cli.progress import progress_bar
 from homolog.core.progress import Steps
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import geodesic_errors
-from homolog.matching import RESULT_FILES, Correspondence, Side
+from homolog.matching import RESULT_FILES, Match, write_folder
 from homolog.shapes import Shape
 
 _DATA = Path(__file__).parents[1] / "demo_data"
@@ -41,13 +41,11 @@ def demo(
     """
     check_folder(output, names=RESULT_FILES)
     folder = ShapeFolder.open(_DATA)
-    files: dict[Side, Path] = {"source": _DATA / "off" / f"{_SOURCE}.off", "target": _DATA / "off" / f"{_TARGET}.off"}
-    job = Job(files, {"source": "y", "target": "y"}, build_matcher(None, "auto", "auto", no_cache=True))
+    files = [_DATA / "off" / f"{name}.off" for name in (_SOURCE, _TARGET)]
     with progress_bar(quiet=quiet) as progress:
         steps = Steps(listener=counted(progress))
-        outcome = job.run(steps)
-        paths = outcome.write(output, steps, described(job.matcher, None))
-    found = outcome.found
+        found = build_matcher(None, "auto", "auto", no_cache=True).match(files[0], files[1], steps=steps)
+        paths = write_folder(output, found, steps=steps)
     source = folder.shape(_SOURCE)
     truth, asked = folder.common_points(_SOURCE), folder.common_points(_TARGET)
     errors = 100 * geodesic_errors(source, truth, found.target_to_source[asked])
@@ -66,12 +64,10 @@ def _same_side(source: Shape, truth: np.ndarray, mapped: np.ndarray) -> float:
     return float(np.mean(np.sign(across[truth]) == np.sign(across[mapped]), where=lateral))
 
 
-def _show(
-    found: Correspondence, errors: np.ndarray, sides: float, steps: Steps, output: Path, paths: list[Path]
-) -> None:
+def _show(found: Match, errors: np.ndarray, sides: float, steps: Steps, output: Path, paths: list[Path]) -> None:
     table = Table(title=f"{_SOURCE} to {_TARGET}", show_header=False, title_justify="left")
     table.add_row("points", f"{len(found.source_to_target)} and {len(found.target_to_source)}")
-    table.add_row("route", found.route)
+    table.add_row("method", found.method)
     table.add_row("mean geodesic error x100", f"{errors.mean():.2f}")
     table.add_row("median, 95th percentile", f"{np.median(errors):.2f}, {np.percentile(errors, 95):.2f}")
     verdict = "right" if sides > 0.95 else "mixed up"

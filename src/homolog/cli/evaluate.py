@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -22,16 +23,17 @@ from homolog.cli.options import (
     Weights,
     build_matcher,
     check_file,
-    described,
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar
-from homolog.core.files import write_json
+from homolog.core.errors import ArgumentError
+from homolog.core.files import write_csv, write_json
 from homolog.core.versions import versions
 from homolog.datasets import DatasetDescription, ShapeFolder, Split, read_description
-from homolog.evaluation import Detection, Evaluation, MatchPair, Modalities, Protocol
+from homolog.evaluation import Detection, Evaluation, MapsFolder, Modalities, Protocol, plot_pck
 from homolog.evaluation import evaluate as evaluate_folder
-from homolog.matching import Correspondence, Matcher, Prepared, Side
+from homolog.matching import Match, Matcher
+from homolog.pairs import Pair
 from homolog.shapes import Up
 from homolog.training import AdaptationSettings, adapt_to_pair
 
@@ -56,7 +58,7 @@ def evaluate(
     partial: Annotated[
         bool | None,
         typer.Option(
-            "--partial/--whole",
+            "--partial/--full",
             help="Each target is a part of a shape like its source, in the same units.",
             show_default="as the set has it",
         ),
@@ -64,7 +66,7 @@ def evaluate(
     pre_aligned: Annotated[
         bool | None,
         typer.Option(
-            "--pre-aligned/--not-in-place",
+            "--pre-aligned/--not-pre-aligned",
             help="Parts lie in the coordinates of their complete shapes, about where they belong.",
             show_default="as the set has it",
         ),
@@ -75,6 +77,24 @@ def evaluate(
     noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of the noise, of pairs drawn, and of orders shuffled.")] = 0,
     json: Annotated[Path | None, typer.Option(metavar="OUT", help="Also write everything as JSON.")] = None,
+    maps: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Score point maps that another program computed: a file per pair, SOURCE_TARGET.txt (.vts, .map, .mat, "
+            ".npz), with the source point of each target point. No weights are used.",
+        ),
+    ] = None,
+    base: Annotated[
+        int | None,
+        typer.Option(
+            help="The first index in these files, 0 or 1.", min=0, max=1, show_default="0 for .txt and .npz, else 1"
+        ),
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write a table of pairs.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also draw the PCK curve, as .png, .pdf or .svg.")
+    ] = None,
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -103,8 +123,11 @@ def evaluate(
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    if json is not None:
-        check_file(json)
+    for file in (json, csv, plot):
+        if file is not None:
+            check_file(file)
+    if maps is not None and (weights is not None or adapt):
+        raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
     description = DatasetDescription() if name is None else read_description(name)
     partial = description.partial if partial is None else partial
     protocol = Protocol(
@@ -117,12 +140,21 @@ def evaluate(
         noise=noise,
         seed=seed,
     )
-    matcher = build_matcher(weights, method, device, no_cache=no_cache)
+    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache)
     folder = ShapeFolder.open(data, description, up=up)
     with progress_bar(quiet=quiet) as progress:
         evaluation = evaluate_folder(
-            matcher, folder, protocol, match=_match_by(matcher, adapt, partial=partial), progress=progress
+            matcher,
+            folder,
+            protocol,
+            match=None if maps is None else MapsFolder(maps, base=base),
+            match_pair=None if matcher is None else _adapting(matcher, adapt),
+            progress=progress,
         )
+    if csv is not None:
+        write_csv(csv, evaluation.rows())
+    if plot is not None:
+        plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
     if json is not None:
         report = {
             **evaluation.to_dict(),
@@ -131,7 +163,7 @@ def evaluate(
             "up": folder.up,
             "protocol": asdict(protocol),
             "adapt": adapt,
-            **described(matcher, weights),
+            **({"maps": str(maps)} if matcher is None else matcher.describe()),
             "command": ["homolog", *sys.argv[1:]],
             "versions": versions(),
         }
@@ -140,15 +172,14 @@ def evaluate(
         Console().print(_table(evaluation, folder, protocol))
 
 
-def _match_by(matcher: Matcher, steps: int, *, partial: bool) -> MatchPair | None:
+def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:
     """How a pair is matched: as it is, or after the network is adapted to it."""
     if not steps:
         return None
-    side: Side | None = "target" if partial else None
 
-    def match(source: Prepared, target: Prepared) -> Correspondence:
-        adapted, *pair = adapt_to_pair(matcher, source, target, AdaptationSettings(steps=steps), partial=side)
-        return adapted.match_prepared(*pair, partial=side)
+    def match(pair: Pair) -> Match:
+        adapted, pair = adapt_to_pair(matcher, pair, AdaptationSettings(steps=steps))
+        return adapted.find(pair)
 
     return match
 
@@ -166,15 +197,19 @@ def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> T
         table.add_row("points without a counterpart", _described_detection(evaluation.missing))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
-        table.add_row("points without a match, left out", str(found["unmatched_points"]))
-    table.add_row("route", found["route"])
+        without = found[f"mean_{kind}_error_of_matched_points"]
+        count = f"{found['unmatched_points']}, counted as the diameter ({without:.2f} without them)"
+        table.add_row("points without a match", count)
+    table.add_row("method", found["method"])
+    if evaluation.n_doubtful:
+        table.add_row("doubtful matches", f"{evaluation.n_doubtful} of {len(evaluation.pairs)}")
     table.add_row("seconds", f"{found['seconds']['total']:.0f}")
     return table
 
 
 def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     name = folder.description.name or folder.root.name
-    partial = (", partial, in place" if protocol.pre_aligned else ", partial") if protocol.partial else ""
+    partial = (", partial, pre-aligned" if protocol.pre_aligned else ", partial") if protocol.partial else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
     return f"{name}, {protocol.modality}{partial}{noise}"
 

@@ -6,17 +6,18 @@ import logging
 import os
 import stat
 from collections.abc import Iterable
-from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from homolog.core.errors import ArgumentError
+from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded
 from homolog.features import DEFAULT_WEIGHTS
 from homolog.geometry import OperatorCache, compute_operators
-from homolog.matching import NEED_NO_WEIGHTS, Device, Matcher, MatcherSettings, Method
+from homolog.matching import Matcher, needs_features
+from homolog.methods import method_names
+from homolog.pairs import Device, MatcherSettings
 from homolog.viewing import WIDTHS, check_picture
 
 Weights = Annotated[
@@ -29,12 +30,21 @@ Weights = Annotated[
         show_default=DEFAULT_WEIGHTS,
     ),
 ]
+
+
+def _checked_method(name: str) -> str:
+    if name not in method_names():
+        raise bad_choice("--method", name, method_names())
+    return name
+
+
 MethodOption = Annotated[
-    Method,
+    str,
     typer.Option(
-        help="How maps are found. auto: functional maps between meshes, features wherever a cloud takes part or the "
-        "weights are for shapes that stretch. elastic draws shapes that stand alike onto each other, such as organs, "
-        "and axiomatic goes by form alone: they need no weights."
+        metavar="[" + "|".join(method_names()) + "]",
+        callback=_checked_method,
+        help="How maps are found. auto: functional-map for two meshes, nearest-features otherwise. registration (full "
+        "shapes that stand alike, such as organs) and axiomatic need no weights.",
     ),
 ]
 DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
@@ -87,20 +97,13 @@ Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print each 
 NoCache = Annotated[bool, typer.Option("--no-cache", help="Neither read nor write cached operators.")]
 
 
-def build_matcher(weights: str | None, method: Method, device: Device, *, no_cache: bool) -> Matcher:
+def build_matcher(weights: str | None, method: str, device: Device, *, no_cache: bool) -> Matcher:
     """The matcher that the shared options ask for; some methods need no weights."""
     operators = compute_operators if no_cache else OperatorCache.default().operators
     settings = MatcherSettings(method=method)
-    if weights is None and method in NEED_NO_WEIGHTS:
+    if weights is None and not needs_features(settings):
         return Matcher(settings=settings, device=device, operators=operators)
     return Matcher.from_weights(weights or DEFAULT_WEIGHTS, settings=settings, device=device, operators=operators)
-
-
-def described(matcher: Matcher, weights: str | None) -> dict[str, Any]:
-    """Weights, settings and device, for reports."""
-    info = None if matcher.network is None else {"given": weights or DEFAULT_WEIGHTS, **asdict(matcher.info)}
-    settings = {**asdict(matcher.settings), "operators": asdict(matcher.operator_settings)}
-    return {"weights": info, "settings": settings, "device": str(matcher.device)}
 
 
 def set_verbosity(*, quiet: bool, verbose: bool) -> None:

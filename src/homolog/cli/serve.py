@@ -10,11 +10,12 @@ import typer
 
 from homolog.cli.browsing import Host, NoOpen, Port, announce, interrupt_ends
 from homolog.cli.match import STEPS
-from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher
+from homolog.cli.options import DeviceOption, Quiet, Weights, build_matcher
 from homolog.core.errors import needs_extra
 from homolog.core.files import expanded
 from homolog.features import DEFAULT_WEIGHTS, pretrained_weights
-from homolog.matching import NEED_NO_WEIGHTS, Method
+from homolog.matching import needs_features
+from homolog.pairs import MatcherSettings
 from homolog.serving import Limits, MatchCommand
 
 _AT_ONCE = min(2, os.cpu_count() or 1)
@@ -38,7 +39,7 @@ def serve(
     minutes: Annotated[float, typer.Option(help="How long a match may take.", min=0.01)] = 15.0,
     memory_gb: Annotated[float, typer.Option(help="Memory that a match may take, in GB.", min=0.1)] = 4.0,
     weights: Weights = None,
-    method: MethodOption = "auto",
+    method: strOption = "auto",
     device: DeviceOption = "auto",
     no_open: NoOpen = False,
     quiet: Quiet = False,
@@ -73,7 +74,7 @@ def serve(
         server.serve()
 
 
-def _options(weights: str | None, method: Method, device: str) -> tuple[str, ...]:
+def _options(weights: str | None, method: str, device: str) -> tuple[str, ...]:
     """What every match is told; its process runs elsewhere."""
     given = (f"--method={method}", f"--device={device}")
     if weights is None:
@@ -82,7 +83,7 @@ def _options(weights: str | None, method: Method, device: str) -> tuple[str, ...
     return (*given, f"--weights={place}")
 
 
-def _made_with(weights: str | None, method: Method) -> str:
-    if weights is None and method in NEED_NO_WEIGHTS:
+def _made_with(weights: str | None, method: str) -> str:
+    if weights is None and not needs_features(MatcherSettings(method=method)):
         return method
     return f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"

@@ -11,7 +11,8 @@ from homolog.cli.options import Quiet, check_folder
 from homolog.cli.progress import progress_bar, say
 from homolog.core.errors import ArgumentError
 from homolog.core.versions import versions
-from homolog.matching import Side, read_result
+from homolog.matching import Match
+from homolog.pairs import Side
 from homolog.transfer import (
     OWN_NAMES,
     TEXTURE_SIZE,
@@ -83,7 +84,7 @@ def transfer(
     files = [*(array or []), *(labels or []), *(landmarks or [])]
     check_names(files)
     side: Side = "target" if reverse else "source"
-    match = read_result(result)
+    match = Match.load(result)
     match = match.inverse() if reverse else match
     if checker and kinds:
         raise ArgumentError(f"--checker and --{kinds[0]} write the same files; give one at a time")

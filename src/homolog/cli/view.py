@@ -23,7 +23,7 @@ from homolog.cli.options import (
 from homolog.cli.progress import progress_bar
 from homolog.core.progress import Steps
 from homolog.datasets import read_truth
-from homolog.matching import MatchResult, read_result
+from homolog.matching import Match
 from homolog.viewing import (
     Layer,
     LiveView,
@@ -88,7 +88,7 @@ def view(
     if page is not None:
         check_file(page)
     check_picture_file(picture, lines, picture_width)
-    found = read_result(result)
+    found = Match.load(result)
     scene = scene_of(found, _layers(found, truth, weights, quiet=quiet))
     if picture is not None:
         write_picture(picture, scene, width=picture_width, lines=lines)
@@ -100,7 +100,7 @@ def view(
         typer.echo(page)
 
 
-def _layers(result: MatchResult, truth: tuple[Path, Path] | None, weights: str | None, *, quiet: bool) -> list[Layer]:
+def _layers(result: Match, truth: tuple[Path, Path] | None, weights: str | None, *, quiet: bool) -> list[Layer]:
     """What can be coloured by besides what is in the result."""
     layers = []
     if truth is not None:

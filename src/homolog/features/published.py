@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
@@ -124,14 +124,15 @@ def _info(path: Path, settings: NetworkSettings) -> FeatureInfo:
             "kernel signatures) and 128 (wave kernel signatures)"
         )
     kind = _INPUTS[settings.in_channels]
-    sizes = {"n_eigenpairs": _WKS_EIGENPAIRS, "map_eigenpairs": _WKS_EIGENPAIRS} if kind == "wks" else {}
-    return FeatureInfo(
+    info = FeatureInfo(
         name=path.stem,
         licence="as its authors state",
         input=kind,
         upright=kind == "xyz",
         laplacian="cotangent",
-        temperature=_WKS_TEMPERATURE if kind == "wks" else FeatureInfo.temperature,
         sha256=sha256(path),
-        **sizes,
     )
+    if kind != "wks":
+        return info
+    size = _WKS_EIGENPAIRS
+    return replace(info, n_eigenpairs=size, map_eigenpairs=size, temperature=_WKS_TEMPERATURE)

@@ -1,12 +1,14 @@
 """From two shapes to a match: the road (``Matcher``), its stages, and the result (``Match``)."""
 
 from homolog.matching.alignment import Alignment, align_partial, best_alignment
+from homolog.matching.choice import method_name, needs_features
 from homolog.matching.colours import matched_colours, position_colours
-from homolog.matching.match import Match, check_point_map
-from homolog.matching.match_files import RESULT_FILES, matched_name, read_point_map
+from homolog.matching.inputs import with_inputs
 from homolog.matching.matcher import Matcher, match
 from homolog.matching.quality import MEASURES, MapQuality, Quality
 from homolog.matching.refinement import refine
+from homolog.matching.result import Match, check_point_map
+from homolog.matching.result_files import RESULT_FILES, matched_name, read_point_map, write_folder
 from homolog.matching.warnings import low_confidence_warnings, unit_warnings
 
 __all__ = [
@@ -24,8 +26,12 @@ __all__ = [
     "match",
     "matched_colours",
     "matched_name",
+    "method_name",
+    "needs_features",
     "position_colours",
     "read_point_map",
     "refine",
     "unit_warnings",
+    "with_inputs",
+    "write_folder",
 ]

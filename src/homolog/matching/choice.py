@@ -42,6 +42,11 @@ def extractor_for(
     return on_device(given, device)
 
 
+def method_name(settings: MatcherSettings) -> str:
+    """What the method is called that settings ask for."""
+    return settings.method if isinstance(settings.method, str) else _named(settings.method).name
+
+
 def needs_features(settings: MatcherSettings) -> bool:
     """Whether the method compares features that it does not bring itself."""
     if settings.method == AUTO:

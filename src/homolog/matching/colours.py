@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 
 if TYPE_CHECKING:
-    from homolog.matching.match import Match
+    from homolog.matching.result import Match
 
 # What has no counterpart, or cannot be coloured, is grey.
 _NO_COLOUR = (160, 160, 160)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Steps
-from homolog.matching.match import Match
+from homolog.matching.result import Match
 from homolog.pairs import PairOptions, Side
 from homolog.shapes import Shape, read_hashed_shape
 
@@ -32,7 +33,7 @@ def options_of(options: PairOptions | None, words: dict[str, Any]) -> PairOption
         raise TypeError(f"match() got an unexpected keyword argument {unknown!r}") from None
 
 
-def read_inputs(source: Any, target: Any, steps: Steps) -> tuple[Shape, Shape, dict[Side, dict[str, str]]]:
+def read_inputs(source: Any, target: Any, steps: Steps) -> tuple[tuple[Shape, Shape], dict[Side, dict[str, str]]]:
     """Both shapes, read where they are paths, and which files they came from."""
     shapes: list[Shape] = []
     files: dict[Side, dict[str, str]] = {"source": {}, "target": {}}
@@ -40,16 +41,16 @@ def read_inputs(source: Any, target: Any, steps: Steps) -> tuple[Shape, Shape, d
     for side, shape in given.items():
         if isinstance(shape, str | PathLike):
             with steps.step(f"read {side}"):
-                shape, digest = read_hashed_shape(shape)
+                shape, digest = read_hashed_shape(Path(shape))
             files[side] = {"file": str(given[side]), "sha256": digest}
         check_kind(side, shape, Shape)
         shapes.append(shape)
-    return shapes[0], shapes[1], files
+    return (shapes[0], shapes[1]), files
 
 
-def with_inputs(match: Match, files: dict[Side, dict[str, str]], steps: Steps) -> Match:
+def with_inputs(match: Match, files: dict[Side, dict[str, str]], steps: Steps, *, adapt: int = 0) -> Match:
     """The match with the files that its shapes came from, and the seconds of its steps, in its report."""
     known = match.report["inputs"]
     inputs = {side: {**files[side], **known[side]} for side in files}
-    told = [asdict(step) for step in steps.finished]
-    return replace(match, report={**match.report, "inputs": inputs, "steps": told})
+    timed = [asdict(step) for step in steps.finished]
+    return replace(match, report={**match.report, "inputs": inputs, "adapt": adapt, "steps": timed})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,25 @@ from homolog.core.progress import Steps
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
 from homolog.geometry import OperatorCache, OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
-from homolog.matching.choice import check_supported, chosen_method, extractor_for, needs_features
+from homolog.matching.choice import check_supported, chosen_method, extractor_for, method_name, needs_features
 from homolog.matching.inputs import options_of, read_inputs, with_inputs
-from homolog.matching.match import Match
 from homolog.matching.orientation import pair_orientation_warnings
 from homolog.matching.refinement import refine
+from homolog.matching.result import Match
 from homolog.matching.warnings import blaming, low_confidence_warnings, unit_warnings
 from homolog.methods import AUTO, Method, as_method, find_method
-from homolog.pairs import Device, MatcherSettings, OperatorSource, Pair, PairOptions, Preprocessor, Side, choose_device
+from homolog.pairs import (
+    Device,
+    MatcherSettings,
+    OperatorSource,
+    Pair,
+    PairOptions,
+    PreprocessedShape,
+    Preprocessor,
+    Side,
+    choose_device,
+)
+from homolog.shapes import Modality
 
 
 class Matcher:
@@ -101,16 +112,26 @@ class Matcher:
         """A matcher that differs in its features alone."""
         return Matcher(extractor, settings=self.settings, device=self.device, operators=self.preprocess.source)
 
-    def method_for(self, pair: Pair) -> Method:
-        """How a pair is matched: ``functional-map`` for two near-isometric meshes, else ``nearest-features``.
+    def method_of(self, source: Modality, target: Modality) -> Method:
+        """How two shapes of these modalities are matched.
 
-        Where a method was chosen, or without features, it is that one.
+        By the method that was chosen; else by ``axiomatic`` without features, ``functional-map`` for two meshes of
+        near-isometric kind, and ``nearest-features`` otherwise.
         """
-        if not self._auto or self._method.name == "axiomatic":
+        if not self._auto or self.extractor is None or self._method.name == "axiomatic":
             return self._method
-        return as_method(
-            find_method("functional-map" if pair.are_meshes and pair.near_isometric else "nearest-features")
-        )
+        spectral = source == target == "mesh" and self.extractor.info.near_isometric
+        return as_method(find_method("functional-map" if spectral else "nearest-features"))
+
+    def describe(self) -> dict[str, Any]:
+        """Features, settings and device, for reports."""
+        settings = {**asdict(self.settings), "method": method_name(self.settings)}
+        info = None if self.extractor is None else asdict(self.extractor.info)
+        return {
+            "features": info,
+            "settings": {**settings, "operators": asdict(self.preprocess.settings)},
+            "device": str(self.device),
+        }
 
     def match(
         self,
@@ -154,17 +175,21 @@ class Matcher:
         steps = steps or Steps()
         options = options_of(options, words)
         check_supported(self._method, options)
-        *shapes, files = read_inputs(source, target, steps)
+        shapes, files = read_inputs(source, target, steps)
         pair = Pair.of(
             *shapes, self.preprocess, options=options, settings=self.settings, features=features, steps=steps
         )
         return pair, files
 
+    def paired(self, source: PreprocessedShape, target: PreprocessedShape, options: PairOptions | None = None) -> Pair:
+        """Two shapes that ``preprocess`` gave, as a pair."""
+        return Pair(source, target, options or PairOptions(), self.settings, self.extractor)
+
     @torch.no_grad()
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        method = self.method_for(pair)
+        method = self.method_of(pair.source.modality, pair.target.modality)
         check_supported(method, pair.options)
         pair = align_partial(pair)
         maps = method(pair)
@@ -177,7 +202,7 @@ class Matcher:
         with steps.step("map"), blaming(units):
             match = self.find(pair)
         with steps.step("check orientation"):
-            turned = pair_orientation_warnings(pair, self.method_for(pair).name)
+            turned = pair_orientation_warnings(pair, self.method_of(pair.source.modality, pair.target.modality).name)
             warnings = (*units, *turned, *low_confidence_warnings(match, self.settings.warnings))
         if pair.options.strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from homolog.core.errors import HomologError, ShapeError
 from homolog.geometry import surface_area
-from homolog.matching.match import Match
+from homolog.matching.result import Match
 from homolog.pairs import Pair, WarningSettings
 
 # Shares of the full shape's area that a partial shape may have. One of more than all can only be an estimate that is

@@ -16,7 +16,7 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import Route
 
 from homolog.core.errors import HomologError
-from homolog.matching import Side
+from homolog.pairs import Side
 from homolog.serving.command import VIEW, Wishes
 from homolog.serving.guard import Guard, Names
 from homolog.serving.jobs import ARCHIVE, Job, Jobs, RefusedError

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from homolog.core.errors import ArgumentError, bad_choice
-from homolog.matching import Side
+from homolog.pairs import Side
 from homolog.shapes import Up
 
 VIEW = "view.html"

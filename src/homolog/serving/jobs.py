@@ -20,7 +20,8 @@ from anyio.abc import TaskGroup
 
 from homolog.core.errors import HomologError
 from homolog.core.files import read_json
-from homolog.matching import RESULT_FILES, Side
+from homolog.matching import RESULT_FILES
+from homolog.pairs import Side
 from homolog.serving.addresses import household
 from homolog.serving.command import VIEW, MatchCommand, Wishes, complaint_of, side_of, step_of
 from homolog.serving.limits import Limits

@@ -50,9 +50,9 @@ def making(template_sha256: str, matcher: Matcher, settings: CollectionSettings)
     return {
         "template": {"sha256": template_sha256},
         "matching": asdict(settings),
-        "method": matcher.settings.method,
-        "weights": None if matcher.network is None else asdict(matcher.info),
-        "settings": {**asdict(matcher.settings), "operators": asdict(matcher.operator_settings)},
+        "method": matcher.describe()["settings"]["method"],
+        "features": matcher.describe()["features"],
+        "settings": matcher.describe()["settings"],
     }
 
 

@@ -22,7 +22,7 @@ from homolog.core.progress import Progress
 from homolog.datasets import Pair
 from homolog.geometry import Basis, Frame, Operators, unit_frame
 from homolog.maps import registered_positions
-from homolog.matching import OperatorSource
+from homolog.pairs import OperatorSource
 from homolog.shapes import Shape, repair
 from homolog.training.clouds import Cloud, cloud_variants, make_cloud
 from homolog.training.data import TrainingSet

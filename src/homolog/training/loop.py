@@ -22,7 +22,8 @@ from homolog.core.progress import Progress, no_progress
 from homolog.datasets import DatasetDescription
 from homolog.features import DiffusionNet
 from homolog.geometry import OperatorCache
-from homolog.matching import Device, Matcher, MatcherSettings, OperatorSource, choose_device
+from homolog.matching import Matcher
+from homolog.pairs import Device, MatcherSettings, OperatorSource, choose_device
 from homolog.training.bank import ShapeBank, TrainingPair, prefetched
 from homolog.training.data import TrainingSet
 from homolog.training.interrupts import Interrupts, deferred_interrupts

@@ -39,7 +39,7 @@ class LossSettings:
     Args:
         bijectivity: weight of the functional maps being each other's inverse.
         orthogonality: weight of their keeping areas. With 0, the weights are for shapes that are not nearly isometric:
-            see ``near_isometric`` of ``homolog.features.WeightsInfo``.
+            see ``near_isometric`` of ``homolog.features.FeatureInfo``.
         alignment: weight of the soft map of the clouds agreeing with the functional map of the meshes, per sample as
             if there were 5,000 of them.
         infonce: weight of a cloud's features resembling those of its own mesh.

@@ -17,7 +17,7 @@ import torch
 from homolog.core.errors import ArgumentError
 from homolog.core.files import made_folder, sha256, write_json
 from homolog.core.versions import versions
-from homolog.features import WeightsInfo, save_weights
+from homolog.features import FeatureInfo, save_weights
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
 from homolog.training.recipe import Recipe
@@ -133,9 +133,9 @@ class RunFolder:
         return hashlib.sha256(json.dumps(described).encode()).hexdigest()
 
 
-def weights_info(recipe: Recipe) -> WeightsInfo:
+def weights_info(recipe: Recipe) -> FeatureInfo:
     """What one must know to use the weights of a training."""
-    return WeightsInfo(
+    return FeatureInfo(
         name=recipe.name,
         licence=recipe.licence,
         upright=recipe.augmentation.turn != "any",

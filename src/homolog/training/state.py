@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from homolog.core.errors import WeightsError
-from homolog.features import DiffusionNet, WeightsInfo, load_weights
+from homolog.features import DiffusionNet, FeatureInfo, load_weights
 from homolog.training.recipe import OptimiserSettings, Recipe
 
 _log = logging.getLogger(__name__)
@@ -96,9 +96,10 @@ class TrainingState:
         return network
 
 
-def _pretrained(recipe: Recipe, weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
+def _pretrained(recipe: Recipe, weights: str | Path) -> tuple[DiffusionNet, FeatureInfo]:
     """The recipe's network with weights from a file, and what these are; dropout has none, and may differ."""
-    trained, info = load_weights(weights)
+    pretrained = load_weights(weights)
+    trained, info = pretrained.network, pretrained.info
     theirs = {**asdict(trained.settings), "dropout": recipe.network.dropout}
     for name, wanted in asdict(recipe.network).items():
         if theirs[name] != wanted:
@@ -112,7 +113,7 @@ def _pretrained(recipe: Recipe, weights: str | Path) -> tuple[DiffusionNet, Weig
     return network, info
 
 
-def _warn_of_differences(recipe: Recipe, info: WeightsInfo) -> None:
+def _warn_of_differences(recipe: Recipe, info: FeatureInfo) -> None:
     """Say where a recipe departs from what the weights that it begins with were trained with, or are given under."""
     for name, wanted in asdict(recipe.operators).items():
         if getattr(info, name) != wanted:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int, Num, UInt8
 
 from homolog.core.errors import ArgumentError
-from homolog.matching import MatchResult
+from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer.appearance import Appearance, Checkerboard
 from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, painted, unwrapped
@@ -28,8 +28,8 @@ class Carrier:
             result's own.
     """
 
-    def __init__(self, result: MatchResult, *, source: Shape | None = None) -> None:
-        self.found = result.found
+    def __init__(self, result: Match, *, source: Shape | None = None) -> None:
+        self.found = result
         self.source = PlaceFinder(result.source if source is None else source)
         self.target = PlaceFinder(result.target)
 

@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, cloud_laplacian, mesh_laplacian, unit
-from homolog.matching import Correspondence
+from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer.places import PlaceFinder, ShapePlaces
 
@@ -106,7 +106,7 @@ class SurfaceMap:
         return self.start.repaired.to_original(self.turned * laid.vertex_normals, fill=0.0)
 
 
-def surface_map(start: Shape | PlaceFinder, goal: Shape | PlaceFinder, found: Correspondence) -> SurfaceMap:
+def surface_map(start: Shape | PlaceFinder, goal: Shape | PlaceFinder, found: Match) -> SurfaceMap:
     """Make a smooth map between surfaces of the point maps between their points.
 
     Args:
@@ -138,7 +138,7 @@ class _Pairs:
     weights: Float[np.ndarray, " p"]
 
 
-def _pairs(start: PlaceFinder, goal: PlaceFinder, found: Correspondence) -> _Pairs:
+def _pairs(start: PlaceFinder, goal: PlaceFinder, found: Match) -> _Pairs:
     """The pairs of both directions, those of each adding up to a weight of at most one."""
     for finder, indices, other in (
         (start, found.source_to_target, goal),

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from homolog.matching import MatchResult, Side, matched_colours
+from homolog.matching import Match, matched_colours
+from homolog.pairs import Side
 from homolog.viewing.colours import GOOD_TO_BAD, LOW_TO_HIGH, Ramp, principal_colours
 
 _ERROR_SHARE = 0.95
@@ -32,16 +33,16 @@ class Layer:
     values: dict[Side, Float[np.ndarray, " n"]] | None = None
 
 
-def matched_layer(result: MatchResult) -> Layer:
+def matched_layer(result: Match) -> Layer:
     """The colours that a result's files have: the same one on points that were matched."""
-    source, target = matched_colours(result.source, result.found)
+    source, target = matched_colours(result)
     note = "The same colour marks the same point. Grey: no counterpart."
-    return Layer("Correspondence", note, {"source": source, "target": target})
+    return Layer("Match", note, {"source": source, "target": target})
 
 
-def confidence_layer(result: MatchResult) -> Layer:
+def confidence_layer(result: Match) -> Layer:
     """How far each point's match can be trusted; grey where it has none."""
-    found = result.found
+    found = result
     values: dict[Side, np.ndarray] = {
         "source": np.where(found.source_to_target >= 0, found.source_confidence, np.nan),
         "target": np.where(found.target_to_source >= 0, found.target_confidence, np.nan),

@@ -15,7 +15,7 @@ import trimesh
 from jaxtyping import Float, UInt8
 
 from homolog.core.errors import needs_extra
-from homolog.matching import Side
+from homolog.pairs import Side
 from homolog.viewing.addresses import address_of, free_port
 from homolog.viewing.colours import HIDDEN, Ramp
 from homolog.viewing.layers import Layer

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,15 +11,15 @@ from scipy.spatial import KDTree
 from homolog.core.progress import Steps
 from homolog.datasets import Truth
 from homolog.evaluation import geodesic_errors
-from homolog.matching import Matcher, MatchResult, Side
+from homolog.matching import Match, Matcher
+from homolog.pairs import PairOptions, Side
 from homolog.shapes import Shape
-from homolog.viewing.scene import SIDES
 
 # How far, in diagonals of the bounding box, a point takes its error from the nearest point that the truth names.
 _REACH = 0.03
 
 
-def map_errors(result: MatchResult, truth: Truth) -> tuple[dict[Side, Float[np.ndarray, " n"]], str]:
+def map_errors(result: Match, truth: Truth) -> tuple[dict[Side, Float[np.ndarray, " n"]], str]:
     """The error of each point's match, and the unit: that of the source's points on the target, and the reverse.
 
     Between two meshes it is geodesic, in hundredths of the square root of the area of the shape that it is measured on;
@@ -31,7 +31,7 @@ def map_errors(result: MatchResult, truth: Truth) -> tuple[dict[Side, Float[np.n
         result: the match.
         truth: which point of the source each point of the target truly is.
     """
-    found = result.found
+    found = result
     geodesic = result.source.faces is not None and result.target.faces is not None
     sides: dict[Side, np.ndarray] = {
         "source": _errors(
@@ -83,30 +83,18 @@ def _diagonal(points: Float[np.ndarray, "n 3"]) -> float:
 
 
 def pair_features(
-    result: MatchResult, matcher: Matcher, *, steps: Steps | None = None
+    result: Match, matcher: Matcher, *, steps: Steps | None = None
 ) -> tuple[Float[np.ndarray, "n_source d"], Float[np.ndarray, "n_target d"]]:
     """The features of a result's shapes, prepared as the report says that they were; NaN for points left out.
 
     Raises:
-        ArgumentError, ShapeError: as ``Matcher.prepare_pair`` does.
+        ArgumentError, ShapeError: as ``Matcher.pair`` does.
     """
-    options = _options(result.report)
-    ups = options.pop("up")
-    pair = matcher.prepare_pair(
-        result.source, result.target, **options, source_up=ups["source"], target_up=ups["target"], steps=steps
+    given = result.report.get("options", {})
+    options = {field.name: given[field.name] for field in fields(PairOptions) if field.name in given}
+    pair, _ = matcher.pair(result.source, result.target, **{**options, "strict": False}, steps=steps)
+    source, target = (
+        shape.repaired.to_original(shape.needed_features().float().cpu().numpy())
+        for shape in (pair.source, pair.target)
     )
-    source, target = (side.repaired.to_original(side.features.float().cpu().numpy()) for side in pair)
     return source, target
-
-
-def _options(report: dict[str, Any]) -> dict[str, Any]:
-    """How the shapes were prepared for their match; a match without options was made with the usual ones."""
-    given = report.get("options", {})
-    usual = {
-        "as_cloud": None,
-        "partial": None,
-        "partial_scale": 1.0,
-        "pre_aligned": False,
-        "up": dict.fromkeys(SIDES, "y"),
-    }
-    return {name: given.get(name, value) for name, value in usual.items()}

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 
 from homolog.core.arguments import is_number
 from homolog.core.errors import ArgumentError, bad_value, needs_extra
-from homolog.matching import Side
+from homolog.pairs import Side
 from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
 from homolog.viewing.png import write_png
 from homolog.viewing.scene import SIDES, Body, Scene, Shown

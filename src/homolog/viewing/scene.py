@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.spatial import KDTree
 
-from homolog.matching import MatchResult, Side, matched_name
+from homolog.matching import Match, matched_name
+from homolog.pairs import Side
 from homolog.shapes import Shape, stand_upright
 from homolog.viewing.colours import HIDDEN
 from homolog.viewing.layers import Layer, confidence_layer, matched_layer
@@ -185,7 +186,7 @@ def _index(entry: np.integer[Any]) -> int | None:
     return int(entry) if entry >= 0 else None
 
 
-def scene_of(result: MatchResult, layers: Sequence[Layer] = ()) -> Scene:
+def scene_of(result: Match, layers: Sequence[Layer] = ()) -> Scene:
     """Lay out a result: shapes upright and side by side, coloured by the match and by its confidence.
 
     A part keeps its size beside its whole. Other shapes do, too, unless one is more than three times as large.
@@ -201,11 +202,11 @@ def scene_of(result: MatchResult, layers: Sequence[Layer] = ()) -> Scene:
     scales = _scales(radii, options)
     placed = {side: centred[side] * scales[side] for side in SIDES}
     bodies = {side: _body(result, side, placed) for side in SIDES}
-    return Scene(bodies, (matched_layer(result), confidence_layer(result), *layers), result.found.route)
+    return Scene(bodies, (matched_layer(result), confidence_layer(result), *layers), result.method)
 
 
 def _upright(shape: Shape, options: dict[str, Any], side: Side) -> Float[np.ndarray, "n 3"]:
-    return stand_upright(shape, options.get("up", {}).get(side, "y")).points
+    return stand_upright(shape, options.get(f"{side}_up", "y")).points
 
 
 def _middle(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " 3"]:
@@ -225,8 +226,8 @@ def _scales(radii: dict[Side, float], options: dict[str, Any]) -> dict[Side, flo
     return {side: scale / largest for side, scale in scales.items()}
 
 
-def _body(result: MatchResult, side: Side, placed: dict[Side, Float[np.ndarray, "n 3"]]) -> Body:
-    shape, found, points = getattr(result, side), result.found, placed[side]
+def _body(result: Match, side: Side, placed: dict[Side, Float[np.ndarray, "n 3"]]) -> Body:
+    shape, found, points = getattr(result, side), result, placed[side]
     apart = (sum(np.ptp(points[:, 0]) for points in placed.values()) / 2 + _GAP) / 2
     return Body(
         title=matched_name(result.report, side, otherwise=shape.name),

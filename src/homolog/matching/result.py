@@ -18,7 +18,7 @@ from homolog.core.errors import ArgumentError, DataError
 from homolog.core.versions import versions
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import confidence, overlap
-from homolog.matching import match_files
+from homolog.matching import result_files
 from homolog.matching.quality import MapQuality, quality
 from homolog.pairs import SIDES, Pair, PointMaps, PreprocessedShape, Side
 from homolog.shapes import Shape, repair
@@ -185,7 +185,8 @@ class Match:
         weight = target.mass[known].double().sqrt()[:, None]
         phi_target = weight * target.eigenvectors[known].double()
         carried = weight * source.eigenvectors[torch.from_numpy(mapped[known])].double()
-        return torch.linalg.lstsq(phi_target, carried).solution.numpy()
+        found_map: np.ndarray = torch.linalg.lstsq(phi_target, carried).solution.numpy()
+        return found_map
 
     def save(self, path: str | Path, *, base: int | None = None, direction: str = "target_to_source") -> list[Path]:
         """Write the match: a result folder, or one file.
@@ -217,8 +218,8 @@ class Match:
             ArgumentError: if there is no such format, or the path cannot be written to.
         """
         if Path(path).suffix and not Path(path).is_dir():
-            return [match_files.write_maps(path, self, base=base, direction=direction)]
-        return match_files.write_folder(path, self)
+            return [result_files.write_maps(path, self, base=base, direction=direction)]
+        return result_files.write_folder(path, self)
 
     @classmethod
     def load(cls, folder: str | Path) -> Match:
@@ -228,7 +229,7 @@ class Match:
             DataError: if one of its files is missing, damaged, or does not fit the others.
             ShapeError: if a shape cannot be read.
         """
-        stored = match_files.read_folder(folder)
+        stored = result_files.read_folder(folder)
         try:
             return cls(**stored)
         except ArgumentError as error:
@@ -289,7 +290,8 @@ def check_point_map(name: str, indices: Any, *, n_points: int, n_others: int) ->
         raise ArgumentError(
             f"{name} holds {wrong}, but must hold indices of the other shape, 0 to {n_others - 1}, or -1 for none"
         )
-    return indices.astype(np.int64, copy=False)
+    found: np.ndarray = indices.astype(np.int64, copy=False)
+    return found
 
 
 def _check_maps(pair: Pair, maps: PointMaps, method: str) -> None:

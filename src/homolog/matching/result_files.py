@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import asdict, replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 from zipfile import BadZipFile
@@ -14,12 +15,13 @@ from jaxtyping import Int
 
 from homolog.core.errors import ArgumentError, DataError, bad_choice
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, write_json
+from homolog.core.progress import Steps
 from homolog.matching.colours import matched_colours
 from homolog.pairs import SIDES, Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
 
 if TYPE_CHECKING:
-    from homolog.matching.match import Match
+    from homolog.matching.result import Match
 
 MAPS, REPORT = "correspondence.npz", "report.json"
 RESULT_FILES = (MAPS, "source.ply", "target.ply", REPORT)
@@ -31,7 +33,7 @@ _DIRECTIONS = ("target_to_source", "source_to_target")
 _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
 
 
-def write_folder(folder: str | Path, match: Match) -> list[Path]:
+def write_folder(folder: str | Path, match: Match, *, steps: Steps | None = None) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
     The shapes are as given, point by point, coloured so that the same colour means the same point; so that any program
@@ -39,17 +41,25 @@ def write_folder(folder: str | Path, match: Match) -> list[Path]:
     four files land together once all are written; on an error or an interrupt an earlier result stays as it was. Other
     files are left alone.
 
+    Args:
+        folder: where to.
+        match: what to write.
+        steps: what was done before; the report tells of these, and of the writing of the other files as one more.
+
     Raises:
         ArgumentError: if the folder cannot be made or written to.
     """
     folder = made_folder(folder)
     paths = [folder / name for name in RESULT_FILES]
     with all_or_nothing():
-        source_colours, target_colours = matched_colours(match)
-        write_maps(paths[0], match)
-        write_shape(paths[1], drawable(match.source), colours=source_colours)
-        write_shape(paths[2], drawable(match.target), colours=target_colours)
-        told = {"method": match.method, "warnings": list(match.warnings)}
+        with (steps or Steps()).step("write"):
+            source_colours, target_colours = matched_colours(match)
+            write_maps(paths[0], match)
+            write_shape(paths[1], drawable(match.source), colours=source_colours)
+            write_shape(paths[2], drawable(match.target), colours=target_colours)
+        told: dict[str, Any] = {"method": match.method, "warnings": list(match.warnings)}
+        if steps is not None:
+            told["steps"] = [asdict(step) for step in steps.finished]
         write_json(paths[3], {**match.report, **told})
     return paths
 
@@ -66,11 +76,10 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
         if not (root / name).is_file():
             raise DataError(f"{folder} has no {name}, so that it is no result; give a folder that homolog match wrote")
     report = _read_report(root / REPORT)
-    shapes = {side: _read_shape(root, report, side) for side in SIDES}
-    maps = _read_arrays(root / MAPS)
     return {
-        **shapes,
-        **maps,
+        "source": _read_shape(root, report, "source"),
+        "target": _read_shape(root, report, "target"),
+        **_read_arrays(root / MAPS),
         "method": report["method"],
         "warnings": tuple(report["warnings"]),
         "report": report,
@@ -83,7 +92,7 @@ def _read_shape(root: Path, report: dict[str, Any], side: Side) -> Shape:
     return replace(shape, name=matched_name(report, side, otherwise=shape.name))
 
 
-def matched_name(report: dict[str, Any], side: Side, *, otherwise: str) -> str:
+def matched_name(report: Mapping[str, Any], side: Side, *, otherwise: str) -> str:
     """The name of the file that was matched, where the report of a match tells it."""
     given = report.get("inputs", {}).get(side, {})
     return PurePath(given.get("file", given.get("name", otherwise))).name
@@ -91,7 +100,7 @@ def matched_name(report: dict[str, Any], side: Side, *, otherwise: str) -> str:
 
 def _read_report(path: Path) -> dict[str, Any]:
     try:
-        report = json.loads(path.read_text(encoding="utf-8"))
+        report: Any = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"{path} cannot be read as the report of a match ({error}); match again") from None
     known = isinstance(report, dict) and isinstance(report.get("method"), str)
@@ -101,7 +110,7 @@ def _read_report(path: Path) -> dict[str, Any]:
     warnings = report.setdefault("warnings", [])
     if not isinstance(warnings, list) or not all(isinstance(warning, str) for warning in warnings):
         raise DataError(f"{path} is not the report of a match; match again")
-    return report
+    return dict(report)
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
