@@ -81,8 +81,8 @@ def evaluate(
         Path | None,
         typer.Option(
             metavar="DIR",
-            help="Score point maps that another program computed: a file per pair, SOURCE_TARGET.txt (.vts, .map, .mat, "
-            ".npz), with the source point of each target point. No weights are used.",
+            help="Score point maps that another program computed: a file per pair, SOURCE_TARGET.txt (.vts, .map, "
+            ".mat, .npz), with the source point of each target point. No weights are used.",
         ),
     ] = None,
     base: Annotated[

@@ -39,7 +39,7 @@ def serve(
     minutes: Annotated[float, typer.Option(help="How long a match may take.", min=0.01)] = 15.0,
     memory_gb: Annotated[float, typer.Option(help="Memory that a match may take, in GB.", min=0.1)] = 4.0,
     weights: Weights = None,
-    method: strOption = "auto",
+    method: MethodOption = "auto",
     device: DeviceOption = "auto",
     no_open: NoOpen = False,
     quiet: Quiet = False,
