@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from homolog.core.arguments import check_finite, check_indices, is_real
 from homolog.core.arrays import takes_arrays, takes_arrays_of_any_precision
@@ -66,34 +65,66 @@ def functional_map(
     if not (is_real(regularisation) and regularisation >= 0):
         raise bad_value("regularisation", regularisation, "a finite number of at least 0")
     a, b, penalty = coefficients_x.double(), coefficients_y.double(), regularisation * mask.double()
-    solved: Tensor = _Solve.apply(a @ a.mT, penalty, b @ a.mT)  # type: ignore[no-untyped-call]
-    return solved.to(coefficients_x.dtype)
+    rows: Tensor = _Solve.apply(a @ a.mT, penalty, b @ a.mT, None)[0]  # type: ignore[no-untyped-call]
+    return rows.to(coefficients_x.dtype)
 
 
 class _Solve(torch.autograd.Function):
-    """The rows c_i of (gram + diag(penalty_i)) c_i = right_i; their derivative solves the same systems once more."""
+    """The rows c_i of (gram + diag(penalty_i)) c_i = right_i, and the Cholesky factors of these systems.
+
+    The derivative solves the same systems once more, with the factors that are there; it can be derived again. So
+    ``torch.func.grad``, ``jacrev`` and ``vmap`` work; for forward mode there is ``homolog.maps.reference``.
+    """
 
     @staticmethod
-    def forward(ctx: Any, gram: Tensor, penalty: Tensor, right: Tensor) -> Tensor:
-        systems = gram[..., None, :, :].repeat_interleave(penalty.shape[-2], dim=-3)
-        diagonal = systems.diagonal(dim1=-2, dim2=-1).add_(penalty)
-        factors, failed = torch.linalg.cholesky_ex(systems)
-        # By rounding, a singular matrix can have a last pivot above zero, up to some 1e-11 of its diagonal.
-        pivots = factors.diagonal(dim1=-2, dim2=-1).square()
-        singular = pivots <= _SMALLEST_PIVOT * diagonal
-        # A matrix product with the features of y spreads what is not finite in either: one small pass finds both.
-        if bool(failed.any() or singular.any() or not right.isfinite().all()):
-            raise _unsolvable(penalty, right)
-        rows = _solved(factors, right)
-        ctx.save_for_backward(factors, rows)
-        return rows
+    def forward(gram: Tensor, penalty: Tensor, right: Tensor, factors: Tensor | None) -> tuple[Tensor, Tensor]:
+        factors = _factors(gram, penalty, right) if factors is None else factors.view_as(factors)
+        return _solved(factors, right), factors
 
     @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        factors, rows = ctx.saved_tensors
-        right_grad = _solved(factors, grad)
-        return -right_grad.mT @ rows, -right_grad * rows, right_grad
+    def setup_context(ctx: Any, inputs: tuple[Tensor | None, ...], output: tuple[Tensor, Tensor]) -> None:
+        rows, factors = output
+        ctx.mark_non_differentiable(factors)
+        ctx.set_materialize_grads(False)
+        ctx.save_for_backward(*inputs[:2], rows, factors)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor | None, _: None) -> tuple[Tensor | None, ...]:
+        if grad is None:
+            return None, None, None, None
+        gram, penalty, rows, factors = ctx.saved_tensors
+        right_grad, _ = _Solve.apply(gram, penalty, grad, factors)  # type: ignore[no-untyped-call]
+        return -right_grad.mT @ rows, -right_grad * rows, right_grad, None
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[int | None, ...], *inputs: Tensor | None) -> tuple[Any, tuple[int, int]]:
+        """Solve the systems of all members of a batch together, with the batch as the first dimension."""
+        cores = (2, 2, 2, 3)  # dimensions behind any batch: of gram, penalty, right and factors
+        given = [each for each in zip(inputs, in_dims, cores, strict=True) if each[0] is not None]
+        most = max(tensor.ndim - (at is not None) - core for tensor, at, core in given)
+        batched = []
+        for tensor, at, core in given:
+            first = tensor[None] if at is None else tensor.movedim(at, 0)
+            padded = first[(slice(None), *[None] * (1 + most + core - first.ndim))]
+            batched.append(padded.expand(info.batch_size, *padded.shape[1:]))
+        return _Solve.apply(*batched, *[None] * (4 - len(batched))), (0, 0)  # type: ignore[no-untyped-call]
+
+
+def _factors(
+    gram: Float[Tensor, "*batch k k"], penalty: Float[Tensor, "*batch j k"], right: Float[Tensor, "*batch j k"]
+) -> Float[Tensor, "*batch j k k"]:
+    """Cholesky factors of gram + diag(penalty_i) for each row i; an error where a system is singular or not finite."""
+    batch = torch.broadcast_shapes(gram.shape[:-2], penalty.shape[:-2])
+    systems = gram.expand(*batch, *gram.shape[-2:])[..., None, :, :].repeat_interleave(penalty.shape[-2], dim=-3)
+    diagonal = systems.diagonal(dim1=-2, dim2=-1).add_(penalty)
+    factors, failed = torch.linalg.cholesky_ex(systems)
+    # By rounding, a singular matrix can have a last pivot above zero, up to some 1e-11 of its diagonal.
+    pivots = factors.diagonal(dim1=-2, dim2=-1).square()
+    singular = pivots <= _SMALLEST_PIVOT * diagonal
+    # A matrix product with the features of y spreads what is not finite in either: one small pass finds both.
+    if bool(failed.any() or singular.any() or not right.isfinite().all()):
+        raise _unsolvable(penalty, right)
+    return factors
 
 
 def _unsolvable(penalty: Tensor, right: Tensor) -> ArgumentError:
