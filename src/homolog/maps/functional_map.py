@@ -100,7 +100,7 @@ class _Solve(torch.autograd.Function):
     def vmap(info: Any, in_dims: tuple[int | None, ...], *inputs: Tensor | None) -> tuple[Any, tuple[int, int]]:
         """Solve the systems of all members of a batch together, with the batch as the first dimension."""
         cores = (2, 2, 2, 3)  # dimensions behind any batch: of gram, penalty, right and factors
-        given = [each for each in zip(inputs, in_dims, cores, strict=True) if each[0] is not None]
+        given = [(t, at, core) for t, at, core in zip(inputs, in_dims, cores, strict=True) if t is not None]
         most = max(tensor.ndim - (at is not None) - core for tensor, at, core in given)
         batched = []
         for tensor, at, core in given:
@@ -114,9 +114,10 @@ def _factors(
     gram: Float[Tensor, "*batch k k"], penalty: Float[Tensor, "*batch j k"], right: Float[Tensor, "*batch j k"]
 ) -> Float[Tensor, "*batch j k k"]:
     """Cholesky factors of gram + diag(penalty_i) for each row i; an error where a system is singular or not finite."""
-    batch = torch.broadcast_shapes(gram.shape[:-2], penalty.shape[:-2])
+    batch = torch.broadcast_shapes(gram.shape[:-2], penalty.shape[:-2])  # type: ignore[no-untyped-call]
     systems = gram.expand(*batch, *gram.shape[-2:])[..., None, :, :].repeat_interleave(penalty.shape[-2], dim=-3)
     diagonal = systems.diagonal(dim1=-2, dim2=-1).add_(penalty)
+    factors: Tensor
     factors, failed = torch.linalg.cholesky_ex(systems)
     # By rounding, a singular matrix can have a last pivot above zero, up to some 1e-11 of its diagonal.
     pivots = factors.diagonal(dim1=-2, dim2=-1).square()
