@@ -17,6 +17,7 @@ CORE = {
     "core.errors": set(),
     "core.versions": set(),
     "core.progress": set(),
+    "core.reprs": set(),
     "core.arguments": {"core.errors"},
     "core.memory": {"core.errors", "core.arguments"},
     "core.arrays": {"core.errors"},

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from homolog.core.arrays import Array, takes_arrays
 from homolog.core.memory import row_tiles
+from homolog.core.reprs import short_repr
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class Nearest(Generic[Array]):
 
     index: Int[Array, " n"]
     value: Float[Array, " n"]
+
+    __repr__ = short_repr
 
 
 @takes_arrays

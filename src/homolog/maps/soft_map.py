@@ -11,6 +11,7 @@ from torch import Tensor
 
 from homolog.core.arguments import check_finite
 from homolog.core.arrays import Array, takes_arrays
+from homolog.core.reprs import short_repr
 from homolog.maps.nearest import ColumnArgmax, row_argmax
 from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, balance
 
@@ -30,6 +31,8 @@ class SoftMatches(Generic[Array]):
     x_to_y: Int[Array, " n_x"]
     row_scaling: Float[Array, " n_y"]
     column_scaling: Float[Array, " n_x"]
+
+    __repr__ = short_repr
 
 
 @takes_arrays
