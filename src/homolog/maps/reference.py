@@ -28,6 +28,7 @@ def soft_map(
     of ``sinkhorn_matches`` and of the soft maps in the losses.
 
     Example:
+        >>> import torch
         >>> from homolog.maps import reference, sinkhorn_matches
         >>> features = torch.randn(50, 8, generator=torch.Generator().manual_seed(0))
         >>> soft = reference.soft_map(features[:30], features)
@@ -51,9 +52,10 @@ def functional_map(
     """Functional map with a mask: argmin over C of |C A - B|^2 + regularisation * sum_ij mask_ij C_ij^2.
 
     Each row c_i solves (A A^T + regularisation * diag(mask_i)) c_i = A b_i (Donati, Sharma and Ovsjanikov, "Deep
-    geometric functional maps", CVPR 2020, section 4.2). The reference of ``homolog.maps.functional_map``.
+    geometric functional maps", CVPR 2020). The reference of ``homolog.maps.functional_map``.
 
     Example:
+        >>> import torch
         >>> from homolog.maps import reference
         >>> a = torch.eye(3)
         >>> reference.functional_map(a, 2 * a, torch.ones(3, 3), regularisation=1.0).diagonal()
@@ -74,6 +76,7 @@ def resolvent_mask(
     in complex numbers. The reference of ``homolog.maps.resolvent_mask``.
 
     Example:
+        >>> import torch
         >>> from homolog.maps import reference
         >>> reference.resolvent_mask(torch.tensor([0.0, 4.0]), torch.tensor([0.0, 4.0]))
         tensor([[0.0000, 0.5000],

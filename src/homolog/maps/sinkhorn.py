@@ -2,8 +2,8 @@
 
 With the logits L = F_y F_x^T, the soft map is P_ij = exp(L_ij + f_i + g_j). Only the logarithms of the scalings, f and
 g, are iterated: the columns g = -log sum_i exp(L_ij + f_i) first and the rows f likewise last (Sinkhorn 1967; Cuturi,
-"Sinkhorn distances", 2013). No more than one n x n array is ever held, and none where it does not fit the working
-memory.
+"Sinkhorn distances", 2013). At most one n_y x n_x array is held, and none where it does not fit the working memory.
+The readable reference is ``homolog.maps.reference.soft_map``.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ class Kernel:
     def logits(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
         """Row tiles of L; each is to be used before the next is asked for, and may be written to."""
         tiles = list(self._slices())
-        # One place for all tiles: fresh memory costs as much as the products themselves.
+        # One buffer for all tiles: fresh memory costs as much as the products themselves.
         scratch = self.left.new_empty(tiles[0].stop if tiles else 0, self.right.shape[1])
         for rows in tiles:
             yield rows, torch.mm(self.left[rows], self.right, out=scratch[: rows.stop - rows.start])
@@ -201,15 +201,31 @@ def carried_over(
     temperature: float = TEMPERATURE,
     iterations: int = ITERATIONS,
 ) -> Float[Tensor, "n_y k"]:
-    """Functions on x carried to y by the soft map P_yx = Sinkhorn(F_y F_x^T / temperature): P_yx times the functions.
+    """Transfer of functions by a soft map: P_yx times functions on x, with P_yx = Sinkhorn(F_y F_x^T / temperature).
 
     Differentiable in the features. The derivative is taken iteration by iteration, with the scalings as the only thing
-    kept, and the kernel made anew: one array of n_y x n_x at most, where unrolled iterations hold twenty.
+    kept, and the kernel made anew: one array of n_y x n_x at most, where unrolled iterations hold twenty. New here.
     ``torch.func.grad`` and ``vmap`` work, the latter member by member; second derivatives and forward mode are for
     ``homolog.maps.reference.soft_map``.
 
+    Args:
+        features_y: of unit length per point (n_y, d).
+        features_x: likewise (n_x, d).
+        functions_x: what is transferred, not differentiated (n_x, k).
+        temperature: above 0.
+        iterations: of both normalisations.
+
+    Returns:
+        The functions on y (n_y, k).
+
     Raises:
         ArgumentError: if the temperature or the number of iterations is not positive.
+
+    Example:
+        >>> import torch
+        >>> from homolog.maps.sinkhorn import carried_over
+        >>> carried_over(torch.eye(3), torch.eye(3), torch.ones(3, 1)).round(decimals=4).flatten()
+        tensor([1., 1., 1.])
     """
     return _CarriedOver.apply(features_y, features_x, functions_x, temperature, iterations)[0]  # type: ignore[no-untyped-call,no-any-return]
 
