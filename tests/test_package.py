@@ -21,7 +21,7 @@ CORE = {
     "core.memory": {"core.errors", "core.arguments"},
     "core.arrays": {"core.errors"},
     "core.files": {"core.errors"},
-    "core.tables": {"core.errors"},
+    "core.settings": {"core.errors"},
     "core.tensors": {"core.files"},
     "core.folders": {"core.errors", "core.files"},
     "core.tasks": {"core.errors", "core.progress"},
