@@ -12,16 +12,17 @@ from typing import Any
 
 import torch
 from safetensors import safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import WeightsError
-from homolog.core.files import atomic_path, expanded, sha256
+from homolog.core.files import expanded, sha256
+from homolog.core.tensors import write_tensors
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
 from homolog.geometry import CLOUD_NEIGHBOURS, LaplacianKind
 
-_FORMAT = "homolog-weights-1"
+# The format's name ends in its version, which grows when files can no longer be read by what read them before.
+_FORMAT, _VERSION = "homolog-weights-", 1
 _PRETRAINED = Path(__file__).parent / "pretrained"
 
 DEFAULT_WEIGHTS = "people"
@@ -43,6 +44,7 @@ class WeightsInfo:
         partial: whether it was trained on parts with their complete shapes.
         near_isometric: whether surfaces were taken to bend without stretching much: maps between meshes are then
             functional maps, and all maps are refined as such. Where not, features alone say what goes where.
+        temperature: of the soft map that it was trained with.
         sha256: hash of the file; empty before it is saved.
     """
 
@@ -55,15 +57,22 @@ class WeightsInfo:
     map_eigenpairs: int = 80
     partial: bool = False
     near_isometric: bool = True
+    temperature: float = 0.1
     sha256: str = field(default="", compare=False)
 
 
 def save_weights(path: str | Path, network: DiffusionNet, info: WeightsInfo) -> None:
-    """Write a network as safetensors, its settings and ``info`` in the header. Written whole or not at all."""
-    described = {"format": _FORMAT, "settings": json.dumps(asdict(network.settings)), "info": json.dumps(asdict(info))}
-    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    with atomic_path(path) as temporary:
-        save_file(tensors, temporary, metadata=described)
+    """Write a network as safetensors, its settings and ``info`` in the header. Written whole or not at all.
+
+    The same network and ``info`` give the same bytes.
+    """
+    described = {name: value for name, value in asdict(info).items() if name != "sha256"}
+    notes = {
+        "format": f"{_FORMAT}{_VERSION}",
+        "settings": json.dumps(asdict(network.settings), sort_keys=True),
+        "info": json.dumps(described, sort_keys=True),
+    }
+    write_tensors(path, network.state_dict(), notes)
 
 
 def load_weights(weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
@@ -106,10 +115,17 @@ def _read_own(path: Path) -> _Contents:
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     if "progress" in described:
         raise WeightsError(f"{path} is a checkpoint, to go on training from; give the weights.safetensors beside it")
-    if described.get("format") != _FORMAT:
+    name, version = described.get("format", "").rpartition("-")[::2]
+    if f"{name}-" != _FORMAT or not version.isdecimal():
         raise WeightsError(f"{path} is a safetensors file, but not one that homolog wrote")
-    settings = NetworkSettings(**_known(NetworkSettings, json.loads(described["settings"])))
-    info = _known(WeightsInfo, json.loads(described["info"]))
+    if int(version) > _VERSION:
+        raise WeightsError(
+            f"{path} has version {version} of the weights' format, but this homolog reads up to {_VERSION}; "
+            "install a newer homolog"
+        )
+    settings = NetworkSettings(**_known(json.loads(described["settings"])))
+    known = {f.name for f in fields(WeightsInfo)}
+    info = {name: value for name, value in json.loads(described["info"]).items() if name in known}
     return settings, WeightsInfo(**{**info, "sha256": sha256(path)}), tensors
 
 
@@ -147,9 +163,9 @@ def _own_name(published: str) -> str:
     return published
 
 
-def _known(settings: type, given: Mapping[str, Any]) -> dict[str, Any]:
-    names = {f.name for f in fields(settings)}
-    unknown = sorted(set(given) - names)
+def _known(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings of a network, none of which can be left out of account, unlike what an info may hold more."""
+    unknown = sorted(set(given) - {f.name for f in fields(NetworkSettings)})
     if unknown:
         raise ValueError(f"its header has an unknown setting {unknown[0]!r}; it may need a newer homolog")
     return dict(given)
@@ -164,7 +180,8 @@ def _found(name: str | Path) -> Path:
     if str(name) in pretrained:
         return pretrained[str(name)]
     raise WeightsError(
-        f"there are no weights {str(name)!r}; give the path of a file, or one of the pretrained ones: {', '.join(pretrained)}"
+        f"there are no weights {str(name)!r}; give the path of a file, or one of the pretrained ones: "
+        f"{', '.join(pretrained)}"
     )
 
 

@@ -9,11 +9,10 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.core.errors import TrainingError
-from homolog.core.files import atomic_path
+from homolog.core.tensors import write_tensors
 from homolog.training.recipe import Recipe
 from homolog.training.state import TrainingState
 
@@ -50,8 +49,7 @@ def save_checkpoint(path: Path, state: TrainingState, recipe: Recipe, shapes: st
         "recipe": json.dumps(asdict(recipe.for_set())),
         "progress": json.dumps(progress),
     }
-    with atomic_path(path) as temporary:
-        save_file(_tensors(state), temporary, metadata=header)
+    write_tensors(path, _tensors(state), header)
 
 
 def load_checkpoint(path: Path, recipe: Recipe, shapes: str, device: torch.device | str = "cpu") -> TrainingState:
@@ -84,7 +82,7 @@ def _tensors(state: TrainingState) -> dict[str, Tensor]:
         for moment in _MOMENTS if state.step else ():
             tensors[f"{moment}.{name}"] = state.optimiser.state[weight][moment]
     tensors |= {f"average.{name}": weight for name, weight in (state.average or {}).items()}
-    return {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    return tensors
 
 
 def _state(
