@@ -68,8 +68,8 @@ def _taking(function: Callable[..., Any], *, one_type: bool) -> Any:
 takes_arrays: _TakesArrays = functools.partial(_taking, one_type=True)
 """Let a function of tensors take numpy arrays: if any argument is one, its results are numpy arrays too.
 
-Arguments that are annotated as ``Float[Tensor, "n d"]`` or ``Int[Tensor, " n"]`` are checked by that: dimensions, none of
-them empty, equal where they have one name; and all real ones must have one type. What does not fit is an
+Arguments that are annotated as ``Float[Tensor, "n d"]`` or ``Int[Tensor, " n"]`` are checked by that: dimensions, none
+of them empty, equal where they have one name; and all real ones must have one type. What does not fit is an
 ``ArgumentError`` of one line.
 """
 

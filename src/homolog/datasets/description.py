@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded
-from homolog.core.tables import read_table, read_toml
+from homolog.core.settings import read_settings, read_toml
 from homolog.shapes import Up
 
 Holds = Literal["meshes", "clouds", "volumes"]
@@ -214,4 +214,4 @@ def _shipped() -> dict[str, Path]:
 
 
 def _read(path: Path) -> DatasetDescription:
-    return read_table(DatasetDescription, {"name": path.stem, **read_toml(path)}, f"{path}:")
+    return read_settings(DatasetDescription, {"name": path.stem, **read_toml(path)}, f"{path}:")

@@ -2,7 +2,7 @@
 
 from homolog.geometry.basis import Basis
 from homolog.geometry.cache import OperatorCache, cache_folder
-from homolog.geometry.geodesics import edge_graph, pair_distances
+from homolog.geometry.geodesics import Geodesics, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
@@ -13,6 +13,7 @@ __all__ = [
     "CLOUD_NEIGHBOURS",
     "Basis",
     "Frame",
+    "Geodesics",
     "Ground",
     "LaplacianKind",
     "OperatorCache",
@@ -28,6 +29,7 @@ __all__ = [
     "cloud_laplacian",
     "compute_operators",
     "edge_graph",
+    "geodesic_distances",
     "lowest_eigenpairs",
     "mesh_laplacian",
     "pair_distances",

@@ -35,6 +35,11 @@ class Basis:
     gradients: Float[Tensor, "n 2 k"]
     pseudo_inverse: Float[Tensor, "k n"]
 
+    def __repr__(self) -> str:
+        """Sizes alone."""
+        k, precision = len(self.eigenvalues), str(self.eigenvectors.dtype).removeprefix("torch.")
+        return f"Basis({self.n_points} points, {k} eigenpairs, {precision}, {self.points.device})"
+
     @property
     def n_points(self) -> int:
         """Number of points n."""

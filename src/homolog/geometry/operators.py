@@ -77,6 +77,13 @@ class Operators:
     scale: float
     method: str
 
+    def __repr__(self) -> str:
+        """Sizes, scale, and how the eigenpairs were found."""
+        sizes = (
+            f"{self.n_points} points, {self.n_eigenpairs} eigenpairs, {self.laplacian.values().numel()} entries in L"
+        )
+        return f"Operators({sizes}, scale={self.scale:.4g}, method={self.method!r}, {self.points.device})"
+
     @property
     def n_points(self) -> int:
         """Number of points n."""

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from homolog.core.arguments import is_real
 from homolog.core.errors import ShapeError, bad_value
+from homolog.core.reprs import short_repr
 from homolog.geometry.components import main_part, main_points, require_usable
 from homolog.shapes import Shape, face_areas
 
@@ -32,6 +33,8 @@ class Frame:
 
     centre: Float[np.ndarray, " 3"]
     scale: float
+
+    __repr__ = short_repr
 
     def to_unit(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         """Coordinates in inner units, around the centre."""

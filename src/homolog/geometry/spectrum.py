@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from homolog.core.errors import ShapeError, bad_value
+from homolog.core.reprs import short_repr
 from homolog.geometry.lanczos import BlockLanczos, Inverse
 
 _log = logging.getLogger(__name__)
@@ -58,6 +59,8 @@ class Spectrum:
     eigenvectors: Float[np.ndarray, "n k"]
     residual: float
     method: str
+
+    __repr__ = short_repr
 
 
 def lowest_eigenpairs(laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"], n_eigenpairs: int) -> Spectrum:

@@ -10,7 +10,7 @@ from typing import Any, Literal, get_args
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.files import expanded
-from homolog.core.tables import read_table, read_toml
+from homolog.core.settings import read_settings, read_toml
 from homolog.datasets import DatasetDescription, Split
 from homolog.features import AugmentationSettings, NetworkSettings
 from homolog.geometry import OperatorSettings
@@ -329,7 +329,7 @@ def read_recipe(recipe: str | Path) -> Recipe:
 
 def recipe_from(table: dict[str, Any], where: str) -> Recipe:
     """A recipe from nested tables; ``where`` they come from is for messages."""
-    return read_table(Recipe, table, f"{where}:")
+    return read_settings(Recipe, table, f"{where}:")
 
 
 def find_recipe(recipe: str | Path) -> Path:
