@@ -22,6 +22,7 @@ from homolog.matching import RESULT_FILES, read_result
 from homolog.serving import Limits, MatchCommand
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
+pytestmark = pytest.mark.process
 
 AXIOMATIC = MatchCommand(("--method=axiomatic",))
 JOB = "/jobs/0123456789"
