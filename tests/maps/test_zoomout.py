@@ -18,7 +18,6 @@ from homolog.maps import (
 )
 from homolog.shapes import Shape
 
-
 # What features weigh in the first round and in the last; geometrically less from round to round.
 FIRST_GUIDANCE, LAST_GUIDANCE = 1.0, 0.1
 
