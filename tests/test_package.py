@@ -160,6 +160,7 @@ def test_star_import():
     assert set(homolog.__all__) <= set(names)
 
 
+@pytest.mark.process
 def test_import_takes_no_extra_and_no_output():
     """What is heavy or optional is imported where it is used."""
     program = f"import sys, homolog, homolog.cli.main; print([name for name in {HEAVY!r} if name in sys.modules])"
@@ -197,6 +198,7 @@ def test_version_is_that_of_the_package():
     assert homolog.__version__ == version_of("homolog")
 
 
+@pytest.mark.process
 def test_lazy_names_are_listed():
     program = "import homolog; print(*dir(homolog))"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)

@@ -110,6 +110,7 @@ def test_addresses_that_cannot_be_listened_on(homolog, result, option, value):
     assert option.strip("-") in ended.err
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
 def test_the_server_prints_its_address_and_ends_by_ctrl_c(result):
     pytest.importorskip("viser", reason="viser is missing; pip install 'homolog[view]'")

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.process
+
 # Each process that shares the work is interrupted while it loads the program, as by Ctrl-C in a terminal.
 INTERRUPTED = """
 import os

@@ -14,6 +14,8 @@ pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[
 
 from homolog.serving.folder import OwnFolder
 
+pytestmark = pytest.mark.process
+
 # A server one of whose matches has begun, waiting to be ended.
 BUSY = """
 import sys

@@ -22,6 +22,7 @@ from homolog.matching import Match, RESULT_FILES
 from homolog.serving import Limits, MatchCommand
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
+pytestmark = pytest.mark.process
 
 AXIOMATIC = MatchCommand(("--method=axiomatic",))
 JOB = "/jobs/0123456789"

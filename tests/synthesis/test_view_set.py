@@ -119,6 +119,7 @@ def test_a_training_takes_the_set_as_it_is(written):
     assert found.pairs == tuple((entry["complete"], entry["name"]) for entry in entries)
 
 
+@pytest.mark.process
 def test_the_same_seed_gives_the_same_bytes_in_several_processes(source, written, tmp_path):
     write_view_set(source, tmp_path / "again", views=N_VIEWS, seed=3, settings=SMALL, processes=2)
     assert contents(tmp_path / "again") == contents(written)

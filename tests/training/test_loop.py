@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -301,6 +302,12 @@ def steps_done(run):
     return json.loads(header["__metadata__"]["progress"])["step"]
 
 
+def lines_but_for_progress(stderr):
+    """What a command says, without the lines of progress that come every half minute on a busy machine."""
+    progress = re.compile(r".*: \d+ of \d+(, about .* left)?$")
+    return [line for line in stderr.splitlines() if not progress.match(line)]
+
+
 def wait_for(run, step, is_alive):
     while steps_done(run) < step and is_alive():
         time.sleep(0.001)
@@ -321,6 +328,7 @@ def kill_at(step, recipe, meshes, run, *, later=0.0):
     assert process.exitcode == -signal.SIGKILL
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
 @pytest.mark.parametrize("minutes", [0, 0.002])
 def test_killed_twice_it_ends_as_if_it_had_not_been(meshes, small, tmp_path, minutes):
@@ -339,6 +347,7 @@ def test_killed_twice_it_ends_as_if_it_had_not_been(meshes, small, tmp_path, min
     assert found == expected
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
 def test_a_polite_stop_saves_first(meshes, as_toml, tmp_path):
     changes = {"training": {"steps": 3000, "checkpoint_minutes": 0.01}}
@@ -349,17 +358,18 @@ def test_a_polite_stop_saves_first(meshes, as_toml, tmp_path):
         try:
             wait_for(run, 5, lambda: process.poll() is None)
             process.send_signal(signal.SIGTERM)
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=300)
         finally:
             process.kill()
     assert (process.returncode, out) == (143, "")
-    said, last = err.splitlines()
+    said, last = lines_but_for_progress(err)
     step = steps_done(run)
     assert said == f"Stopped after step {step} of 3000 and saved; --resume goes on from there."
     assert last.startswith("Interrupted")
     assert json.loads((run / "report.json").read_text())["steps"] == step
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="gloo needs other settings there")
 def test_where_one_process_fails_all_do_and_the_first_one_says_it(as_toml, tmp_path, make):
     """A cloud among the meshes is found by the process that prepares it: shapes are dealt out by turns."""
@@ -375,14 +385,15 @@ def test_where_one_process_fails_all_do_and_the_first_one_says_it(as_toml, tmp_p
             [*START, tmp_path / "two.toml", *map(str, options)],
             capture_output=True,
             text=True,
-            timeout=100,
+            timeout=600,
             check=False,
         )
         assert (ended.returncode, ended.stdout) == (2, "")
-        told = [line for line in ended.stderr.splitlines() if not line.startswith("[W")]
+        told = [line for line in lines_but_for_progress(ended.stderr) if not line.startswith("[W")]
         assert len(told) == 1 and told[0].startswith("Error: ") and f"{faulty}.ply has no faces" in told[0]
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="gloo needs other settings there")
 @pytest.mark.parametrize(("steps", "tolerance"), [(1, 1e-4), (5, 0.02)])
 def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path, steps, tolerance):
@@ -392,7 +403,7 @@ def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path, s
     loop.train(small(**changes), meshes, tmp_path / "one", device="cpu")
     options = ["--data", meshes, "--out", tmp_path / "two", "--device", "cpu", "--processes", "2"]
     ended = subprocess.run(
-        [*START, tmp_path / "four.toml", *map(str, options)], capture_output=True, text=True, timeout=100, check=False
+        [*START, tmp_path / "four.toml", *map(str, options)], capture_output=True, text=True, timeout=600, check=False
     )
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines() == [str(tmp_path / "two" / "weights.safetensors")]
