@@ -60,7 +60,6 @@ HEAVY = [
     "PIL",
     "tensorboard",
     "lightning_fabric",
-    "viser",
     "starlette",
     "uvicorn",
     "h5py",

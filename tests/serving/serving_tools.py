@@ -87,6 +87,19 @@ class Client:
         finally:
             connection.close()
 
+    def call(self, method, path, headers, body=None):
+        """Status, headers and body of an answer to a request with exactly these headers."""
+        connection = self.connection()
+        try:
+            connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+            for name, value in (headers | ({} if body is None else {"Content-Length": str(len(body))})).items():
+                connection.putheader(name, value)
+            connection.endheaders(body)
+            answer = connection.getresponse()
+            return answer.status, answer.headers, answer.read()
+        finally:
+            connection.close()
+
     def begin(self, **wishes):
         """Ask for a match, and listen: its path, and what it tells."""
         status, _, body = self.ask("POST", "/jobs", json.dumps(wishes))

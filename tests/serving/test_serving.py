@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import socket
 import sys
@@ -358,9 +357,9 @@ def test_one_address_has_only_so_many(serve, client, stuck, monkeypatch):
     ],
 )
 def test_what_counts_as_one_address(host, counted):
-    from homolog.serving.addresses import household
+    from homolog.serving.addresses import client_network
 
-    assert household(host) == counted
+    assert client_network(host) == counted
 
 
 def test_a_match_that_takes_too_long(serve, client, stuck):
@@ -435,7 +434,7 @@ def test_a_connection_that_waits_for_its_match_is_kept(serve, client):
 
 def test_one_address_has_half_of_the_connections(serve, client, stuck, monkeypatch):
     monkeypatch.setattr("homolog.serving.connection._PATIENCE_SECONDS", 600)
-    monkeypatch.setattr("homolog.serving.connection.household", lambda host: host)
+    monkeypatch.setattr("homolog.serving.connection.client_network", lambda host: host)
     user = client(serve(stuck, jobs=1, queue=0))
     with ExitStack() as held:
         *_, eighth, ninth = [held.enter_context(raw(user)) for _ in range(9)]
@@ -549,51 +548,14 @@ def test_the_end_of_the_server_ends_its_matches(serve, client, stuck):
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
-        ({"Host": "127.0.0.1"}, 201),
-        ({"Host": "localhost:99"}, 201),
-        ({"Host": "[::1]:8080"}, 201),
-        ({"Host": "192.168.1.7"}, 201),
-        ({"Host": "Shapes.example.org."}, 201),
+        ({"Host": "Shapes.example.org.", "Origin": "https://shapes.example.org."}, 201),
         ({"Host": "evil.example"}, 403),
-        ({"Host": "localhost.evil.example"}, 403),
-        ({"Host": "127.0.0.1.evil.example"}, 403),
-        ({"Host": "127.0.0.1@evil.example"}, 403),
-        ({"Host": "["}, 403),
-        ({"Host": ""}, 403),
-        ({"Host": "localhost", "Origin": "http://localhost"}, 201),
-        ({"Host": "shapes.example.org", "Origin": "https://shapes.example.org"}, 201),
-        ({"Host": "shapes.example.org:443", "Origin": "https://shapes.example.org"}, 201),
-        ({"Host": "127.0.0.1:8080", "Origin": "https://shapes.example.org"}, 201),
-        ({"Host": "127.0.0.1:8080", "Origin": "https://shapes.example.org:8443"}, 403),
-        ({"Host": "localhost:443", "Origin": "http://localhost"}, 403),
-        ({"Host": "localhost:8080", "Origin": "http://localhost"}, 403),
         ({"Host": "localhost", "Origin": "http://evil.example"}, 403),
-        ({"Host": "localhost", "Origin": "http://localhost:3000"}, 403),
-        ({"Host": "localhost", "Origin": "null"}, 403),
-        ({"Host": "localhost", "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}, 403),
-        ({"Host": "localhost", "Sec-Fetch-Site": "same-origin"}, 201),
     ],
 )
-def test_who_may_ask(serve, client, stuck, headers, status):
-    user = client(serve(stuck, names=["shapes.example.org"]))
-    connection = user.connection()
-    connection.putrequest("POST", "/jobs", skip_host=True)
-    for name, value in (headers | {"Content-Length": "2"}).items():
-        connection.putheader(name, value)
-    connection.endheaders(b"{}")
-    assert connection.getresponse().status == status
-    connection.close()
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["https://shapes.example.org", "shapes.example.org:443", "example.org/match", "*.org", "a b", "::1", "", "."],
-)
-def test_a_name_is_a_name_alone(name):
-    from homolog.serving.guard import names_of
-
-    with pytest.raises(ArgumentError, match=f"^name is {re.escape(repr(name))}, but must be a host's name alone, such"):
-        names_of("127.0.0.1", [name])
+def test_other_sites_are_refused(serve, client, stuck, headers, status):
+    """As ``test_guard`` has it of each header."""
+    assert client(serve(stuck, names=["shapes.example.org"])).call("POST", "/jobs", headers, b"{}")[0] == status
 
 
 def test_every_answer_binds_the_browser(serve, client, stuck):

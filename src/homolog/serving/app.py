@@ -18,15 +18,11 @@ from starlette.routing import Route
 from homolog.core.errors import HomologError
 from homolog.matching import Side
 from homolog.serving.command import VIEW, Wishes
-from homolog.serving.guard import Guard, Names
+from homolog.serving.guard import MATCH_PAGE_POLICY, HostNames
 from homolog.serving.jobs import ARCHIVE, Job, Jobs, RefusedError
+from homolog.serving.middleware import Guard
 from homolog.serving.page import Page
 
-# A result runs its own program, and nothing else, as if it were from nowhere.
-_VIEW_POLICY = (
-    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "frame-ancestors 'self'"
-)
 _LONGEST_REQUEST = 4096
 _LONGEST_REQUEST_SECONDS = 20.0
 # Milliseconds after which a browser that lost the connection tries again.
@@ -35,7 +31,7 @@ _RETRY = "retry: 1000\n\n"
 _AT_ONCE = {"X-Accel-Buffering": "no"}
 
 
-def make_app(jobs: Jobs, page: Page, names: Names) -> Starlette:
+def make_app(jobs: Jobs, page: Page, names: HostNames) -> Starlette:
     """The server as an application.
 
     Args:
@@ -100,7 +96,7 @@ class _Answers:
 
     async def view(self, request: Request) -> Response:
         path = self._done(request).folder / "result" / VIEW
-        return FileResponse(path, headers={"Content-Security-Policy": _VIEW_POLICY})
+        return FileResponse(path, headers={"Content-Security-Policy": MATCH_PAGE_POLICY})
 
     async def archive(self, request: Request) -> Response:
         return FileResponse(self._done(request).folder / ARCHIVE, filename=ARCHIVE)

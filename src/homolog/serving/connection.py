@@ -6,7 +6,7 @@ import asyncio
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from homolog.serving.addresses import household
+from homolog.serving.addresses import client_network
 
 # For the next request's head to come as a whole, and for some of an answer to be taken.
 _PATIENCE_SECONDS = 20.0
@@ -20,13 +20,13 @@ class PatientProtocol(H11Protocol):
     connections at which others are turned away.
     """
 
-    household: str | None = None
+    client_network: str | None = None
     _patience: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Wait for a request, unless its sender has too many connections already."""
         super().connection_made(transport)
-        self.household = household(self.client[0]) if self.client else None
+        self.client_network = client_network(self.client[0]) if self.client else None
         if self._is_one_too_many():
             transport.abort()
         else:
@@ -49,9 +49,9 @@ class PatientProtocol(H11Protocol):
         self._wait()
 
     def _is_one_too_many(self) -> bool:
-        if self.household is None or self.limit_concurrency is None:
+        if self.client_network is None or self.limit_concurrency is None:
             return False
-        of_one = [other for other in self.connections if getattr(other, "household", None) == self.household]
+        of_one = [other for other in self.connections if getattr(other, "client_network", None) == self.client_network]
         return len(of_one) > self.limit_concurrency // 2
 
     def _wait(self) -> None:

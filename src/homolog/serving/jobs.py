@@ -21,7 +21,7 @@ from anyio.abc import TaskGroup
 from homolog.core.errors import HomologError
 from homolog.core.files import read_json
 from homolog.matching import RESULT_FILES, Side
-from homolog.serving.addresses import household
+from homolog.serving.addresses import client_network
 from homolog.serving.command import VIEW, MatchCommand, Wishes, complaint_of, side_of, step_of
 from homolog.serving.limits import Limits
 from homolog.serving.names import plain_name
@@ -205,7 +205,7 @@ class Jobs:
             RefusedError: if there are as many as there may be, or as many of this address.
         """
         assert self._group is not None, "within working() only"
-        owner = household(host)
+        owner = client_network(host)
         self._check_place(owner)
         key = secrets.token_urlsafe(24)
         self._jobs[key] = Job(self._root / secrets.token_hex(8), wishes, owner)

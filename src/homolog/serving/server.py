@@ -8,15 +8,15 @@ from pathlib import Path
 
 import uvicorn
 
+from homolog.serving.addresses import address_of, free_port, listener
 from homolog.serving.app import make_app
 from homolog.serving.command import MatchCommand
 from homolog.serving.connection import PatientProtocol
 from homolog.serving.folder import OwnFolder
-from homolog.serving.guard import names_of
+from homolog.serving.guard import HostNames
 from homolog.serving.jobs import Jobs
 from homolog.serving.limits import Limits
 from homolog.serving.page import upload_page
-from homolog.viewing import address_of, free_port, listener
 
 # For answers that are being sent when the server ends.
 _LAST_SECONDS = 5
@@ -53,7 +53,7 @@ class MatchServer:
         names: Iterable[str] = (),
         made_with: str = "",
     ) -> None:
-        known_as = names_of(host, names)
+        known_as = HostNames.of(host, names)
         self._socket = listener(host, free_port(host, port))
         self._socket.listen()  # from now on browsers wait, and are not turned away
         self.address = address_of(host, self._socket.getsockname()[1])
