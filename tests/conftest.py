@@ -364,7 +364,7 @@ def stored_operators(faust: dict[str, np.ndarray]) -> Callable[[str], Operators]
             gradient_x=matrix("gradX"),
             gradient_y=matrix("gradY"),
             centre=torch.zeros(3, dtype=torch.float64),
-            length=1.0,
+            scale=1.0,
             method="stored",
         )
 

@@ -12,25 +12,28 @@ import homolog
 ROOT = Path(homolog.__file__).parent
 MODULES = sorted(path for path in ROOT.rglob("*.py"))
 
-# Floor by floor, what each part may import of homolog. `errors`, `memory` and the like are the ground.
-GROUND = {"errors", "arguments", "memory", "arrays", "files", "folders", "steps", "versions", "tables", "work"}
-BENEATH_EVALUATION = {"shapes", "geometry", "network", "maps", "matching", "datasets"}
-FLOORS = {
-    "errors": set(),
-    "arguments": {"errors"},
-    "memory": {"errors", "arguments"},
-    "arrays": {"errors"},
-    "files": {"errors"},
-    "steps": set(),
-    "versions": set(),
-    "tables": {"errors"},
-    "folders": {"errors", "files"},
-    "work": {"errors", "steps"},
+# Floor by floor, what each part may import of homolog. Modules of `core`, the ground, are floors of their own.
+CORE = {
+    "core.errors": set(),
+    "core.versions": set(),
+    "core.progress": set(),
+    "core.arguments": {"core.errors"},
+    "core.memory": {"core.errors", "core.arguments"},
+    "core.arrays": {"core.errors"},
+    "core.files": {"core.errors"},
+    "core.tables": {"core.errors"},
+    "core.folders": {"core.errors", "core.files"},
+    "core.tasks": {"core.errors", "core.progress"},
+    "core": set(),
+}
+GROUND = set(CORE)
+BENEATH_EVALUATION = {"shapes", "geometry", "features", "maps", "matching", "datasets"}
+FLOORS = CORE | {
     "shapes": GROUND,
     "geometry": GROUND | {"shapes"},
-    "network": GROUND | {"shapes", "geometry"},
+    "features": GROUND | {"shapes", "geometry"},
     "maps": GROUND | {"shapes", "geometry"},
-    "matching": GROUND | {"shapes", "geometry", "network", "maps"},
+    "matching": GROUND | {"shapes", "geometry", "features", "maps"},
     "transfer": GROUND | {"shapes", "geometry", "maps", "matching"},
     "datasets": GROUND | {"shapes"},
     "volumes": GROUND | {"shapes"},
@@ -40,10 +43,10 @@ FLOORS = {
     "viewing": GROUND | {"shapes", "geometry", "matching", "datasets", "evaluation"},
     "serving": GROUND | {"shapes", "matching", "viewing"},
     "statistics": GROUND,
-    "collecting": GROUND | {"shapes", "geometry", "matching", "transfer", "viewing", "statistics"},
+    "shape_models": GROUND | {"shapes", "geometry", "matching", "transfer", "viewing", "statistics"},
     "cli": GROUND
     | BENEATH_EVALUATION
-    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "collecting"},
+    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "shape_models"},
     "__main__": {"cli"},
     "__init__": GROUND | BENEATH_EVALUATION | {"evaluation"},
 }
@@ -71,8 +74,14 @@ def parsed(path):
 
 
 def part_of(path):
-    """The floor that a file belongs to: a package, or a module beside the packages."""
-    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+    """The floor that a file belongs to: a package, a module beside the packages, or a module of ``core``."""
+    return floor_of(".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
+
+
+def floor_of(module):
+    """The floor of a module whose dotted name begins below ``homolog``."""
+    parts = module.split(".")
+    return ".".join(parts[:2]) if parts[0] == "core" else parts[0]
 
 
 def imported_parts(path):
@@ -88,7 +97,7 @@ def imported_parts(path):
             continue
         for name in names:
             if name.split(".")[0] == "homolog":
-                yield name.split(".")[1] if "." in name else "__init__"
+                yield floor_of(name.split(".", 1)[1]) if "." in name else "__init__"
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT)))

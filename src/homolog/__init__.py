@@ -59,7 +59,7 @@ __all__ = [
     "write_shape",
 ]
 
-_HOMES = ("errors", "memory", "shapes", "geometry", "maps", "network", "matching")
+_HOMES = ("core.errors", "core.memory", "shapes", "geometry", "maps", "features", "matching")
 
 
 def __getattr__(name: str) -> Any:

@@ -139,7 +139,7 @@ def test_what_cannot_be_is_named_for_a_part_too(blob, half) -> None:
     given = given_for_a_part(blob, part, *flat)
     with pytest.raises(ArgumentError, match="y_to_x"):
         zoomout_partial(truth - 1000, *given)
-    with pytest.raises(ArgumentError, match="step"):
+    with pytest.raises(ArgumentError, match="k_step"):
         zoomout_partial(truth, *given, k_step=0)
     with pytest.raises(ArgumentError, match="features_y"):
         zoomout_partial(truth, *given[:-1], flat[1] + float("nan"))
@@ -213,8 +213,8 @@ def test_fewer_eigenvectors_than_the_first_round_wants_are_used_as_they_are(blob
         ("y_to_x", {"y_to_x": torch.tensor([-1] * 642)}),
         ("x_to_y", {"x_to_y": torch.full((642,), 642)}),
         ("features_x", {"features_x": torch.full((642, 2), float("nan"))}),
-        ("smallest", {"smallest": 0}),
-        ("step", {"step": 1.5}),
+        ("k_init", {"k_init": 0}),
+        ("k_step", {"k_step": 1.5}),
     ],
 )
 def test_what_cannot_be_is_named(name: str, change: dict, blob) -> None:

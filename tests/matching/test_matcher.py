@@ -185,16 +185,16 @@ def test_weights_from_a_file(build, blobs, weights):
 def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method):
     asked = []
 
-    def one_warning(features, source, target, *, lengths, ups, device):
-        asked.append((source.name, target.name, lengths, ups, device))
+    def one_warning(features, source, target, *, scales, ups, device):
+        asked.append((source.name, target.name, scales, ups, device))
         return ["it lies on its side"]
 
     monkeypatch.setattr(matcher_module, "orientation_warnings", one_warning)
     matcher = build(method, info=WeightsInfo(upright=True, map_eigenpairs=40))
     found = matcher.match(blobs.source, blobs.target, source_up="x", target_up="z")
     assert found.warnings[0] == "it lies on its side"
-    lengths = pytest.approx((unit_frame(blobs.source).scale, unit_frame(blobs.target).scale))
-    assert asked == [("source", "target", lengths, ("x", "z"), torch.device("cpu"))]
+    scales = pytest.approx((unit_frame(blobs.source).scale, unit_frame(blobs.target).scale))
+    assert asked == [("source", "target", scales, ("x", "z"), torch.device("cpu"))]
 
 
 def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_counterpart():
@@ -258,7 +258,10 @@ def test_methods_that_need_weights(method):
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda m, s: MatcherSettings(method="feature"), ["method is 'feature'", "did you mean 'features'?"]),
+        (
+            lambda m, s: MatcherSettings(method="nearest-feature"),
+            ["method is 'nearest-feature'", "did you mean 'nearest-features'?"],
+        ),
         (lambda m, s: MatcherSettings(method="funtional-map"), ["did you mean 'functional-map'?"]),
         (lambda m, s: Matcher(device="cude"), ["device is 'cude'", "did you mean 'cuda'?"]),
         (lambda m, s: choose_device("gpu9"), ["device is 'gpu9'", "auto, cpu, cuda"]),
@@ -356,9 +359,11 @@ def test_weights_that_are_not_there():
 def test_weights_by_name(weights, tmp_path, monkeypatch):
     """As the command line finds them."""
     (tmp_path / "blobs.safetensors").write_bytes(weights.read_bytes())
-    monkeypatch.setattr(weights_module, "_SHIPPED", tmp_path)
+    monkeypatch.setattr(weights_module, "_PRETRAINED", tmp_path)
     assert Matcher.from_weights("blobs", device="cpu").info.name == "blobs"
-    with pytest.raises(WeightsError, match=r"no weights 'people'; give the path of a file, or .* ship: blobs"):
+    with pytest.raises(
+        WeightsError, match=r"no weights 'people'; give the path of a file, or one of the pretrained ones: blobs"
+    ):
         Matcher.from_weights("people")
 
 

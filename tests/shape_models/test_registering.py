@@ -9,7 +9,7 @@ import trimesh
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.shape_models import CollectionFolder, CollectionSettings, Figures, Template, check_template, subjects_of
-from homolog.shape_models import placing as placing_module
+from homolog.shape_models import registering as registering_module
 from homolog.shape_models import production as production_module
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.transfer import PlaceFinder, SurfaceMap
@@ -185,7 +185,7 @@ def test_points_in_clumps_are_told(faces, make):
     for mapped in (right, clumped):
         finder = PlaceFinder(base)
         smooth = SurfaceMap(finder, PlaceFinder(blob), blob.points[mapped])
-        low, high = placing_module._edge_spread(smooth)
+        low, high = registering_module._edge_spread(smooth)
         evenness.append(Figures(1.0, 1.0, 0.0, 1.0, 0.0 if faces else None, low, high))
     assert evenness[0].unevenness == pytest.approx(1, abs=1e-6) and evenness[0].doubts() == ()
     assert np.isfinite([evenness[1].edges_5, evenness[1].edges_95]).all()  # which JSON needs
@@ -199,7 +199,7 @@ def test_points_in_clumps_are_told(faces, make):
 
 def test_doubts_of_the_placed_points_are_told_and_refused_as_strict(family, gathered, tmp_path, monkeypatch):
     template, files, _ = family
-    monkeypatch.setattr(placing_module, "_edge_spread", lambda smooth: (0.2, 1.8))
+    monkeypatch.setattr(registering_module, "_edge_spread", lambda smooth: (0.2, 1.8))
     _, (outcome,) = gathered(template, files[:1], tmp_path / "out")
     assert outcome.warnings == Figures(1.0, 1.0, 0.0, 1.0, 0.0, 0.2, 1.8).doubts() and len(outcome.warnings) == 1
     _, (refused,) = gathered(template, files[:1], tmp_path / "strict", CollectionSettings(strict=True))

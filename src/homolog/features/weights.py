@@ -22,7 +22,7 @@ from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
 from homolog.geometry import CLOUD_NEIGHBOURS, LaplacianKind
 
 _FORMAT = "homolog-weights-1"
-_SHIPPED = Path(__file__).parent / "shipped"
+_PRETRAINED = Path(__file__).parent / "pretrained"
 
 DEFAULT_WEIGHTS = "people"
 """The name of the weights that are used where none are given."""
@@ -160,14 +160,14 @@ def _found(name: str | Path) -> Path:
     path = expanded(name)
     if path.is_file():
         return path
-    shipped = pretrained_weights()
-    if str(name) in shipped:
-        return shipped[str(name)]
+    pretrained = pretrained_weights()
+    if str(name) in pretrained:
+        return pretrained[str(name)]
     raise WeightsError(
-        f"there are no weights {str(name)!r}; give the path of a file, or one of those that ship: {', '.join(shipped)}"
+        f"there are no weights {str(name)!r}; give the path of a file, or one of the pretrained ones: {', '.join(pretrained)}"
     )
 
 
 def pretrained_weights() -> dict[str, Path]:
     """Name and file of the weights that ship with the package."""
-    return {file.stem: file for file in sorted(_SHIPPED.glob("*.safetensors"))}
+    return {file.stem: file for file in sorted(_PRETRAINED.glob("*.safetensors"))}
