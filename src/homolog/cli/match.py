@@ -31,7 +31,7 @@ from homolog.cli.options import (
     described,
     set_verbosity,
 )
-from homolog.cli.progress import Report, progress_bar, say
+from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.core.progress import Listener, Steps
 from homolog.core.versions import versions
 from homolog.matching import RESULT_FILES, AsCloud, Correspondence, Matcher, Prepared, Side, read_result, write_result
@@ -77,6 +77,7 @@ def match(
     no_cache: NoCache = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    progress_form: ProgressOption = "bar",
 ) -> None:
     """Match two shapes: for every point of each, the corresponding point of the other.
 
@@ -102,7 +103,7 @@ def match(
         check_file(page)
     check_picture_file(picture, lines, picture_width)
     ups: dict[Side, Up] = {"source": source_up or up, "target": target_up or up}
-    with progress_bar(quiet=quiet) as progress:
+    with progress_bar(quiet=quiet, form=progress_form) as progress:
         steps = Steps(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         job = Job({"source": source, "target": target}, ups, matcher, adapt)
