@@ -65,7 +65,6 @@ HEAVY = [
     "PIL",
     "tensorboard",
     "lightning_fabric",
-    "viser",
     "starlette",
     "uvicorn",
     "h5py",

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.spatial import ConvexHull, KDTree
 
-from homolog.features import DiffusionNet, NetworkSettings, FeatureInfo, save_weights
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, save_weights
 from homolog.geometry import OperatorCache, compute_operators
 from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings

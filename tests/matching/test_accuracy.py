@@ -13,7 +13,8 @@ import pytest
 
 from homolog.evaluation import geodesic_errors
 from homolog.geometry import OperatorCache
-from homolog.matching import Matcher, MatcherSettings
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape
 
 # Method and modalities (m for a mesh, c for a cloud; source first): mean errors of boris -> amber and amber -> boris.

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from homolog.matching.checks import doubts
 
 from homolog.core.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.core.progress import Steps
@@ -14,9 +15,8 @@ from homolog.features import weights as weights_module
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.maps import normalised, sinkhorn_matches
 from homolog.matching import MapQuality, Match, Matcher, Quality
-from homolog.pairs import MatcherSettings, choose_device
 from homolog.matching import matcher as matcher_module
-from homolog.matching.checks import doubts
+from homolog.pairs import MatcherSettings, choose_device
 from homolog.shapes import Shape
 
 PAIRS = [("mesh", "mesh"), ("cloud", "cloud"), ("mesh", "cloud"), ("cloud", "mesh")]
@@ -214,9 +214,7 @@ def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_cou
 
 def test_maps_that_tear_are_doubted_however_sure_they_are():
     side = Quality(coverage=0.98, cycle_error=0.01, dirichlet_energy=2.0, flipped_triangles=0.05, confidence=0.9)
-    sure = Match(
-        np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), route="nearest-features"
-    )
+    sure = Match(np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), route="nearest-features")
     torn = replace(side, dirichlet_energy=20.0)
     assert doubts(sure) == doubts(replace(sure, quality=MapQuality(side, side))) == ()
     for quality in (MapQuality(torn, side), MapQuality(side, torn), MapQuality(None, torn)):

@@ -17,10 +17,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from homolog.cli.main import main
+from homolog.serving import PageServer
 from homolog.serving.server import MatchServer
 from homolog.synthesis import production, synthesize_people, write_view_set
 from homolog.training import builtin_recipes, read_recipe
-from homolog.viewing import LiveView
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "synthesis"))
 from stand_in import StandIn
@@ -66,7 +66,7 @@ def shorten():
     importlib.import_module("homolog.cli.synth_people").synthesize_people = synthesize_few
     importlib.import_module("homolog.cli.synth_views").write_view_set = write_few_views
     production._body_model = StandIn
-    end_once_it_serves(LiveView)
+    end_once_it_serves(PageServer)
     end_once_it_serves(MatchServer)
 
 

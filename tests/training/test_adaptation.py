@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from homolog.core.errors import ArgumentError, TrainingError
-from homolog.features import DiffusionNet, NetworkSettings, FeatureInfo
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings
 from homolog.geometry import OperatorSettings
 from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings

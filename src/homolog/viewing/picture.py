@@ -12,7 +12,7 @@ from homolog.core.errors import ArgumentError, bad_value, needs_extra
 from homolog.pairs import Side
 from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
 from homolog.viewing.png import write_png
-from homolog.viewing.scene import SIDES, Body, Scene, Shown
+from homolog.viewing.scene import SIDES, Body, Scene
 
 WIDTHS = (100, 6000)
 """The narrowest and the widest picture, in pixels."""
@@ -45,7 +45,7 @@ def picture_of(scene: Scene, *, width: int = 2000, lines: int = 0) -> UInt8[np.n
     places, unit = _placed(scene, size)
     canvas = Canvas.blank(int(width) // 2, int(width))
     for side in SIDES:
-        body, colours = scene.bodies[side], scene.colours(scene.layers[0], side, Shown()).astype(np.float64)
+        body, colours = scene.bodies[side], scene.layers[0].colours[side].astype(np.float64)
         canvas.draw(shape_drawing(places[side], body.faces, colours, unit * _reach(body)))
     image = canvas.image
     if lines:
