@@ -56,16 +56,6 @@ def check_count(name: str, value: Any, *, least: int = 1) -> None:
         raise bad_value(name, value, f"a whole number of at least {least}")
 
 
-def check_number(
-    name: str, value: Any, *, above: float | None = None, least: float = -np.inf, most: float = np.inf
-) -> None:
-    """Refuse what is no finite real number, or lies outside a range: above one bound, or from ``least`` to ``most``."""
-    if not is_real(value) or value < least or value > most or (above is not None and value <= above):
-        bounds = [] if above is None else [f"above {above:g}"]
-        bounds += [f"at least {least:g}"] * bool(np.isfinite(least)) + [f"at most {most:g}"] * bool(np.isfinite(most))
-        raise bad_value(name, value, " ".join(["a finite number", " and ".join(bounds)]).strip())
-
-
 def check_finite(name: str, values: Tensor) -> None:
     """Refuse numbers of which any is NaN or infinite."""
     if not values.isfinite().all():

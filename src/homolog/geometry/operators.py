@@ -8,16 +8,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import NoneType
-from typing import get_args
+from typing import Annotated
 
 import numpy as np
 import scipy.sparse as sparse
 import torch
+from annotated_types import Ge
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_kind
-from homolog.core.errors import ShapeError, bad_choice
+from homolog.core.arguments import check_kind
+from homolog.core.errors import ShapeError
+from homolog.core.settings import Count, Settings
 from homolog.geometry.basis import Basis
 from homolog.geometry.components import main_part, main_points, require_usable
 from homolog.geometry.laplacian import (
@@ -157,7 +159,7 @@ class Operators:
 
 
 @dataclass(frozen=True)
-class OperatorSettings:
+class OperatorSettings(Settings):
     """What operators to compute.
 
     Args:
@@ -166,15 +168,9 @@ class OperatorSettings:
         n_neighbours: neighbours per point of a cloud's Laplacian and gradient.
     """
 
-    n_eigenpairs: int = 128
+    n_eigenpairs: Count = 128
     laplacian: LaplacianKind = "robust"
-    n_neighbours: int = CLOUD_NEIGHBOURS
-
-    def __post_init__(self) -> None:
-        if self.laplacian not in get_args(LaplacianKind):
-            raise bad_choice("laplacian", str(self.laplacian), get_args(LaplacianKind))
-        for name, least in (("n_eigenpairs", 1), ("n_neighbours", FEWEST_NEIGHBOURS)):
-            check_count(name, getattr(self, name), least=least)
+    n_neighbours: Annotated[int, Ge(FEWEST_NEIGHBOURS)] = CLOUD_NEIGHBOURS
 
 
 def compute_operators(

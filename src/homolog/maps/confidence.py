@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import torch
+from annotated_types import Gt, Le
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_indices, check_number
+from homolog.core.arguments import check_indices
 from homolog.core.arrays import takes_arrays
+from homolog.core.settings import Count, Positive, Settings
 from homolog.geometry import Operators
 from homolog.maps.quality import cycle_error
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConfidenceSettings:
+class ConfidenceSettings(Settings):
     """Settings of ``confidence`` and ``overlap``.
 
     Args:
@@ -38,16 +41,10 @@ class ConfidenceSettings:
         ConfidenceSettings(n_neighbours=20, scale=0.1, smoothing=2.0, overlap_threshold=0.3)
     """
 
-    n_neighbours: int = 20
-    scale: float = 0.1
-    smoothing: float = 2.0
-    overlap_threshold: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_count("n_neighbours", self.n_neighbours)
-        for name in ("scale", "smoothing"):
-            check_number(name, getattr(self, name), above=0)
-        check_number("overlap_threshold", self.overlap_threshold, above=0, most=1)
+    n_neighbours: Count = 20
+    scale: Positive = 0.1
+    smoothing: Positive = 2.0
+    overlap_threshold: Annotated[float, Gt(0), Le(1)] = 0.5
 
 
 @takes_arrays

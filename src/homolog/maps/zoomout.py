@@ -10,13 +10,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_finite, check_indices, check_number
+from homolog.core.arguments import check_finite, check_indices
 from homolog.core.arrays import takes_arrays
+from homolog.core.settings import Count, Positive, Settings
 from homolog.maps.nearest import nearest_neighbour
 
 
 @dataclass(frozen=True, kw_only=True)
-class RefinementSettings:
+class RefinementSettings(Settings):
     """Settings of the refinement by ``zoomout`` and ``zoomout_partial``.
 
     The weights of features were chosen on pairs of training shapes.
@@ -41,18 +42,12 @@ class RefinementSettings:
         [30, 70, 110, 128]
     """
 
-    k_init: int = 20
-    k_step: int = 18
-    n_samples: int = 2000
-    rounds_among_all: int = 3
-    guidance_start: float = 1.0
-    guidance_end: float = 0.1
-
-    def __post_init__(self) -> None:
-        for name in ("k_init", "k_step", "n_samples", "rounds_among_all"):
-            check_count(name, getattr(self, name))
-        for name in ("guidance_start", "guidance_end"):
-            check_number(name, getattr(self, name), above=0)
+    k_init: Count = 20
+    k_step: Count = 18
+    n_samples: Count = 2000
+    rounds_among_all: Count = 3
+    guidance_start: Positive = 1.0
+    guidance_end: Positive = 0.1
 
     def rounds(self, largest: int) -> Iterator[tuple[int, int, float]]:
         """For each round: how many others follow, the number of eigenfunctions up to ``largest``, features' weight."""
