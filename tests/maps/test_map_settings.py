@@ -68,6 +68,18 @@ def test_numbers_of_numpy_count_as_numbers() -> None:
     assert type(settings.k_init) is int and type(settings.guidance_end) is float
 
 
+@pytest.mark.parametrize("function", [confidence, zoomout, registered_positions])
+def test_settings_of_another_function_are_refused(function) -> None:
+    points, indices = torch.rand(30, 3), torch.arange(30)
+    given = {
+        confidence: (points, points, indices, indices),
+        zoomout: (indices, indices, points, points, points, points),
+        registered_positions: (points, points),
+    }
+    with pytest.raises(ArgumentError, match=r"settings is an OperatorSettings, but must be \w+Settings; make them"):
+        function(*given[function], settings=OperatorSettings())
+
+
 def test_rounds_grow_to_the_largest_basis_while_features_fall_geometrically() -> None:
     rounds = list(RefinementSettings(k_init=10, k_step=15, guidance_start=8.0, guidance_end=1.0).rounds(48))
     assert [(n_left, size) for n_left, size, _ in rounds] == [(3, 10), (2, 25), (1, 40), (0, 48)]

@@ -53,6 +53,13 @@ class Spectrum:
         eigenvectors: (n, k), float64, with Phi^T M Phi = I; the entry of largest size in each is positive.
         residual: the largest |L phi - lambda M phi|, in the norm of M^-1, as a share of the largest eigenvalue.
         method: how they were found, for reports.
+
+    Example:
+        >>> import trimesh
+        >>> from homolog.geometry import lowest_eigenpairs, mesh_laplacian
+        >>> mesh = trimesh.creation.icosphere(subdivisions=2)
+        >>> lowest_eigenpairs(*mesh_laplacian(mesh.vertices, mesh.faces), 10).method
+        'dense'
     """
 
     eigenvalues: Float[np.ndarray, " k"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import NoneType
 from typing import Annotated
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_indices
+from homolog.core.arguments import check_indices, check_kind
 from homolog.core.arrays import takes_arrays
 from homolog.core.settings import Count, Positive, Settings
 from homolog.geometry import Operators
@@ -88,6 +89,7 @@ def confidence(
     See Also:
         ``cycle_error``, ``dirichlet_energy`` and ``flipped_triangles`` for figures of a whole map.
     """
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
     settings = settings or ConfidenceSettings()
     home = cycle_error(points_y, y_to_x, x_to_y)
     positions = points_y.cpu().numpy()
@@ -159,6 +161,7 @@ def overlap(
         >>> bool(overlap(sphere, sphere, torch.zeros(sphere.n_points, dtype=torch.int64)).all())
         False
     """
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
     settings = settings or ConfidenceSettings()
     return coverage_density(full, partial.mass, partial_to_full, settings=settings) >= settings.overlap_threshold
 
@@ -197,6 +200,7 @@ def coverage_density(
         >>> bool(((density - 1).abs() < 1e-4).all())
         True
     """
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
     check_indices("partial_to_full", partial_to_full, len(full.mass))
     own = full.mass.double().cpu().numpy()
     pushed = np.bincount(partial_to_full.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from types import NoneType
 from typing import Annotated
 
 import numpy as np
@@ -14,6 +15,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from homolog.core.arguments import check_kind
 from homolog.core.arrays import takes_arrays
 from homolog.core.settings import Count, Settings, Share
 
@@ -93,6 +95,7 @@ def registered_positions(
     See Also:
         ``nearest_neighbour`` turns the positions into point maps.
     """
+    check_kind("settings", settings, RegistrationSettings, NoneType)
     settings = settings or RegistrationSettings()
     x, y = (points.detach().double().cpu().numpy() for points in (points_x, points_y))
     on_y, on_x = _registered(x, y, settings), _registered(y, x, settings)
