@@ -1,4 +1,4 @@
-"""Laplacian, gradient, spectrum, geodesics, and Operators: all of a shape's operators, computed once, cached."""
+"""Discrete differential geometry of one shape: Laplacian, gradient, spectrum, geodesics, and Operators of it all."""
 
 from homolog.geometry.basis import Basis
 from homolog.geometry.cache import OperatorCache, cache_folder

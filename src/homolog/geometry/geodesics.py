@@ -48,6 +48,8 @@ def geodesic_distances(
         ShapeError: if the mesh is not of the kind that ``geodesics`` needs.
 
     Example:
+        >>> import numpy as np
+        >>> from homolog.geometry import geodesic_distances
         >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
         >>> faces = np.array([[0, 1, 2], [0, 2, 3]])
         >>> geodesic_distances(square, faces, np.array([0, 1]), np.array([2, 3])).round(3).tolist()
@@ -107,7 +109,24 @@ def _along_straightened_paths(
 
 
 def edge_graph(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) -> sparse.csr_matrix:
-    """The graph (n, n) of a mesh's edges, weighted by their lengths."""
+    """The graph (n, n) of a mesh's edges, weighted by their lengths.
+
+    Args:
+        points: positions (n, 3).
+        faces: triangles (m, 3).
+
+    Returns:
+        A sparse matrix; an edge of length zero keeps the smallest positive weight, so that it still joins its ends.
+
+    Example:
+        >>> import numpy as np
+        >>> from homolog.geometry import edge_graph
+        >>> triangle = np.array([[0.0, 0, 0], [3, 0, 0], [0, 4, 0]])
+        >>> edge_graph(triangle, np.array([[0, 1, 2]])).toarray()
+        array([[0., 3., 4.],
+               [3., 0., 5.],
+               [4., 5., 0.]])
+    """
     starts, ends = mesh_edges(faces)
     scales = np.linalg.norm(points[ends] - points[starts], axis=1)
     # An edge of length zero would be no edge in a sparse graph.
@@ -122,20 +141,31 @@ def pair_distances(
     *,
     horizon: float = 0.1,
 ) -> Float[np.ndarray, " q"]:
-    """Shortest-path lengths between pairs of points; infinite where there is no path.
+    """Shortest-path lengths along edges between pairs of points (Dijkstra); infinite where there is no path.
 
-    Most pairs asked for in an evaluation are close, so the search from each start ends at ``horizon``; only the starts
-    with a farther end are searched again, with the horizon doubled. The result is exact at a fraction of the cost
-    of all distances.
+    Most pairs in an evaluation are close, so the search from each start ends at ``horizon``; only the starts with a
+    farther end are searched again, with the horizon doubled. The result is that of a full search, at a fraction of its
+    cost.
 
     Args:
         graph: see ``edge_graph``.
-        starts: point indices.
-        ends: point indices, one for each start.
-        horizon: first search radius, in the graph's units.
+        starts: point indices (q,).
+        ends: point indices, one for each start (q,).
+        horizon: first search radius, in the graph's units, above 0; 0.1 is meant for graphs in units of sqrt(area).
 
     Raises:
         ArgumentError: if the horizon is not positive.
+
+    Example:
+        >>> import numpy as np
+        >>> from homolog.geometry import edge_graph, pair_distances
+        >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+        >>> graph = edge_graph(square, np.array([[0, 1, 2], [0, 2, 3]]))
+        >>> pair_distances(graph, np.array([0, 1]), np.array([2, 3])).round(3)
+        array([1.414, 2.   ])
+
+    See Also:
+        ``geodesic_distances`` for distances across faces.
     """
     if not horizon > 0:
         raise bad_value("horizon", horizon, "positive")

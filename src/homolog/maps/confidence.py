@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import NoneType
+from typing import Annotated
 
 import numpy as np
 import torch
+from annotated_types import Gt, Le
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_indices, check_number
+from homolog.core.arguments import check_indices, check_kind
 from homolog.core.arrays import takes_arrays
+from homolog.core.settings import Count, Positive, Settings
 from homolog.geometry import Operators
 from homolog.maps.quality import cycle_error
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConfidenceSettings:
+class ConfidenceSettings(Settings):
     """Settings of ``confidence`` and ``overlap``.
 
     Args:
@@ -38,16 +42,10 @@ class ConfidenceSettings:
         ConfidenceSettings(n_neighbours=20, scale=0.1, smoothing=2.0, overlap_threshold=0.3)
     """
 
-    n_neighbours: int = 20
-    scale: float = 0.1
-    smoothing: float = 2.0
-    overlap_threshold: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_count("n_neighbours", self.n_neighbours)
-        for name in ("scale", "smoothing"):
-            check_number(name, getattr(self, name), above=0)
-        check_number("overlap_threshold", self.overlap_threshold, above=0, most=1)
+    n_neighbours: Count = 20
+    scale: Positive = 0.1
+    smoothing: Positive = 2.0
+    overlap_threshold: Annotated[float, Gt(0), Le(1)] = 0.5
 
 
 @takes_arrays
@@ -91,6 +89,7 @@ def confidence(
     See Also:
         ``cycle_error``, ``dirichlet_energy`` and ``flipped_triangles`` for figures of a whole map.
     """
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
     settings = settings or ConfidenceSettings()
     home = cycle_error(points_y, y_to_x, x_to_y)
     positions = points_y.cpu().numpy()
@@ -162,6 +161,7 @@ def overlap(
         >>> bool(overlap(sphere, sphere, torch.zeros(sphere.n_points, dtype=torch.int64)).all())
         False
     """
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
     settings = settings or ConfidenceSettings()
     return coverage_density(full, partial.mass, partial_to_full, settings=settings) >= settings.overlap_threshold
 
@@ -200,6 +200,7 @@ def coverage_density(
         >>> bool(((density - 1).abs() < 1e-4).all())
         True
     """
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
     check_indices("partial_to_full", partial_to_full, len(full.mass))
     own = full.mass.double().cpu().numpy()
     pushed = np.bincount(partial_to_full.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))

@@ -22,6 +22,13 @@ class Nearest(Generic[Array]):
     Args:
         index: candidate indices (n,), int64.
         value: squared distances, or inner products (n,).
+
+    Example:
+        >>> import torch
+        >>> from homolog.maps import Nearest, nearest_neighbour
+        >>> found: Nearest[torch.Tensor] = nearest_neighbour(torch.eye(3), torch.eye(3))
+        >>> found
+        Nearest(index=[0, 1, 2], value=[0, 0, 0])
     """
 
     index: Int[Array, " n"]

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from types import NoneType
+from typing import Annotated
 
 import numpy as np
 import scipy.sparse as sparse
 import torch
+from annotated_types import Ge, Le
 from jaxtyping import Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_number
+from homolog.core.arguments import check_kind
 from homolog.core.arrays import takes_arrays
+from homolog.core.settings import Count, Settings, Share
 
 # A point moves if this share of a mean pull reaches it.
 _LEAST = 1e-6
@@ -22,7 +26,7 @@ _Points = Float[np.ndarray, "n 3"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegistrationSettings:
+class RegistrationSettings(Settings):
     """Schedule of the self-organising map in ``registered_positions``.
 
     The defaults were chosen on training pairs of lungs: twice or half the first width, 6 or 12 neighbours, and a second
@@ -32,8 +36,8 @@ class RegistrationSettings:
         n_neighbours: nearest points that each point is connected to, at least 1; 6 to 20 are sensible.
         start_width: edges over which the first round averages, as a share of the number of points, from 0 to 1; 0.003
             to 0.03 are sensible. Wider averages follow coarser differences, and cost in proportion.
-        narrowing: factor of the width from round to round, from 0 to 0.99, until it is below one edge. Larger factors
-            make more rounds.
+        narrowing: factor of the width from round to round, at least 0 and below 1, until it is below one edge. Larger
+            factors make more rounds.
 
     Example:
         >>> from homolog.maps import RegistrationSettings
@@ -41,14 +45,9 @@ class RegistrationSettings:
         [50, 25, 12, 6, 3, 1]
     """
 
-    n_neighbours: int = 8
-    start_width: float = 0.01
-    narrowing: float = 0.5
-
-    def __post_init__(self) -> None:
-        check_count("n_neighbours", self.n_neighbours)
-        check_number("start_width", self.start_width, least=0, most=1)
-        check_number("narrowing", self.narrowing, least=0, most=0.99)
+    n_neighbours: Count = 8
+    start_width: Annotated[float, Ge(0), Le(1)] = 0.01
+    narrowing: Share = 0.5
 
     def widths(self, n_points: int) -> Iterator[int]:
         """Over how many edges each round averages."""
@@ -96,6 +95,7 @@ def registered_positions(
     See Also:
         ``nearest_neighbour`` turns the positions into point maps.
     """
+    check_kind("settings", settings, RegistrationSettings, NoneType)
     settings = settings or RegistrationSettings()
     x, y = (points.detach().double().cpu().numpy() for points in (points_x, points_y))
     on_y, on_x = _registered(x, y, settings), _registered(y, x, settings)

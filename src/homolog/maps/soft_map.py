@@ -25,6 +25,12 @@ class SoftMatches(Generic[Array]):
         x_to_y: argmax of each column (n_x,).
         row_scaling: f (n_y,).
         column_scaling: g (n_x,).
+
+    Example:
+        >>> import torch
+        >>> from homolog import sinkhorn_matches
+        >>> sinkhorn_matches(torch.eye(5), torch.eye(5))
+        SoftMatches(y_to_x=int64 (5,), x_to_y=int64 (5,), row_scaling=float32 (5,), column_scaling=float32 (5,))
     """
 
     y_to_x: Int[Array, " n_y"]

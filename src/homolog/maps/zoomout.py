@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from types import NoneType
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_finite, check_indices, check_number
+from homolog.core.arguments import check_finite, check_indices, check_kind
 from homolog.core.arrays import takes_arrays
+from homolog.core.settings import Count, Positive, Settings
 from homolog.maps.nearest import nearest_neighbour
 
 
 @dataclass(frozen=True, kw_only=True)
-class RefinementSettings:
+class RefinementSettings(Settings):
     """Settings of the refinement by ``zoomout`` and ``zoomout_partial``.
 
     The weights of features were chosen on pairs of training shapes.
@@ -41,18 +43,12 @@ class RefinementSettings:
         [30, 70, 110, 128]
     """
 
-    k_init: int = 20
-    k_step: int = 18
-    n_samples: int = 2000
-    rounds_among_all: int = 3
-    guidance_start: float = 1.0
-    guidance_end: float = 0.1
-
-    def __post_init__(self) -> None:
-        for name in ("k_init", "k_step", "n_samples", "rounds_among_all"):
-            check_count(name, getattr(self, name))
-        for name in ("guidance_start", "guidance_end"):
-            check_number(name, getattr(self, name), above=0)
+    k_init: Count = 20
+    k_step: Count = 18
+    n_samples: Count = 2000
+    rounds_among_all: Count = 3
+    guidance_start: Positive = 1.0
+    guidance_end: Positive = 0.1
 
     def rounds(self, largest: int) -> Iterator[tuple[int, int, float]]:
         """For each round: how many others follow, the number of eigenfunctions up to ``largest``, features' weight."""
@@ -116,6 +112,7 @@ def zoomout(
     check_indices("x_to_y", x_to_y, len(eigenvectors_y))
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
+    check_kind("settings", settings, RefinementSettings, NoneType)
     settings = settings or RefinementSettings()
     x, y = _Guided(eigenvectors_x, features_x, settings), _Guided(eigenvectors_y, features_y, settings)
     largest = min(eigenvectors_x.shape[1], eigenvectors_y.shape[1])
@@ -187,6 +184,7 @@ def zoomout_partial(
     check_indices("y_to_x", y_to_x, len(eigenvectors_x))
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
+    check_kind("settings", settings, RefinementSettings, NoneType)
     settings = settings or RefinementSettings()
     x, y = _Guided(eigenvectors_x, features_x, settings), _Guided(eigenvectors_y, features_y, settings)
     rows = y.samples

@@ -40,11 +40,11 @@ def test_what_no_field_can_be_is_refused_by_name(kind: type, name: str, value: o
     [
         (RefinementSettings, "k_init", 0, "a whole number of at least 1"),
         (RefinementSettings, "k_step", 1.5, "a whole number of at least 1"),
-        (RefinementSettings, "guidance_end", 0, "a finite number above 0"),
-        (ConfidenceSettings, "scale", 0.0, "a finite number above 0"),
-        (ConfidenceSettings, "overlap_threshold", 1.01, "a finite number above 0 and at most 1"),
-        (RegistrationSettings, "start_width", 2, "a finite number at least 0 and at most 1"),
-        (RegistrationSettings, "narrowing", 1, "a finite number at least 0 and at most 0.99"),
+        (RefinementSettings, "guidance_end", 0, "a number above 0"),
+        (ConfidenceSettings, "scale", 0.0, "a number above 0"),
+        (ConfidenceSettings, "overlap_threshold", 1.01, "a number above 0 and of at most 1"),
+        (RegistrationSettings, "start_width", 2, "a number of at least 0 and of at most 1"),
+        (RegistrationSettings, "narrowing", 1, "a number of at least 0 and below 1"),
     ],
 )
 def test_bounds_are_said(kind: type, name: str, value: float, allowed: str) -> None:
@@ -60,6 +60,24 @@ def test_they_are_plain_values_that_come_back_from_a_dictionary(kind: type) -> N
     assert all(isinstance(value, int | float) for value in asdict(settings).values())
     with pytest.raises(TypeError):
         kind(5)
+
+
+def test_numbers_of_numpy_count_as_numbers() -> None:
+    settings = RefinementSettings(k_init=np.int64(7), guidance_end=np.float32(0.5))
+    assert settings == RefinementSettings(k_init=7, guidance_end=0.5)
+    assert type(settings.k_init) is int and type(settings.guidance_end) is float
+
+
+@pytest.mark.parametrize("function", [confidence, zoomout, registered_positions])
+def test_settings_of_another_function_are_refused(function) -> None:
+    points, indices = torch.rand(30, 3), torch.arange(30)
+    given = {
+        confidence: (points, points, indices, indices),
+        zoomout: (indices, indices, points, points, points, points),
+        registered_positions: (points, points),
+    }
+    with pytest.raises(ArgumentError, match=r"settings is an OperatorSettings, but must be \w+Settings; make them"):
+        function(*given[function], settings=OperatorSettings())
 
 
 def test_rounds_grow_to_the_largest_basis_while_features_fall_geometrically() -> None:
