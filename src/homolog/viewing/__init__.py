@@ -5,6 +5,7 @@ from homolog.viewing.contact_sheet import MOST_TILES, Tile, contact_sheet
 from homolog.viewing.layers import Layer, confidence_layer, error_layer, feature_layer, matched_layer
 from homolog.viewing.measuring import map_errors, pair_features
 from homolog.viewing.modes_page import ModesScene, modes_page_of
+from homolog.viewing.notebook import notebook_html, plot
 from homolog.viewing.page import page_of, page_style, write_page
 from homolog.viewing.picture import WIDTHS, check_picture, picture_of, write_picture
 from homolog.viewing.png import write_png
@@ -28,10 +29,12 @@ __all__ = [
     "map_errors",
     "matched_layer",
     "modes_page_of",
+    "notebook_html",
     "page_of",
     "page_style",
     "pair_features",
     "picture_of",
+    "plot",
     "principal_colours",
     "scene_of",
     "write_page",

@@ -75,7 +75,10 @@ def check_picture(path: str | Path) -> None:
 def _placed(scene: Scene, size: tuple[int, int]) -> tuple[dict[Side, Float[np.ndarray, "n 3"]], float]:
     """Where all points are in the image, and the length of the scene's unit there."""
     turned = {side: scene.bodies[side].points @ view_rotation().T for side in SIDES}
-    boxes = {side: _box(turned[side], _reach(scene.bodies[side])) for side in SIDES}
+    reach = {side: _reach(scene.bodies[side]) for side in SIDES}
+    boxes = {
+        side: (points.min(axis=0) - reach[side], points.max(axis=0) + reach[side]) for side, points in turned.items()
+    }
     extents = {side: high - low for side, (low, high) in boxes.items()}
     unit, begins = _fitted(extents["source"], extents["target"], size)
     places: dict[Side, np.ndarray] = {}
@@ -99,11 +102,6 @@ def _fitted(
     if free < margin:
         return unit, {"source": margin, "target": margin + gap + unit * source[0]}
     return unit, {"source": free, "target": 2 * free + unit * source[0]}
-
-
-def _box(points: Float[np.ndarray, "n 3"], reach: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """The least and the most of each coordinate of what is drawn of points."""
-    return points.min(axis=0) - reach, points.max(axis=0) + reach
 
 
 def _reach(body: Body) -> float:
