@@ -13,7 +13,7 @@ from homolog.datasets import ShapeFolder
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.synthesis import ViewSettings, view, view_set, write_view_set
 from homolog.training.data import TrainingSet
-from homolog.training.recipe import read_recipe
+from homolog.training.recipes import read_recipe
 
 SMALL = ViewSettings(pixels=(30, 40))
 N_BODIES, N_VIEWS = 6, 15

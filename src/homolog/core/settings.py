@@ -42,7 +42,7 @@ Positive = Annotated[float, Gt(0)]
 NotNegative = Annotated[float, Ge(0)]
 Share = Annotated[float, Ge(0), Lt(1)]
 Count = Annotated[int, Ge(1)]
-CountOrNone = Annotated[int, Ge(0)]
+CountOrZero = Annotated[int, Ge(0)]
 
 _WORDS: dict[Any, str] = {
     bool: "true or false",
@@ -207,7 +207,8 @@ def _table_of(settings: type) -> TypeAdapter[dict[str, Any]]:
     from typing_extensions import TypedDict  # before Python 3.12 pydantic takes no other
 
     hints = get_type_hints(settings, include_extras=True)
-    table = TypedDict("table", {field.name: hints[field.name] for field in fields(settings)}, total=False)  # type: ignore[misc]
+    make: Any = TypedDict
+    table = make("table", {field.name: hints[field.name] for field in fields(settings)}, total=False)
     table.__pydantic_config__ = ConfigDict(strict=True, allow_inf_nan=False, arbitrary_types_allowed=True)
     return TypeAdapter(table)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from homolog.core.errors import DataError
 from homolog.shapes import folder_suffixes
 
+
 def mesh_files(folder: Path, *, clouds: bool = False) -> dict[str, Path]:
     """The file of each mesh in a folder by its name, in order, and of each cloud if asked for. No hidden ones.
 

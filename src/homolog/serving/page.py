@@ -36,7 +36,12 @@ def upload_page(limits: Limits, made_with: str) -> Page:
         limits: what it tells of them.
         made_with: in a few words, how matches are made.
     """
-    facts = {"suffixes": readable_suffixes(), "bytes": limits.file_bytes, "mb": f"{limits.max_mb:g}", "madeWith": made_with}
+    facts = {
+        "suffixes": readable_suffixes(),
+        "bytes": limits.file_bytes,
+        "mb": f"{limits.max_mb:g}",
+        "madeWith": made_with,
+    }
     style, program = page_style() + _part("page.css"), _part("page.js")
     parts = {
         "style": style,

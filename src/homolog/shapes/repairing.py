@@ -102,7 +102,9 @@ def repair(shape: Shape) -> Repaired:
     for finding in report.findings:
         if finding.severity == "unusable":
             raise ShapeError(f"{shape.name} cannot be used: {finding}")
-    clean_shape = shape if report.is_clean else replace(shape, points=cleaning.points, faces=cleaning.faces, allow_broken=False)
+    clean_shape = (
+        shape if report.is_clean else replace(shape, points=cleaning.points, faces=cleaning.faces, allow_broken=False)
+    )
     return Repaired(clean_shape, report, cleaning.kept, cleaning.clean_index)
 
 

@@ -89,7 +89,7 @@ def counts_from_one(faces: Int[np.ndarray, "m 3"], n_points: int) -> bool:
     return bool(faces.size and faces.min() == 1 and faces.max() == n_points)
 
 
-def check_indices(faces: Int[np.ndarray, "..."], n_points: int, name: str) -> None:
+def check_indices(faces: Int[np.ndarray, ...], n_points: int, name: str) -> None:
     """Refuse faces that refer to points that a shape does not have.
 
     Raises:

@@ -35,4 +35,12 @@ add(
     Format(".pcd", pcd.read, pcd.write, clouds_only=True, extra="pcd", in_folders="cloud"),
 )
 
-__all__ = ["Format", "folder_suffixes", "formats", "imports_of", "readable_suffixes", "register_format", "writable_suffixes"]
+__all__ = [
+    "Format",
+    "folder_suffixes",
+    "formats",
+    "imports_of",
+    "readable_suffixes",
+    "register_format",
+    "writable_suffixes",
+]

@@ -14,7 +14,6 @@ from jaxtyping import Float, Int
 from homolog.shapes.finding import Finding
 from homolog.shapes.polygons import triangulate
 
-
 Space = Literal["RAS", "LPS"]
 """Anatomical axes: x to the right, y to the front and z up, or x to the left, y to the back and z up."""
 

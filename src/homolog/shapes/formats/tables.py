@@ -119,7 +119,9 @@ def _starts_with_index(lines: list[str]) -> bool:
     first = [_cells(line)[0] for line in lines]
     if not first[0].isdigit():
         return not _is_numbers(first[0])
-    return first[0] in ("0", "1") and first == [str(number) for number in range(int(first[0]), int(first[0]) + len(first))]
+    return first[0] in ("0", "1") and first == [
+        str(number) for number in range(int(first[0]), int(first[0]) + len(first))
+    ]
 
 
 def _delimiter(line: str) -> str | None:

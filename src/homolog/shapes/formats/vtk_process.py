@@ -225,7 +225,9 @@ def _faces_of(cell_type: int) -> tuple[bool, list[_Face]]:
         face = cell if dimension == 2 else cell.GetFace(number)
         nodes = [face.GetPointId(position) for position in range(face.GetNumberOfPoints())]
         if face.GetCellType() not in _SPLITS or not nodes:
-            raise ValueError(f"its cells of the kind {cell.GetClassName()} are not read; export it with linear cells alone")
+            raise ValueError(
+                f"its cells of the kind {cell.GetClassName()} are not read; export it with linear cells alone"
+            )
         n_corners, parts = _SPLITS[face.GetCellType()]
         found.append((n_corners, nodes, parts))
     return dimension == 2, found

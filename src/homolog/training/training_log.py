@@ -12,7 +12,7 @@ from torch import Tensor
 _STEPS_PER_POINT = 10
 
 
-class Journal:
+class TrainingLog:
     """Writes curves below a run's folder; one that is gone on with loses what a crash left behind its last checkpoint.
 
     Args:

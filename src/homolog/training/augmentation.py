@@ -2,49 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal, get_args
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.core.errors import bad_choice, bad_value
-
-Turn = Literal["none", "vertical", "any"]
-
-
-@dataclass(frozen=True)
-class AugmentationSettings:
-    """How the positions are varied, drawn anew for each pass of the network.
-
-    Args:
-        turn: ``"none"``, about the ``"vertical"`` (y), or ``"any"`` turn, all of them as likely.
-        degrees: largest angle of a turn about the vertical, to either side.
-        least_scale: smallest factor per axis.
-        most_scale: largest factor per axis.
-        shift: standard deviation of a shift along each axis, in units of sqrt(area): parts seldom lie just where they
-            belong, and those about their own middle lie elsewhere altogether.
-        jitter: standard deviation of noise per coordinate, in units of sqrt(area).
-        largest_jitter: where that noise is clipped.
-    """
-
-    turn: Turn = "vertical"
-    degrees: float = 90.0
-    least_scale: float = 0.9
-    most_scale: float = 1.1
-    shift: float = 0.0
-    jitter: float = 0.01
-    largest_jitter: float = 0.05
-
-    def __post_init__(self) -> None:
-        if self.turn not in get_args(Turn):
-            raise bad_choice("turn", self.turn, get_args(Turn))
-        for name in ("degrees", "most_scale", "shift", "jitter", "largest_jitter"):
-            if not 0 <= getattr(self, name) < float("inf"):
-                raise bad_value(name, getattr(self, name), "a finite number of at least 0")
-        if not 0 < self.least_scale <= self.most_scale:
-            raise bad_value("least_scale", self.least_scale, f"above 0 and at most most_scale, {self.most_scale:g}")
+from homolog.training.settings import AugmentationSettings
 
 
 def augmented(

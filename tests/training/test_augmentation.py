@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from homolog.core.errors import ArgumentError
-from homolog.features import AugmentationSettings, augmented
+from homolog.training import AugmentationSettings, augmented
 
 STILL = {"least_scale": 1.0, "most_scale": 1.0, "jitter": 0.0}
 POINTS = torch.randn(200, 3, generator=torch.Generator().manual_seed(0))
