@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from homolog.core.errors import ShapeError
 from homolog.shapes import Shape, add_noise, face_areas
-from homolog.synthesis import Part, ViewSettings, cut, cut_holes, view
+from homolog.synthesis import PartialShape, ViewSettings, cut, cut_holes, view
 from homolog.training.settings import CloudSettings
 
 Kind = Literal["clean", "noise", "subsampled", "resampled", "cut", "holes", "views"]
@@ -92,8 +92,8 @@ def _weighted(mesh: Shape, weights: sparse.csr_array) -> Cloud:
     return Cloud(Shape(weights @ mesh.points, name=mesh.name), weights)
 
 
-def _part(mesh: Shape, part: Part) -> Cloud:
-    return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[part.complete_index])
+def _part(mesh: Shape, part: PartialShape) -> Cloud:
+    return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[part.full_index])
 
 
 def _resampled(mesh: Shape, number: int, random: np.random.Generator) -> sparse.csr_array:

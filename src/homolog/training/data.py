@@ -121,7 +121,7 @@ def _full_and_other_files(
     """Full shapes in a folder of their own, if there are such, and all others."""
     if described is not None:
         names = sorted(described.split(data.split))
-        return {name: described.file(name) for name in described.complete}, {n: described.file(n) for n in names}
+        return {name: described.file(name) for name in described.full}, {n: described.file(n) for n in names}
     if partial is None or not (root / str(partial.full)).is_dir():
         return {}, _split_files(root, data)
     if not (root / str(partial.parts)).is_dir():
