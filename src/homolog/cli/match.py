@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from jaxtyping import Float, Int
 
+import homolog
 from homolog.cli.options import (
+    INPUT,
+    OUTPUT,
+    PARTIAL,
     PICTURE_WIDTH,
     Adapt,
     DeviceOption,
@@ -27,68 +29,87 @@ from homolog.cli.options import (
     build_matcher,
     check_file,
     check_folder,
+    check_inputs,
     check_picture_file,
     described,
     set_verbosity,
 )
 from homolog.cli.progress import Report, progress_bar, say
+from homolog.core.choices import AsCloud, Side, Up
 from homolog.core.progress import Listener, Steps
 from homolog.core.versions import versions
-from homolog.matching import RESULT_FILES, AsCloud, Correspondence, Matcher, Prepared, Side, read_result, write_result
-from homolog.shapes import Shape, Up, read_hashed_shape
-from homolog.training import AdaptationSettings, adapt_to_pair
-from homolog.viewing import scene_of, write_page, write_picture
+
+if TYPE_CHECKING:
+    import numpy as np
+    from jaxtyping import Float, Int
+
+    from homolog.matching import Correspondence, Matcher, Prepared
+    from homolog.shapes import Shape
 
 # read, repair, operators and features for each shape, the map, the check of the orientation, and writing.
 STEPS = 11
 
 
 def match(
-    source: Annotated[Path, typer.Argument(help="The shape whose positions give the colours.", show_default=False)],
-    target: Annotated[Path, typer.Argument(help="The shape to match it to.", show_default=False)],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the result.")] = Path(
-        "match"
-    ),
-    weights: Weights = None,
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="The shape whose positions give the colours.", show_default=False)
+    ],
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="The shape to match it to.", show_default=False)],
+    as_cloud: Annotated[
+        AsCloud | None, typer.Option(help="Use only the points of this shape.", rich_help_panel=INPUT)
+    ] = None,
+    up: Annotated[Up, typer.Option(help="The axis that points up in both files.", rich_help_panel=INPUT)] = "y",
+    source_up: Annotated[
+        Up | None, typer.Option(help="The axis that points up in the source, if it differs.", rich_help_panel=INPUT)
+    ] = None,
+    target_up: Annotated[
+        Up | None, typer.Option(help="The axis that points up in the target, if it differs.", rich_help_panel=INPUT)
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
+    ] = False,
     method: MethodOption = "auto",
+    weights: Weights = None,
     adapt: Adapt = 0,
-    as_cloud: Annotated[AsCloud | None, typer.Option(help="Use only the points of this shape.")] = None,
     partial: Annotated[
         Side | None,
-        typer.Option(help="This shape is a part of one like the other, whose points may then have no match."),
+        typer.Option(
+            help="This shape is partial: a part of a shape like the other, whose points may then have no counterpart.",
+            rich_help_panel=PARTIAL,
+        ),
     ] = None,
     partial_scale: Annotated[
         float,
         typer.Option(
             metavar="FACTOR",
-            help="What the partial shape's lengths are multiplied by to be in the complete one's units.",
+            help="Multiply the partial shape's lengths by this to bring them to the full one's units.",
+            rich_help_panel=PARTIAL,
         ),
     ] = 1.0,
     pre_aligned: PreAligned = False,
-    up: Annotated[Up, typer.Option(help="The axis that points up in both files.")] = "y",
-    source_up: Annotated[Up | None, typer.Option(help="The axis that points up in the source, if it differs.")] = None,
-    target_up: Annotated[Up | None, typer.Option(help="The axis that points up in the target, if it differs.")] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
+    ] = Path("match"),
     page: Page = None,
     picture: Picture = None,
     lines: Lines = 0,
     picture_width: PictureWidth = PICTURE_WIDTH,
     device: DeviceOption = "auto",
-    strict: Annotated[bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.")] = False,
     no_cache: NoCache = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Match two shapes: for every point of each, the corresponding point of the other.
 
-    Writes OUT/correspondence.npz (point indices both ways and confidences), OUT/source.ply and OUT/target.ply (same
-    colour, same point) and OUT/report.json.
+    Writes DIR/correspondence.npz (point indices both ways and confidences), DIR/source.ply and DIR/target.ply (the same
+    colours on corresponding points) and DIR/report.json.
 
     Examples:
       homolog match cat.off lion.obj -o result --weights animals.safetensors
 
       homolog match scan.ply template.obj -o result --partial source --source-up z
 
-      homolog match part.stl whole.glb -o out --partial source --partial-scale 0.001
+      homolog match part.stl full.glb -o result --partial source --partial-scale 0.001
 
       homolog match a.ply b.xyz -o result --method axiomatic
 
@@ -97,7 +118,8 @@ def match(
       homolog match old.ply new.ply -o result --weights people.safetensors --adapt 15
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_folder(output, inputs=(source, target), names=RESULT_FILES)
+    check_inputs(source, target, weights=weights)
+    check_folder(output, inputs=(source, target), names=homolog.matching.RESULT_FILES)
     if page is not None:
         check_file(page)
     check_picture_file(picture, lines, picture_width)
@@ -126,10 +148,11 @@ def match(
         }
         paths = outcome.write(output, steps, {"options": options, **described(job.matcher, weights)})
     if page is not None:
-        write_page(page, scene_of(read_result(output)))
+        homolog.viewing.write_page(page, homolog.viewing.scene_of(homolog.matching.read_result(output)))
         paths.append(page)
     if picture is not None:
-        write_picture(picture, scene_of(read_result(output)), width=picture_width, lines=lines)
+        scene = homolog.viewing.scene_of(homolog.matching.read_result(output))
+        homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
         paths.append(picture)
     if not quiet:
         _summary(outcome, steps, paths, verbose=verbose)
@@ -164,7 +187,9 @@ class Outcome:
             "matched": {f"{side}_{name}": n for side, matched in self.matched.items() for name, n in matched.items()},
             "versions": versions(),
         }
-        return write_result(output, self.shapes["source"], self.shapes["target"], self.found, report, steps=steps)
+        return homolog.matching.write_result(
+            output, self.shapes["source"], self.shapes["target"], self.found, report, steps=steps
+        )
 
 
 @dataclass(frozen=True)
@@ -191,7 +216,7 @@ class Job:
         inputs: dict[Side, dict[str, Any]] = {}
         for side, file in self.files.items():
             with steps.step(f"read {side}"):
-                shapes[side], digest = read_hashed_shape(file)
+                shapes[side], digest = homolog.shapes.read_hashed_shape(file)
             inputs[side] = {"file": str(file), "sha256": digest}
         source, target = self.matcher.prepare_pair(
             shapes["source"],
@@ -216,9 +241,11 @@ class Job:
     ) -> tuple[Matcher, Prepared, Prepared]:
         if not self.adapt:
             return self.matcher, source, target
-        settings = AdaptationSettings(steps=self.adapt)
+        settings = homolog.training.AdaptationSettings(steps=self.adapt)
         with steps.step("adapt"):
-            return adapt_to_pair(self.matcher, source, target, settings, partial=partial, listener=steps.listener)
+            return homolog.training.adapt_to_pair(
+                self.matcher, source, target, settings, partial=partial, listener=steps.listener
+            )
 
 
 def _described(prepared: Prepared) -> dict[str, Any]:
@@ -261,7 +288,7 @@ def _summary(outcome: Outcome, steps: Steps, paths: list[Path], *, verbose: bool
             say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")
     seconds = sum(step.seconds for step in steps.finished)
     sides = "; ".join(f"{side} {_in_words(matched)}" for side, matched in outcome.matched.items())
-    say(f"Matched by {outcome.found.route} in {seconds:.1f} s: {sides}.")
+    say(f"Matched by {outcome.found.route} in {seconds:.1f} s (from reading to writing): {sides}.")
     for path in paths:
         typer.echo(path)
 

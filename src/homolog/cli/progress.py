@@ -1,4 +1,4 @@
-"""What is said on stderr while a command works: progress, where that is a terminal, and lines above it."""
+"""What a command prints on stderr while it works: progress, and lines above it."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from functools import cache
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+if TYPE_CHECKING:  # help and mistakes in arguments do without
+    from rich.console import Console
 
 # Between lines where there is no terminal to show a bar.
 _SECONDS_PER_LINE = 30.0
@@ -26,6 +26,8 @@ class Report(Protocol):
 @cache
 def stderr_console() -> Console:
     """The one console on stderr: only it can print while it shows a bar without tearing that."""
+    from rich.console import Console
+
     return Console(stderr=True, highlight=False)
 
 
@@ -67,10 +69,26 @@ class Lines:
 @contextmanager
 def progress_bar(*, quiet: bool) -> Iterator[Report]:
     """A bar with the time left, on stderr; now and then a line where that is no terminal; silent if ``quiet``."""
-    console = stderr_console()
-    if not quiet and not console.is_terminal:
+    if quiet:
+        yield lambda done, total, what: None
+    elif stderr_console().is_terminal:
+        with _bar() as report:
+            yield report
+    else:
         yield Lines()
-        return
+
+
+@contextmanager
+def _bar() -> Iterator[Report]:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -78,7 +96,7 @@ def progress_bar(*, quiet: bool) -> Iterator[Report]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
+    with Progress(*columns, console=stderr_console(), transient=True) as progress:
         task = progress.add_task("starting", total=None)
 
         def report(done: int, total: int, what: str) -> None:

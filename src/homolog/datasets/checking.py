@@ -10,11 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import get_args
 
+from homolog.core.choices import Split
 from homolog.core.errors import DataError, HomologError
 from homolog.core.files import expanded, sha256
 from homolog.core.progress import Progress, no_progress
 from homolog.datasets.description import DatasetDescription
-from homolog.datasets.folder import ShapeFolder, Split, class_of, names_at, partner, place
+from homolog.datasets.folder import ShapeFolder, class_of, names_at, partner, place
 from homolog.shapes import Shape
 
 

@@ -9,22 +9,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import spearmanr
 
+from homolog.core.choices import Modalities, Side, Split
 from homolog.core.errors import ArgumentError, DataError, bad_choice, bad_value
 from homolog.core.progress import Progress, no_progress
-from homolog.datasets import Counterparts, Pair, ShapeFolder, Split, Truth, drawn_pairs
+from homolog.datasets import Counterparts, Pair, ShapeFolder, Truth, drawn_pairs
 from homolog.evaluation.metrics import PCK_THRESHOLD, Detection, area_under_pck, least_confident_share, pck_curve
 from homolog.geometry import edge_graph, pair_distances, surface_area, unit_frame
-from homolog.matching import MEASURES, Correspondence, MapQuality, Matcher, Prepared, Side
+from homolog.matching import MEASURES, Correspondence, MapQuality, Matcher, Prepared
 from homolog.shapes import Modality, Shape, add_noise, repair
-
-Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
-"""What source and target are used as."""
 
 _ROLES: tuple[Side, Side] = ("source", "target")
 # Of fewer pairs, rank correlations mean little.

@@ -17,15 +17,12 @@ from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import WeightsError
-from homolog.core.files import atomic_path, expanded, sha256
+from homolog.core.files import atomic_path, sha256
+from homolog.core.pretrained import weights_file
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
 from homolog.geometry import CLOUD_NEIGHBOURS, LaplacianKind
 
 _FORMAT = "homolog-weights-1"
-_PRETRAINED = Path(__file__).parent / "pretrained"
-
-DEFAULT_WEIGHTS = "people"
-"""The name of the weights that are used where none are given."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +76,7 @@ def load_weights(weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
         WeightsError: if the file is missing, damaged, or not the weights of such a network.
     """
     check_kind("weights", weights, PathLike, str)
-    path = _found(weights)
+    path = weights_file(weights)
     read = _read_published if path.suffix.lower() in (".pth", ".pt") else _read_own
     try:
         settings, info, tensors = read(path)
@@ -153,21 +150,3 @@ def _known(settings: type, given: Mapping[str, Any]) -> dict[str, Any]:
     if unknown:
         raise ValueError(f"its header has an unknown setting {unknown[0]!r}; it may need a newer homolog")
     return dict(given)
-
-
-def _found(name: str | Path) -> Path:
-    """The file of the weights that a user named: a path, or the name of weights that ship with the package."""
-    path = expanded(name)
-    if path.is_file():
-        return path
-    pretrained = pretrained_weights()
-    if str(name) in pretrained:
-        return pretrained[str(name)]
-    raise WeightsError(
-        f"there are no weights {str(name)!r}; give the path of a file, or one of the pretrained ones: {', '.join(pretrained)}"
-    )
-
-
-def pretrained_weights() -> dict[str, Path]:
-    """Name and file of the weights that ship with the package."""
-    return {file.stem: file for file in sorted(_PRETRAINED.glob("*.safetensors"))}

@@ -1,7 +1,8 @@
 """Laplacian, gradient, spectrum, geodesics, and Operators: all of a shape's operators, computed once, cached."""
 
+from homolog.core.caches import cache_folder
 from homolog.geometry.basis import Basis
-from homolog.geometry.cache import OperatorCache, cache_folder
+from homolog.geometry.cache import OperatorCache
 from homolog.geometry.geodesics import edge_graph, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators

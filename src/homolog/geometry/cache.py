@@ -6,8 +6,6 @@ import hashlib
 import json
 import logging
 import os
-import time
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,14 +13,14 @@ from types import NoneType
 from typing import Literal
 
 import numpy as np
-import platformdirs
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.core.arguments import check_kind
+from homolog.core.caches import SUFFIX, CacheFolder
 from homolog.core.errors import ArgumentError
-from homolog.core.files import atomic_path, expanded
+from homolog.core.files import atomic_path
 from homolog.geometry.operators import Operators, OperatorSettings, compressed_rows, compute_operators
 from homolog.shapes import Shape
 
@@ -30,23 +28,13 @@ _log = logging.getLogger(__name__)
 
 # Part of every key: raise it when the same shape and settings come to give other operators.
 _VERSION = 2
-_SUFFIX = ".safetensors"
 _DENSE = ("points", "mass", "eigenvalues", "eigenvectors", "centre")
-_GIBIBYTE = 2**30
-# Seconds after which a file that was never written to its end is one that a killed process left.
-_ABANDONED = 24 * 3600
 
 EigenvectorPrecision = Literal["float32", "float16"]
 
 
-def cache_folder() -> Path:
-    """Where operators are kept: the environment variable ``HOMOLOG_CACHE``, or the platform's cache folder."""
-    chosen = os.environ.get("HOMOLOG_CACHE")
-    return expanded(chosen) if chosen else Path(platformdirs.user_cache_dir("homolog"))
-
-
 @dataclass(frozen=True)
-class OperatorCache:
+class OperatorCache(CacheFolder):
     """A folder of operators, safe to share between processes.
 
     An entry's name is the hash of the shape's points and faces and of the settings. Entries are safetensors files,
@@ -59,22 +47,7 @@ class OperatorCache:
         eigenvectors: ``"float16"`` halves the size of an entry at a relative error of 5e-4 in the eigenvectors.
     """
 
-    folder: Path
-    max_bytes: int = 10 * _GIBIBYTE
     eigenvectors: EigenvectorPrecision = "float32"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "folder", Path(self.folder))
-
-    @classmethod
-    def default(cls) -> OperatorCache:
-        """The cache in the default folder; ``HOMOLOG_CACHE_GB`` changes its bound of 10 GB."""
-        given = os.environ.get("HOMOLOG_CACHE_GB", "10")
-        try:
-            max_bytes = int(float(given) * _GIBIBYTE)
-        except (ValueError, OverflowError):  # the latter from an infinite one
-            raise ArgumentError(f"HOMOLOG_CACHE_GB is {given!r}, but must be a number of gigabytes") from None
-        return cls(cache_folder(), max_bytes=max_bytes)
 
     def operators(
         self, shape: Shape, *, settings: OperatorSettings | None = None, scale: float | None = None
@@ -83,18 +56,13 @@ class OperatorCache:
         check_kind("shape", shape, Shape)
         check_kind("settings", settings, OperatorSettings, NoneType)
         settings = settings or OperatorSettings()
-        path = self.folder / (self._key(shape, settings, scale) + _SUFFIX)
+        path = self.folder / (self._key(shape, settings, scale) + SUFFIX)
         cached = _read(path)
         if cached is not None:
             return cached
         operators = compute_operators(shape, settings=settings, scale=scale)
         self._keep(path, operators)
         return self._as_kept(operators)
-
-    def size(self) -> tuple[int, int]:
-        """Number of entries and their bytes."""
-        sizes = [size for _, size, _ in self._entries()]
-        return len(sizes), sum(sizes)
 
     def _key(self, shape: Shape, settings: OperatorSettings, scale: float | None) -> str:
         described = {"version": _VERSION, "scale": scale, "precision": self.eigenvectors, **asdict(settings)}
@@ -119,39 +87,10 @@ class OperatorCache:
             self.folder.mkdir(parents=True, exist_ok=True)
             with atomic_path(path) as temporary:
                 save_file(tensors, temporary, metadata=notes)
-            self._make_room()
+            self.make_room()
         except (OSError, ArgumentError, SafetensorError) as error:
             # A full, read-only or forbidden disk costs time on the next call, no more.
             _log.warning("operators are not cached: %s", error)
-
-    def _make_room(self) -> None:
-        entries = sorted(self._entries())
-        excess = sum(size for _, size, _ in entries) - self.max_bytes
-        self._clear_abandoned()
-        for _, size, path in entries:
-            if excess <= 0:
-                return
-            with suppress(OSError):
-                path.unlink()
-            excess -= size
-
-    def _entries(self) -> Iterator[tuple[float, int, Path]]:
-        """Time of last use, bytes and path of each entry; another process may remove some meanwhile."""
-        yield from self._files(temporary=False)
-
-    def _clear_abandoned(self) -> None:
-        for used, _, path in self._files(temporary=True):
-            if used < time.time() - _ABANDONED:
-                with suppress(OSError):
-                    path.unlink()
-
-    def _files(self, *, temporary: bool) -> Iterator[tuple[float, int, Path]]:
-        """Entries, or what ``atomic_path`` is writing: names of the latter begin with a dot."""
-        for path in self.folder.glob("*" + _SUFFIX) if self.folder.is_dir() else ():
-            if path.name.startswith(".") == temporary:
-                with suppress(OSError):
-                    status = path.stat()
-                    yield status.st_mtime, status.st_size, path
 
 
 def _read(path: Path) -> Operators | None:

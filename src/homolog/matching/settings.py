@@ -4,25 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import torch
 
 from homolog.core.arguments import is_count, is_real
+from homolog.core.choices import NEED_NO_WEIGHTS as NEED_NO_WEIGHTS
+from homolog.core.choices import AsCloud as AsCloud
+from homolog.core.choices import Device as Device
+from homolog.core.choices import Method as Method
+from homolog.core.choices import Side as Side
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.geometry import OperatorSettings
-
-Method = Literal["auto", "functional-map", "nearest-features", "registration", "axiomatic"]
-"""How maps are found, see ``MatcherSettings``."""
-NEED_NO_WEIGHTS: tuple[Method, ...] = ("axiomatic", "registration")
-"""Methods that work without a network, and leave one aside."""
-Side = Literal["source", "target"]
-"""One of the two shapes of a match."""
-AsCloud = Literal["source", "target", "both"]
-"""Whose faces are dropped."""
-Device = Literal["auto", "cpu", "cuda"]
-"""Where to compute; ``"auto"`` takes a GPU where there is one."""
-
 
 _Rule = tuple[Callable[[Any], bool], str]
 _COUNT_OR_NONE: _Rule = (lambda value: value is None or is_count(value), "a whole number of at least 1, or None")

@@ -7,11 +7,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int, Num, UInt8
 
+from homolog.core.choices import TEXTURE_SIZE
 from homolog.core.errors import ArgumentError
 from homolog.matching import MatchResult
 from homolog.shapes import Shape
 from homolog.transfer.appearance import Appearance, Checkerboard
-from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, painted, unwrapped
+from homolog.transfer.atlas import Atlas, painted, unwrapped
 from homolog.transfer.places import PlaceFinder
 from homolog.transfer.skin import Skin, carried_skin
 from homolog.transfer.smooth_map import SurfaceMap, surface_map

@@ -8,15 +8,16 @@ from typing import Any, Literal
 
 import numpy as np
 
+from homolog.core.choices import TEXTURE_SIZE, System
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import all_or_nothing, atomic_path, made_folder, write_json, write_npy
 from homolog.shapes import drawable, write_shape
 from homolog.transfer.appearance import Appearance, Checkerboard
-from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, painted, unwrapped
+from homolog.transfer.atlas import Atlas, painted, unwrapped
 from homolog.transfer.carrier import Carrier
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels
-from homolog.transfer.landmarks import System, read_landmarks
+from homolog.transfer.landmarks import read_landmarks
 from homolog.transfer.obj import write_obj
 from homolog.transfer.skin import Skin
 
