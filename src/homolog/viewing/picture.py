@@ -8,14 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from homolog.core.arguments import is_number
+from homolog.core.choices import PICTURE_WIDTHS, Side
 from homolog.core.errors import ArgumentError, bad_value, needs_extra
-from homolog.pairs import Side
 from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
 from homolog.viewing.png import write_png
 from homolog.viewing.scene import SIDES, Body, Scene
-
-WIDTHS = (100, 6000)
-"""The narrowest and the widest picture, in pixels."""
 
 # Of the picture's height: left free on all sides, and between the shapes.
 _MARGIN, _GAP = 0.04, 0.06
@@ -37,8 +34,8 @@ def picture_of(scene: Scene, *, width: int = 2000, lines: int = 0) -> UInt8[np.n
         ArgumentError: if the width is not from 100 to 6000, or the number of lines negative.
         MissingExtraError: if lines are asked for without the extra ``picture``.
     """
-    if not (is_number(width) and int(width) == width and WIDTHS[0] <= width <= WIDTHS[1]):
-        raise bad_value("width", width, f"a whole number of pixels from {WIDTHS[0]} to {WIDTHS[1]}")
+    if not (is_number(width) and int(width) == width and PICTURE_WIDTHS[0] <= width <= PICTURE_WIDTHS[1]):
+        raise bad_value("width", width, f"a whole number of pixels from {PICTURE_WIDTHS[0]} to {PICTURE_WIDTHS[1]}")
     if not (is_number(lines) and int(lines) == lines and lines >= 0):
         raise bad_value("lines", lines, "a whole number, 0 or more")
     size = (int(width) // 2 * SAMPLES, int(width) * SAMPLES)
