@@ -34,6 +34,17 @@ settings.load_profile("homolog")
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
+LONG = ("bodies", "browser", "process", "pages", "slow")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what ``make test`` leaves out with one word, before tests are chosen by their marks."""
+    for item in items:
+        if any(item.get_closest_marker(name) for name in LONG):
+            item.add_marker("long")
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
     """One process for each core that may be used; each takes some 700 MB."""
