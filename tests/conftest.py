@@ -61,6 +61,18 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(params=["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])
+def device(request: pytest.FixtureRequest) -> torch.device:
+    """Each device that there is: results must lie on it, and be those of the CPU."""
+    return torch.device(request.param)
+
+
+@pytest.fixture(params=[torch.float32, torch.float64], ids=["float32", "float64"])
+def dtype(request: pytest.FixtureRequest) -> torch.dtype:
+    """Both precisions."""
+    return request.param
+
+
 def sphere_shape(subdivisions: int, *, radius: float = 1.0) -> Shape:
     """A sphere of 10 * 4^subdivisions + 2 points, as regular as can be."""
     mesh = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
