@@ -26,7 +26,7 @@ def serve(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="A name that browsers may call this server by, as that of a proxy before it, alone; can be repeated.",
+            help="A host name that browsers may call this server by, such as that of a proxy; can be repeated.",
             show_default=False,
         ),
     ] = None,

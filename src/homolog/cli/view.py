@@ -44,7 +44,7 @@ _STEPS = 6
 
 def view(
     result: Annotated[
-        Path, typer.Argument(metavar="OUT", help="A folder that homolog match wrote.", show_default=False)
+        Path, typer.Argument(metavar="RESULT", help="The folder that homolog match wrote.", show_default=False)
     ],
     page: Page = None,
     picture: Picture = None,
@@ -59,9 +59,7 @@ def view(
     ] = None,
     weights: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FILE", help="Weights, to colour by their features; computed anew, in the time of a match."
-        ),
+        typer.Option(metavar="NAME|FILE", help="Weights, to colour by their features, which are computed for it."),
     ] = None,
     host: Host = "127.0.0.1",
     port: Port = 8080,
