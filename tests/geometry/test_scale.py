@@ -67,6 +67,12 @@ def test_a_clouds_length_is_within_a_tenth_of_the_truth(name: str, clouds) -> No
     assert np.sqrt(cloud_area(points) / area) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.parametrize("name", ["amber", "boris"])
+def test_a_bodys_area_is_at_most_a_tenth_too_large(name: str, clouds) -> None:
+    points, area = clouds[name]
+    assert 1 <= cloud_area(points) / area <= 1.1
+
+
 @pytest.mark.parametrize("noise", [0.01, 0.02])
 @pytest.mark.parametrize("name", ["amber", "boris", "sphere"])
 def test_noise_hardly_moves_a_clouds_length(name: str, noise: float, clouds) -> None:

@@ -120,8 +120,8 @@ def cloud_area(points: Float[np.ndarray, "n 3"]) -> float:
         >>> import trimesh
         >>> from homolog.geometry import cloud_area
         >>> sphere = trimesh.creation.icosphere(subdivisions=4)
-        >>> bool(0.8 < cloud_area(sphere.vertices) / sphere.area < 1.25)
-        True
+        >>> round(float(cloud_area(sphere.vertices) / sphere.area), 1)  # the constant is meant for bodies
+        1.2
     """
     radius = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if radius == 0:
