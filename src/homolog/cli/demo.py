@@ -49,7 +49,7 @@ def demo(
         paths = outcome.write(output, steps, described(job.matcher, None))
     found = outcome.found
     source = folder.shape(_SOURCE)
-    truth, asked = folder.common_points(_SOURCE), folder.common_points(_TARGET)
+    truth, asked = folder.template_correspondence(_SOURCE), folder.template_correspondence(_TARGET)
     errors = 100 * geodesic_errors(source, truth, found.target_to_source[asked])
     sides = _same_side(source, truth, found.target_to_source[asked])
     if not quiet:

@@ -7,21 +7,29 @@ from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_la
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
 from homolog.geometry.spectrum import Spectrum, lowest_eigenpairs
-from homolog.geometry.surface import Ground, Pieces, Places, Surface, closest_weights, split_long, unit
+from homolog.geometry.surface import (
+    BarycentricPoints,
+    ReferenceSurface,
+    SplitSurface,
+    Surface,
+    closest_weights,
+    split_long,
+    unit,
+)
 
 __all__ = [
     "CLOUD_NEIGHBOURS",
+    "BarycentricPoints",
     "Basis",
     "Frame",
     "Geodesics",
-    "Ground",
     "LaplacianKind",
     "OperatorCache",
     "OperatorSettings",
     "Operators",
-    "Pieces",
-    "Places",
+    "ReferenceSurface",
     "Spectrum",
+    "SplitSurface",
     "Surface",
     "cache_folder",
     "closest_weights",

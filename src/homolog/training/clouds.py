@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 
 from homolog.core.errors import ShapeError
 from homolog.shapes import Shape, add_noise, face_areas
-from homolog.synthesis import Part, ViewSettings, cut, cut_holes, view
+from homolog.synthesis import PartialShape, ViewSettings, cut, cut_holes, view
 from homolog.training.recipe import CloudSettings
 
 # Variants that take no faces.
@@ -95,11 +95,11 @@ def _weighted(mesh: Shape, weights: sparse.csr_array) -> Cloud:
     return Cloud(Shape(weights @ mesh.points, name=mesh.name), weights)
 
 
-def _part(mesh: Shape, part: Part) -> Cloud:
-    return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[part.complete_index])
+def _part(mesh: Shape, part: PartialShape) -> Cloud:
+    return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[part.full_index])
 
 
-def _seen(mesh: Shape, cloud: Part) -> Cloud:
+def _seen(mesh: Shape, cloud: PartialShape) -> Cloud:
     """What a depth camera took: its points lie within triangles, or, with noise, before and behind them."""
     assert mesh.faces is not None and cloud.triangles is not None and cloud.weights is not None
     return Cloud(cloud.shape, _interpolation(mesh, cloud.triangles, cloud.weights))

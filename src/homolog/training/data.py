@@ -127,7 +127,7 @@ def _described_files(folder: ShapeFolder, recipe: Recipe) -> tuple[dict[str, Pat
             "take one that has, such as cuts or views"
         )
     names = folder.split(recipe.data.split)
-    return {name: folder.file(name) for name in folder.complete}, {name: folder.file(name) for name in sorted(names)}
+    return {name: folder.file(name) for name in folder.full}, {name: folder.file(name) for name in sorted(names)}
 
 
 def _apart(complete: dict[str, Path], parts: dict[str, Path]) -> tuple[dict[str, Path], dict[str, Path]]:

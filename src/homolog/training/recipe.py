@@ -231,7 +231,7 @@ class PartialSettings:
         Raises:
             ArgumentError: if they name other folders than the description.
         """
-        complete, parts = described.folders if described.complete else (self.complete or "null", self.parts or "cuts")
+        complete, parts = described.folders if described.full else (self.complete or "null", self.parts or "cuts")
         for key, given, wanted in (("complete", self.complete, complete), ("parts", self.parts, parts)):
             if given not in (None, wanted):
                 raise ArgumentError(

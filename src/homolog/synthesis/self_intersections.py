@@ -1,4 +1,4 @@
-"""Which triangles of a mesh cross others of the same mesh."""
+"""Self-intersections of triangle meshes."""
 
 from __future__ import annotations
 
@@ -12,27 +12,32 @@ from homolog.shapes import face_vectors
 _Pairs = Int[np.ndarray, "p 2"]
 
 
-def crossing_share(surface: Surface, *, by_area: bool = False) -> float:
-    """The share of a mesh's triangles that cross another one, from 0 to 1, counted or by their area."""
+def self_intersection_share(surface: Surface, *, by_area: bool = False) -> float:
+    """The share of a mesh's triangles that intersect another one, from 0 to 1, by number or by area."""
     weights = np.linalg.norm(surface.face_vectors, axis=1) if by_area else np.ones(len(surface.faces))
-    return float(weights[crossing_faces(surface)].sum() / weights.sum())
+    return float(weights[self_intersecting_faces(surface)].sum() / weights.sum())
 
 
-def crossing_faces(surface: Surface) -> Bool[np.ndarray, " m"]:
-    """Which triangles another triangle of the mesh passes through; touching and overlapping in a plane do not count."""
+def self_intersecting_faces(surface: Surface) -> Bool[np.ndarray, " m"]:
+    """Which triangles intersect another triangle of the mesh; contacts and coplanar overlaps do not count.
+
+    The signs of tetrahedra's volumes tell whether an edge passes through a triangle.
+    """
     triangles = surface.vertices[surface.faces]
-    crosses = np.zeros(len(triangles), dtype=bool)
-    pairs = _without_common_side(surface.faces, _overlapping(triangles))
+    found = np.zeros(len(triangles), dtype=bool)
+    pairs = _overlapping(triangles)
+    common = (surface.faces[pairs[:, 0], :, None] == surface.faces[pairs[:, 1], None, :]).sum(axis=(1, 2))
+    pairs = pairs[common < 2]  # neighbours along an edge cannot cross
     pairs = pairs[_straddles(triangles, pairs[:, 0], pairs[:, 1])]
     pairs = pairs[_straddles(triangles, pairs[:, 1], pairs[:, 0])]
     for s, t in (pairs.T, pairs.T[::-1]):
-        hit = _pierced(surface, s, t)
-        crosses[s[hit]] = crosses[t[hit]] = True
-    return crosses
+        hit = _edge_hits(surface, s, t)
+        found[s[hit]] = found[t[hit]] = True
+    return found
 
 
 def _overlapping(triangles: Float[np.ndarray, "m 3 3"]) -> _Pairs:
-    """Pairs of triangles whose boxes overlap, found among triangles of like size at a time."""
+    """Pairs of triangles whose bounding boxes overlap, searched among triangles of similar size."""
     middles = triangles.mean(axis=1)
     radii = np.linalg.norm(triangles - middles[:, None], axis=2).max(axis=1)
     sizes = np.floor(np.log2(radii.clip(1e-9)))
@@ -50,7 +55,7 @@ def _close(
     smaller: Int[np.ndarray, " s"],
     larger: Int[np.ndarray, " l"],
 ) -> _Pairs:
-    """Pairs of a triangle of one class with one of the other whose circumscribed spheres may meet, each pair once."""
+    """Pairs of triangles of two size classes whose bounding spheres may intersect, each pair once."""
     reach = radii[smaller].max() + radii[larger].max()
     tree = cKDTree(middles[larger])
     if smaller is larger:
@@ -59,28 +64,23 @@ def _close(
     return np.stack([smaller[near["i"]], larger[near["j"]]], axis=1)
 
 
-def _without_common_side(faces: Int[np.ndarray, "m 3"], pairs: _Pairs) -> _Pairs:
-    common = (faces[pairs[:, 0], :, None] == faces[pairs[:, 1], None, :]).sum(axis=(1, 2))
-    return np.asarray(pairs[common < 2])
-
-
 def _straddles(
     triangles: Float[np.ndarray, "m 3 3"], s: Int[np.ndarray, " p"], t: Int[np.ndarray, " p"]
 ) -> Bool[np.ndarray, " p"]:
-    """Which triangles t have corners on both sides of the plane of s."""
+    """Which triangles t have corners on both sides of the plane of triangle s."""
     heights = np.einsum("pck,pk->pc", triangles[t] - triangles[s, :1], face_vectors(triangles[s]))
     return np.asarray((heights.min(axis=1) < 0) & (heights.max(axis=1) > 0))
 
 
-def _pierced(surface: Surface, s: Int[np.ndarray, " p"], t: Int[np.ndarray, " p"]) -> Bool[np.ndarray, " p"]:
-    """Which triangles s a side of t passes through, sides that end in a corner of s aside."""
+def _edge_hits(surface: Surface, s: Int[np.ndarray, " p"], t: Int[np.ndarray, " p"]) -> Bool[np.ndarray, " p"]:
+    """Which triangles s an edge of t passes through; edges that end in a corner of s are left out."""
     corners = np.moveaxis(surface.vertices[surface.faces[s]], 1, 0)
-    pierced = np.zeros(len(s), dtype=bool)
+    hit = np.zeros(len(s), dtype=bool)
     for i in range(3):
         ends = surface.faces[t][:, [i, (i + 1) % 3]]
         apart = (ends[:, :, None] != surface.faces[s][:, None, :]).all(axis=(1, 2))
-        pierced |= apart & _segment_meets(*corners, *np.moveaxis(surface.vertices[ends], 1, 0))
-    return pierced
+        hit |= apart & _segment_meets(*corners, *np.moveaxis(surface.vertices[ends], 1, 0))
+    return hit
 
 
 def _segment_meets(p: np.ndarray, q: np.ndarray, r: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -8,12 +8,12 @@ import pytest
 
 from homolog.datasets import DatasetDescription, check_dataset, read_description
 from homolog.shapes import write_shape
-from homolog.synthesis import ViewSettings, write_view_set
+from homolog.synthesis import ViewSettings, write_view_dataset
 
 
 @pytest.fixture
 def own(tmp_path, make):
-    """Four shapes of 42 to 642 points with common points, and lists."""
+    """Four shapes of 42 to 642 points with template points, and lists."""
     root = tmp_path / "own"
     (root / "off").mkdir(parents=True)
     (root / "corres").mkdir()
@@ -41,7 +41,7 @@ def test_a_set_as_it_should_be(own):
     told = []
     found = check_dataset(own, LISTED, progress=lambda *state: told.append(state))
     assert found.findings == []
-    assert (found.n_shapes, found.n_complete, found.n_points, found.n_truth) == (4, 0, (42, 162), (3, 3))
+    assert (found.n_shapes, found.n_full, found.n_points, found.n_truth) == (4, 0, (42, 162), (3, 3))
     assert found.splits == {"train": 3, "test": 2, "all": 4}
     assert found.pairs == {"train": 9, "test": 4, "all": 16}
     assert told == [(number, 4, name) for number, name in enumerate("abcd")]
@@ -55,7 +55,7 @@ def test_the_checksum_is_that_of_sha256sum(own):
     assert check_dataset(own, replace(LISTED, sha256=checksum)).findings == []
     (own / "corres" / "a.vts").write_text("1\n42\n8\n")
     (finding,) = check_dataset(own, replace(LISTED, sha256=checksum)).findings
-    assert finding.endswith(f", but the set's is {checksum}")
+    assert finding.endswith(f", but the dataset's is {checksum}")
 
 
 def without(place):
@@ -74,17 +74,23 @@ FAULTS = {
     "other shape": (writing("off/e.off", CLOUD), ["take ROOT/off/e.off away", "put e.vts at", "e.off has no faces"]),
     "cloud": (
         writing("off/a.off", CLOUD),
-        ["ROOT/off/a.off has no faces", "5 to 162 points, but those of the set have 42"],
+        ["ROOT/off/a.off has no faces", "5 to 162 points, but those of the dataset have 42"],
     ),
     "damaged": (writing("off/d.off", "OFF\n1 2"), ["ROOT/off/d.off"]),
     "range": (writing("corres/d.vts", "163\n1\n1\n"), ["ROOT/corres/d.vts names vertex 163, but the shape has 162"]),
     "first": (writing("corres/a.vts", "43\n1\n1\n"), ["ROOT/corres/a.vts names vertex 43, but the shape has 42"]),
     "malformed": (writing("corres/c.vts", "one\n"), ["ROOT/corres/c.vts must hold a vertex number a line"]),
-    "lines": (writing("corres/c.vts", "1\n2\n"), ["a has 3 common points and c 2"]),
-    "fewer in the split": (writing("train.txt", "a\nb\n"), ["split 'train' has 2 shapes, but that of the set has 3"]),
+    "lines": (writing("corres/c.vts", "1\n2\n"), ["a has 3 template points and c 2"]),
+    "fewer in the split": (
+        writing("train.txt", "a\nb\n"),
+        ["split 'train' has 2 shapes, but that of the dataset has 3"],
+    ),
     "more in the test": (
         writing("test.txt", "a\nb\nc\n"),
-        ["split 'test' has 3 shapes, but that of the set has 2", "split 'test' has 9 pairs, but that of the set has 4"],
+        [
+            "split 'test' has 3 shapes, but that of the dataset has 2",
+            "split 'test' has 9 pairs, but that of the dataset has 4",
+        ],
     ),
     "unknown in the split": (writing("train.txt", "a\nb\nx\n"), ["ROOT/train.txt names 'x'"]),
 }
@@ -106,7 +112,7 @@ def test_counts_where_names_are_not_known(own):
     assert check_dataset(own, described).findings == [f"put the 2 missing of 6 shapes at {own / 'off' / 'NAME.off'}"]
     described = replace(LISTED, names=(), n_shapes=3)
     assert check_dataset(own, described).findings == [
-        f"take 1 of the 4 shapes at {own / 'off' / 'NAME.off'} away; the set has 3"
+        f"take 1 of the 4 shapes at {own / 'off' / 'NAME.off'} away; the dataset has 3"
     ]
 
 
@@ -120,7 +126,7 @@ def test_a_folder_of_one_s_own_needs_no_counts(own):
 
 def test_no_folder_and_an_empty_one(tmp_path):
     (finding,) = check_dataset(tmp_path / "gone", read_description("faust_r")).findings
-    assert finding.startswith(f"put the set at {tmp_path / 'gone'}; get it from the link FAUST")
+    assert finding.startswith(f"put the dataset at {tmp_path / 'gone'}; get it from the link FAUST")
     (tmp_path / "empty").mkdir()
     assert check_dataset(tmp_path / "empty", DatasetDescription()).findings == [
         f"put the shapes at {tmp_path / 'empty' / 'off' / 'NAME.off'}"
@@ -130,10 +136,10 @@ def test_no_folder_and_an_empty_one(tmp_path):
 
 def test_parts(parts_set):
     root, _ = parts_set
-    described = replace(read_description("shrec16_cuts"), complete_names=("cat", "dog"))
+    described = replace(read_description("shrec16_cuts"), full_names=("cat", "dog"))
     found = check_dataset(root, described)
     assert found.findings == []
-    assert (found.n_shapes, found.n_complete) == (3, 2)
+    assert (found.n_shapes, found.n_full) == (3, 2)
     assert found.n_truth == (40, 90)
     assert found.pairs["test"] == 3
     assert len(check_dataset(root, read_description("shrec16_cuts")).findings) == 6  # the other complete shapes
@@ -143,7 +149,7 @@ def test_parts(parts_set):
     (root / "null" / "dog.off").unlink()
     findings = check_dataset(root, described).findings
     assert f"put dog.off at {root / 'null' / 'dog.off'}" in findings
-    assert any("cuts_dog_2: no complete shape" in finding for finding in findings)
+    assert any("cuts_dog_2: no full shape" in finding for finding in findings)
 
 
 def test_clouds(clouds_set):
@@ -155,7 +161,7 @@ def test_clouds(clouds_set):
         file.write("1,2,3\n")
     findings = check_dataset(root, described).findings
     assert any("A has 50 points and C 51" in finding for finding in findings)
-    assert any("50 to 51 points, but those of the set have 50" in finding for finding in findings)
+    assert any("50 to 51 points, but those of the dataset have 50" in finding for finding in findings)
 
 
 def test_clouds_of_views(tmp_path, make):
@@ -166,17 +172,17 @@ def test_clouds_of_views(tmp_path, make):
         vertices = (str(i + 1) for i in range(make.blob().n_points))
         (tmp_path / "in" / "corres" / f"{name}.vts").write_text("\n".join(vertices))
     root, described = tmp_path / "out", read_description("views")
-    write_view_set(tmp_path / "in", root, views=5, seed=0, settings=ViewSettings(pixels=(24, 18)))
+    write_view_dataset(tmp_path / "in", root, views=5, seed=0, settings=ViewSettings(pixels=(24, 18)))
     assert check_dataset(root, described).findings == []
     path = root / "truth" / "view_000003.npz"
     with np.load(path) as arrays:
-        changed = {**arrays, "cloud_to_complete": arrays["cloud_to_complete"] + 10_000}
+        changed = {**arrays, "cloud_to_full": arrays["cloud_to_full"] + 10_000}
     np.savez(path, **changed)
     (finding,) = check_dataset(root, described).findings
     assert finding.startswith(f"{path} names point 1")
     path.write_bytes(b"no arrays")
     (finding,) = check_dataset(root, described).findings
-    assert finding.startswith(f"{path} must hold cloud_to_complete")
+    assert finding.startswith(f"{path} must hold cloud_to_full")
 
 
 def test_volumes(tmp_path):
@@ -209,7 +215,17 @@ def test_maps_that_do_not_fit(tmp_path, make):
     (tmp_path / "corres" / "2_1.map").write_text("43\n" * 42)
     findings = check_dataset(tmp_path, described).findings
     assert f"{tmp_path / 'corres' / '2_1.map'} names vertex 43, but the shape has 42" in findings
-    assert any("has 2 pairs, but that of the set has 1" in finding for finding in findings)
+    assert any("has 2 pairs, but that of the dataset has 1" in finding for finding in findings)
+
+
+def test_every_missing_file_of_a_list_is_named_and_the_others_are_read(own):
+    (own / "train.txt").write_text("a\nx\nb\ny\n")
+    (own / "pairs.txt").write_text("a,z\nc,d\n")
+    (own / "corres" / "c.vts").write_text("1\n2\n")
+    findings = check_dataset(own, DatasetDescription()).findings
+    for name, listed in (("x", "train.txt"), ("y", "train.txt"), ("z", "pairs.txt")):
+        assert f"{own / listed} names '{name}', but {own / 'off'} has no {name}.off; put it there" in findings
+    assert any("template points" in finding for finding in findings)
 
 
 @pytest.mark.reference
@@ -233,4 +249,4 @@ def test_a_part_of_the_real_files(benchmark_set):
     found = check_dataset(root, read_description("shrec19"))
     assert found.n_truth == (6890, 6890)
     assert f"put 40.off at {root / 'off' / '40.off'}" in found.findings
-    assert len(found.findings) == 41 + 1 and "has 2 pairs, but that of the set has 407" in found.findings[-1]
+    assert len(found.findings) == 41 + 1 and "has 2 pairs, but that of the dataset has 407" in found.findings[-1]

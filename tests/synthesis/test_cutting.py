@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.shapes import Shape, face_areas
-from homolog.synthesis import Part, add_outliers, cut, cut_holes, subsample
-from homolog.synthesis.parts import in_discs
+from homolog.synthesis import PartialShape, add_outliers, cut, cut_holes, subsample
+from homolog.synthesis.cutting import in_discs
 
 
 def area(shape):
@@ -20,11 +20,11 @@ def area(shape):
 
 def is_whole(part, complete):
     """One connected piece of the complete shape, with its points and nothing else."""
-    assert np.array_equal(part.shape.points, complete.points[part.complete_index])
+    assert np.array_equal(part.shape.points, complete.points[part.full_index])
     faces = {tuple(face) for face in complete.faces}
-    assert all(tuple(face) in faces for face in part.complete_index[part.shape.faces])
+    assert all(tuple(face) in faces for face in part.full_index[part.shape.faces])
     assert np.array_equal(np.unique(part.shape.faces), np.arange(part.shape.n_points))
-    assert (np.diff(part.complete_index) > 0).all()
+    assert (np.diff(part.full_index) > 0).all()
     assert part.triangles is None and part.weights is None
     return trimesh.Trimesh(part.shape.points, part.shape.faces, process=False).body_count == 1
 
@@ -38,7 +38,7 @@ def test_a_cut_leaves_one_side_of_a_plane(make, seed, removed):
     assert is_whole(part, blob)
     left = part.shape.points @ normal
     # Every face that is gone reaches below the plane through the lowest point that is left.
-    kept = {tuple(face) for face in part.complete_index[part.shape.faces]}
+    kept = {tuple(face) for face in part.full_index[part.shape.faces]}
     gone = np.array([tuple(face) not in kept for face in blob.faces])
     assert ((blob.points @ normal)[blob.faces[gone]].min(axis=1) < left.min()).all()
     largest_face = face_areas(blob.points, blob.faces).max()
@@ -61,9 +61,9 @@ def test_a_cut_through_two_legs_leaves_the_larger_piece(make):
 
 def test_nothing_removed_is_the_shape_itself_and_of_two_pieces_the_larger(make):
     blob, small = make.blob(2), make.sphere(1, radius=0.1)
-    assert np.array_equal(cut(blob, removed=0.0, seed=1).complete_index, np.arange(blob.n_points))
+    assert np.array_equal(cut(blob, removed=0.0, seed=1).full_index, np.arange(blob.n_points))
     both = make.joined([small, Shape(blob.points + 9, blob.faces)])
-    assert np.array_equal(cut(both, removed=0.0, seed=1).complete_index, np.arange(small.n_points, both.n_points))
+    assert np.array_equal(cut(both, removed=0.0, seed=1).full_index, np.arange(small.n_points, both.n_points))
 
 
 def brute_distances(shape, start):
@@ -97,7 +97,7 @@ def test_one_hole_is_the_disc_around_a_point(make):
     blob = make.blob(2)
     part = cut_holes(blob, holes=1, radius=0.2, seed=8)
     assert is_whole(part, blob)
-    gone = np.setdiff1d(np.arange(blob.n_points), part.complete_index)
+    gone = np.setdiff1d(np.arange(blob.n_points), part.full_index)
     radius = 0.2 * np.sqrt(area(blob))
     discs = [np.flatnonzero(brute_distances(blob, int(centre)) < radius) for centre in gone]
     assert any(np.array_equal(disc, gone) for disc in discs)
@@ -117,7 +117,7 @@ def test_the_same_seed_gives_the_same_bytes(make, make_part):
     blob = make.blob(3)
     one, again, other = (make_part(blob, seed=seed) for seed in (5, 5, 6))
     assert one.shape.points.tobytes() == again.shape.points.tobytes() != other.shape.points.tobytes()
-    assert one.complete_index.tobytes() == again.complete_index.tobytes()
+    assert one.full_index.tobytes() == again.full_index.tobytes()
     if one.shape.faces is not None:
         assert one.shape.faces.tobytes() == again.shape.faces.tobytes()
 
@@ -127,14 +127,14 @@ def test_steps_one_after_the_other_lead_back(make):
     first = cut(blob, seed=1)
     second = first.then(subsample(first.shape, seed=2))
     third = second.then(add_outliers(second.shape, share=0.1, seed=3))
-    known = third.complete_index >= 0
-    assert np.array_equal(third.shape.points[known], blob.points[third.complete_index[known]])
+    known = third.full_index >= 0
+    assert np.array_equal(third.shape.points[known], blob.points[third.full_index[known]])
     assert (~known).sum() == round(0.1 * second.shape.n_points)
 
 
 def test_steps_keep_places_on_triangles():
-    cloud = Part(Shape(np.eye(4, 3)), np.arange(4), np.array([5, 6, 7, 8]), np.full((4, 3), 1 / 3))
-    further = Part(Shape(np.eye(4, 3)), np.array([2, -1, 0, 0]))
+    cloud = PartialShape(Shape(np.eye(4, 3)), np.arange(4), np.array([5, 6, 7, 8]), np.full((4, 3), 1 / 3))
+    further = PartialShape(Shape(np.eye(4, 3)), np.array([2, -1, 0, 0]))
     found = cloud.then(further)
     assert found.triangles.tolist() == [7, -1, 5, 5]
     assert found.weights.tolist() == [[1 / 3] * 3, [0] * 3, [1 / 3] * 3, [1 / 3] * 3]
@@ -173,5 +173,5 @@ def test_shapes_too_small_or_without_faces(make):
         cut(sphere, removed=0.999, seed=0)
     with pytest.raises(ShapeError, match="fewer or smaller holes"):
         cut_holes(sphere, holes=1, radius=3.0, seed=0)
-    with pytest.raises(ShapeError, match="thin it less"):
+    with pytest.raises(ShapeError, match="raise `least`"):
         subsample(Shape(np.eye(5, 3)), least=0.0, direction=[1, 0, 0], seed=0)

@@ -1,4 +1,4 @@
-"""Numbers that are given, or drawn from a range that is."""
+"""Random parameters: a number that is given, or one sampled uniformly from a range."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 from homolog.core.arguments import is_real
 from homolog.core.errors import bad_value
 
-# A number, or the lowest and the highest that may be drawn.
+# A number, or the ends of the range that it is sampled from.
 Range = float | tuple[float, float]
 
 
 def check_range(name: str, found: Any, allowed: Callable[[float], bool], described: str) -> None:
-    """Refuse what is neither a number that is allowed, nor two of them in order.
+    """Refuse what is neither an allowed number nor a range of allowed numbers.
 
     Raises:
-        ArgumentError: naming the argument, and what is allowed, as ``described``.
+        ArgumentError: naming the argument, and what is allowed in the words of ``described``.
     """
     ends = found if isinstance(found, tuple) else (found, found)
     if not (len(ends) == 2 and all(is_real(end) and allowed(end) for end in ends) and ends[0] <= ends[1]):
@@ -37,25 +37,30 @@ def check_number(name: str, found: Any, low: float) -> None:
         raise bad_value(name, found, f"a finite number of at least {low:g}")
 
 
-def drawn(value: Range, random: np.random.Generator) -> float:
-    """The number, or one drawn evenly from the range."""
+def sample(value: Range, random: np.random.Generator) -> float:
+    """The number, or one sampled uniformly from the range.
+
+    Example:
+        >>> sample(0.5, np.random.default_rng(0)), 1.0 <= sample((1.0, 2.0), np.random.default_rng(0)) < 2.0
+        (0.5, True)
+    """
     return float(random.uniform(*value)) if isinstance(value, tuple) else float(value)
 
 
-def drawn_count(value: int | tuple[int, int], random: np.random.Generator) -> int:
-    """The whole number, or one drawn from those of the range, its ends included."""
+def sample_count(value: int | tuple[int, int], random: np.random.Generator) -> int:
+    """The whole number, or one sampled uniformly from the range, its ends included."""
     return int(random.integers(value[0], value[1] + 1)) if isinstance(value, tuple) else int(value)
 
 
-def drawn_direction(random: np.random.Generator) -> Float[np.ndarray, " 3"]:
-    """A unit vector, every one as likely."""
+def sample_direction(random: np.random.Generator) -> Float[np.ndarray, " 3"]:
+    """Sample a direction uniformly from the unit sphere."""
     vector = random.standard_normal(3)
     direction: np.ndarray = vector / np.linalg.norm(vector)
     return direction
 
 
-def given_direction(name: str, found: ArrayLike) -> Float[np.ndarray, " 3"]:
-    """A vector of any length that a caller gave.
+def checked_direction(name: str, found: ArrayLike) -> Float[np.ndarray, " 3"]:
+    """A direction that a caller gave, of any length.
 
     Raises:
         ArgumentError: naming the argument, if it is no direction.

@@ -7,7 +7,7 @@ import pytest
 from stand_in import sphere
 
 from homolog.geometry.surface import Surface
-from homolog.synthesis.crossings import crossing_faces, crossing_share
+from homolog.synthesis.self_intersections import self_intersecting_faces, self_intersection_share
 
 
 def pair(offset, scale=1.0):
@@ -46,12 +46,12 @@ def test_two_spheres(offset, scale):
     surface = pair(np.array(offset), scale)
     expected = reference(surface)
     assert expected.any()
-    np.testing.assert_array_equal(crossing_faces(surface), expected)
+    np.testing.assert_array_equal(self_intersecting_faces(surface), expected)
 
 
 def test_spheres_that_do_not_meet():
-    assert not crossing_faces(pair(np.array([3.0, 0.0, 0.0]))).any()
-    assert not crossing_faces(pair(np.array([0.01, 0.02, 0.03]), 0.2)).any(), "one within the other"
+    assert not self_intersecting_faces(pair(np.array([3.0, 0.0, 0.0]))).any()
+    assert not self_intersecting_faces(pair(np.array([0.01, 0.02, 0.03]), 0.2)).any(), "one within the other"
 
 
 def test_a_sphere_folded_through_itself():
@@ -59,13 +59,13 @@ def test_a_sphere_folded_through_itself():
     pushed = vertices.copy()
     pushed[np.argmax(pushed[:, 1])] = [0.05, -1.7, 0.02]
     surface = Surface(pushed, faces)
-    np.testing.assert_array_equal(crossing_faces(surface), reference(surface))
-    assert crossing_faces(surface).any()
+    np.testing.assert_array_equal(self_intersecting_faces(surface), reference(surface))
+    assert self_intersecting_faces(surface).any()
 
 
 def test_shares():
     surface = pair(np.array([0.9, 0.13, 0.21]), 0.3)
-    crosses = crossing_faces(surface)
-    assert crossing_share(surface) == pytest.approx(crosses.mean())
+    crosses = self_intersecting_faces(surface)
+    assert self_intersection_share(surface) == pytest.approx(crosses.mean())
     areas = np.linalg.norm(surface.face_vectors, axis=1)
-    assert crossing_share(surface, by_area=True) == pytest.approx(areas[crosses].sum() / areas.sum())
+    assert self_intersection_share(surface, by_area=True) == pytest.approx(areas[crosses].sum() / areas.sum())
