@@ -42,7 +42,7 @@ EigenvectorPrecision = Literal["float32", "float16"]
 def cache_folder() -> Path:
     """The default folder of the operator cache: ``HOMOLOG_CACHE`` if it is set, else the platform's cache folder.
 
-    Example:
+    Examples:
         >>> from homolog.geometry import cache_folder
         >>> cache_folder().is_absolute()
         True
@@ -64,7 +64,7 @@ class OperatorCache:
         max_bytes: bound on the folder's size; 10 GiB by default. A shape of 5,000 points takes about 5 MB.
         eigenvectors: ``"float32"``, or ``"float16"``, which nearly halves an entry at a relative error of 5e-4.
 
-    Example:
+    Examples:
         >>> import tempfile, trimesh
         >>> from homolog import OperatorCache, Shape
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)

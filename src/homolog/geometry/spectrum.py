@@ -59,7 +59,7 @@ class Spectrum:
         residual: the largest |L phi - lambda M phi|, in the norm of M^-1, as a share of the largest eigenvalue.
         method: how they were found, for reports.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog.geometry import lowest_eigenpairs, mesh_laplacian
         >>> mesh = trimesh.creation.icosphere(subdivisions=2)
@@ -92,7 +92,7 @@ def lowest_eigenpairs(laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"],
         ArgumentError: if ``n_eigenpairs`` is not positive.
         ShapeError: if no method gives eigenpairs with a small residual.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog.geometry import lowest_eigenpairs, mesh_laplacian
         >>> mesh = trimesh.creation.icosphere(subdivisions=4)

@@ -29,7 +29,7 @@ class Surface:
         vertices: positions (n, 3).
         faces: three vertices a triangle, counter-clockwise from outside (m, 3).
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import Surface
         >>> triangle = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
@@ -70,7 +70,7 @@ class BarycentricPoints:
         triangles: the triangle that each point lies on (p,).
         weights: its barycentric coordinates there, which sum to one (p, 3).
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import BarycentricPoints, Surface
         >>> triangle = Surface(np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]]), np.array([[0, 1, 2]]))
@@ -92,7 +92,7 @@ class BarycentricPoints:
 def unit(vectors: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
     """Normalise vectors to length one; zero vectors stay zero.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import unit
         >>> unit(np.array([[3.0, 4.0], [0.0, 0.0]]))
@@ -148,7 +148,7 @@ class SplitSurface:
 def split_long(surface: Surface, longest: float, *, most: int) -> SplitSurface:
     """Subdivide triangles with a side longer than ``longest``, repeatedly, as long as there are at most ``most``.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import Surface, split_long
         >>> triangle = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
@@ -178,7 +178,7 @@ class ReferenceSurface:
     Args:
         surface: a mesh whose triangles have sides of similar lengths; see ``split_long``.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import ReferenceSurface, Surface
         >>> square = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), np.array([[0, 1, 2], [1, 3, 2]]))
@@ -283,7 +283,7 @@ def closest_weights(
         triangles: corners of each triangle (p, 3, 3).
         points: one point for each triangle (p, 3).
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import closest_weights
         >>> triangle = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])

@@ -221,7 +221,7 @@ def carried_over(
     Raises:
         ArgumentError: if the temperature or the number of iterations is not positive.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps.sinkhorn import carried_over
         >>> carried_over(torch.eye(3), torch.eye(3), torch.ones(3, 1)).round(decimals=4).flatten()
