@@ -46,7 +46,7 @@ class OperatorCache(CacheFolder):
         max_bytes: bound on the folder's size; 10 GiB by default. A shape of 5,000 points takes about 5 MB.
         eigenvectors: ``"float32"``, or ``"float16"``, which nearly halves an entry at a relative error of 5e-4.
 
-    Example:
+    Examples:
         >>> import tempfile, trimesh
         >>> from homolog import OperatorCache, Shape
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)
