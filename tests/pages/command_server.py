@@ -62,7 +62,7 @@ def end_once_it_serves(server):
 def shorten():
     """Put a little in the place of much."""
     # By their full names, as packages export functions under the names of some of these modules.
-    importlib.import_module("homolog.cli.train").read_recipe = read_short_recipe
+    importlib.import_module("homolog.training").read_recipe = read_short_recipe
     importlib.import_module("homolog.cli.synth_people").synthesize_people = synthesize_few
     importlib.import_module("homolog.cli.synth_views").write_view_set = write_few_views
     production._body_model = StandIn

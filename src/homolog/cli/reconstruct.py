@@ -34,7 +34,7 @@ def reconstruct(
 
       homolog reconstruct lungs/*.csv -o lung_surfaces
 
-      homolog train quick --data lung_surfaces --out run
+      homolog train lung_surfaces -o run
 
     A cloud that does not close is one line on stderr; the others are still written, and the exit code is 2.
     """

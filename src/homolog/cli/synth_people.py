@@ -40,7 +40,7 @@ def people(
 
       homolog synth people -n 500 -o stretched --stretch 3 --seed 1
 
-      homolog train quick --data people --out run
+      homolog train people -o run
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     settings = PeopleSettings(seed, MeshSettings(vertices, stretch))
