@@ -137,14 +137,6 @@ def test_quantities_are_computed_once_and_only_where_a_loss_asks(pair, monkeypat
     assert counted == ["registered_positions"]
 
 
-def test_preservation_is_the_residual_of_the_functional_map(pair):
-    only = replace(FEW, weights={**dict.fromkeys(BUILTIN_LOSSES, 0.0), "preservation": 2.0})
-    found, q = pair_losses(*pair, settings=only), quantities(pair)
-    network, x, y = pair
-    a, b = (s.mesh.pseudo_inverse[:10] @ network(s.mesh.points, s.mesh) for s in (x, y))
-    torch.testing.assert_close(found["preservation"], 2 * torch.mean((q.c_xy @ a - b) ** 2))
-
-
 # --- in a recipe
 
 

@@ -214,16 +214,6 @@ def registration(
     )
 
 
-@_builtin(weight=0.0)
-def preservation(
-    c_xy: Float[Tensor, "k_y k_x"],
-    coefficients_x: Float[Tensor, "k_x d"],
-    coefficients_y: Float[Tensor, "k_y d"],
-) -> Float[Tensor, ""]:
-    """The functional map takes the features of x to those of y: the mean of |C_xy A_x - A_y|^2."""
-    return (c_xy @ coefficients_x - coefficients_y).square().mean()
-
-
 def losses_of(settings: LossSettings, more: Sequence[Loss] = ()) -> tuple[Loss, ...]:
     """The losses with a weight above 0, of settings and of one's own: their sum is what a training minimises.
 
