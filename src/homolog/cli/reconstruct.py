@@ -42,6 +42,8 @@ def reconstruct(
 
       homolog reconstruct lungs/*.csv -o lung_surfaces
 
+      homolog train lung_surfaces -o run
+
     A cloud that does not close is one line on stderr; the others are still written, and the exit code is 2.
     """
     places = _places(clouds, output)

@@ -43,6 +43,8 @@ def people(
       homolog synth people -n 500 -o people
 
       homolog synth people -n 500 -o stretched --stretch 3 --seed 1
+
+      homolog train people -o run
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     synthesis = homolog.synthesis
