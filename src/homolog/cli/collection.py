@@ -20,26 +20,20 @@ from homolog.cli.options import (
     Weights,
     build_matcher,
     check_folder,
-    check_outside,
     described,
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar, say
-from homolog.core.versions import versions
 from homolog.shape_models import (
     MOST_SHOWN,
-    CollectionFolder,
-    CollectionSettings,
+    BuiltModel,
     ModelSettings,
     Outcome,
+    ShapeModelSettings,
+    build,
     check_extra,
-    check_template,
-    collect,
-    deliver,
-    making,
-    subjects_of,
 )
-from homolog.shapes import Up, read_hashed_shape
+from homolog.shapes import Up
 
 Collected = Literal["template", "shapes", "both"]
 
@@ -76,8 +70,8 @@ def collection(
 ) -> None:
     """Match shapes to one template, and give each the template's points and faces; then find how they vary.
 
-    Needs the extra `collection`. Writes DIR/shapes/NAME.ply (the template's points, placed smoothly on each shape's
-    surface, in its own coordinates), DIR/points.npy (shapes, points, 3), DIR/quality.csv (a row per shape),
+    Needs the extra `collection`. Writes DIR/shapes/NAME.ply (the template's points, registered smoothly to each
+    shape's surface, in its own coordinates), DIR/points.npy (shapes, points, 3), DIR/quality.csv (a row per shape),
     DIR/contact_sheet.png (the worst first), DIR/model (the mean, the principal modes, curves, and modes.html to drag
     through), DIR/shapeworks and DIR/scalismo (for these programs), and DIR/report.json.
 
@@ -94,12 +88,8 @@ def collection(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_extra()
-    subjects = subjects_of(shapes)
     check_folder(output)
-    check_outside(output, inputs=(template, *shapes))
-    base, digest = read_hashed_shape(template)
-    check_template(base)
-    settings = CollectionSettings(
+    settings = ShapeModelSettings(
         template_up=template_up or up,
         shapes_up=up,
         template_as_cloud=as_cloud in ("template", "both"),
@@ -108,23 +98,15 @@ def collection(
     )
     model = ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
-    matcher = make_matcher()
-    begun = CollectionFolder.opened(output, making(digest, matcher, settings))
-    with begun as folder, progress_bar(quiet=quiet) as progress:
-        outcomes = collect(
-            base, subjects, folder, make_matcher, settings, processes=processes, progress=progress, told=_tell
-        )
-        progress(len(subjects), len(subjects), "mean and modes")
-        report = {
-            "command": ["homolog", *sys.argv[1:]],
-            "inputs": {"template": str(template), "sha256": digest},
-            **described(matcher, weights),
-            "versions": versions(),
-        }
-        files = deliver(folder, base, outcomes, model, told=report)
+    report = {"command": ["homolog", *sys.argv[1:]], **described(make_matcher(), weights)}
+    with progress_bar(quiet=quiet) as progress:
+        built = build(
+            template, shapes, output, make_matcher,
+            settings=settings, model=model, processes=processes, progress=progress, listener=_tell, report=report,
+        )  # fmt: skip
     if not quiet:
-        _summary(folder, outcomes, files)
-    if any(outcome.error for outcome in outcomes):
+        _summary(built)
+    if any(outcome.error for outcome in built.outcomes):
         raise typer.Exit(2)
 
 
@@ -133,10 +115,11 @@ def _tell(outcome: Outcome) -> None:
         say(f"Error: {outcome.error}")
 
 
-def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path]) -> None:
-    placed = [outcome for outcome in outcomes if not outcome.error]
-    doubtful = [outcome for outcome in placed if outcome.warnings]
-    for outcome in doubtful:
+def _summary(built: BuiltModel) -> None:
+    folder, outcomes = built.folder, built.outcomes
+    registered = [outcome for outcome in outcomes if not outcome.error]
+    warned = [outcome for outcome in registered if outcome.warnings]
+    for outcome in warned:
         for warning in outcome.warnings:
             say(f"Warning: {outcome.subject.name}: {warning}")
     others = folder.others([outcome.subject for outcome in outcomes])
@@ -144,7 +127,7 @@ def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path
         say(f"Not given this time, and not counted: {len(others)} of the shapes in {folder.root / 'shapes'}.")
     if len(outcomes) > MOST_SHOWN:
         say(f"contact_sheet.png shows the worst {MOST_SHOWN} of {len(outcomes)} shapes.")
-    failed = len(outcomes) - len(placed)
-    say(f"Placed {len(placed)} of {len(outcomes)} shapes: {failed} failed, {len(doubtful)} doubtful.")
-    for path in files:
+    failed = len(outcomes) - len(registered)
+    say(f"Registered {len(registered)} of {len(outcomes)} shapes: {failed} failed, {len(warned)} with warnings.")
+    for path in built.files:
         typer.echo(path)
