@@ -25,15 +25,13 @@ from homolog.cli.options import (
     build_matcher,
     check_folder,
     check_inputs,
-    check_outside,
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar, say
 from homolog.core.choices import Up
-from homolog.core.versions import versions
 
 if TYPE_CHECKING:
-    from homolog.shape_models import CollectionFolder, Outcome
+    from homolog.shape_models import BuiltModel, Outcome
 
 Collected = Literal["template", "shapes", "both"]
 
@@ -81,10 +79,10 @@ def collection(
 ) -> None:
     """Register a template to many shapes, and compute their statistical shape model.
 
-    Needs the extra `collection`. Writes DIR/shapes/NAME.ply (the template registered to each shape, in its
-    coordinates), DIR/points.npy (shapes, points, 3), DIR/quality.csv (a row per shape), DIR/contact_sheet.png (the
-    worst first), DIR/model (mean, principal modes, curves, and modes.html to look at them), DIR/shapeworks and
-    DIR/scalismo (for these programs), and DIR/report.json.
+    Needs the extra `collection`. Writes DIR/shapes/NAME.ply (the template's points, registered smoothly to each
+    shape's surface, in its own coordinates), DIR/points.npy (shapes, points, 3), DIR/quality.csv (a row per shape),
+    DIR/contact_sheet.png (the worst first), DIR/model (the mean, the principal modes, curves, and modes.html to drag
+    through), DIR/shapeworks and DIR/scalismo (for these programs), and DIR/report.json.
 
     The same command resumes where it was stopped, and redoes what changed; more shapes can be given then. A shape that
     cannot be matched is one line on stderr and in quality.csv; the others are still written, and the exit code is 2.
@@ -100,12 +98,8 @@ def collection(
     check_inputs(template, weights=weights)
     models = homolog.shape_models
     models.check_extra()
-    subjects = models.subjects_of(shapes)
     check_folder(output)
-    check_outside(output, inputs=(template, *shapes))
-    base, digest = homolog.shapes.read_hashed_shape(template)
-    models.check_template(base)
-    settings = models.CollectionSettings(
+    settings = models.ShapeModelSettings(
         template_up=template_up or up,
         shapes_up=up,
         template_as_cloud=as_cloud in ("template", "both"),
@@ -114,23 +108,23 @@ def collection(
     )
     model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
-    matcher = make_matcher()
-    begun = models.CollectionFolder.opened(output, models.making(digest, matcher, settings))
-    with begun as folder, progress_bar(quiet=quiet) as progress:
-        outcomes = models.collect(
-            base, subjects, folder, make_matcher, settings, processes=processes, progress=progress, told=_tell
+    report = {"command": ["homolog", *sys.argv[1:]], **make_matcher().describe()}
+    with progress_bar(quiet=quiet) as progress:
+        built = models.build(
+            template,
+            shapes,
+            output,
+            make_matcher,
+            settings=settings,
+            model=model,
+            processes=processes,
+            progress=progress,
+            listener=_tell,
+            report=report,
         )
-        progress(len(subjects), len(subjects), "mean and modes")
-        report = {
-            "command": ["homolog", *sys.argv[1:]],
-            "inputs": {"template": str(template), "sha256": digest},
-            **matcher.describe(),
-            "versions": versions(),
-        }
-        files = models.deliver(folder, base, outcomes, model, told=report)
     if not quiet:
-        _summary(folder, outcomes, files)
-    if any(outcome.error for outcome in outcomes):
+        _summary(built)
+    if any(outcome.error for outcome in built.outcomes):
         raise typer.Exit(2)
 
 
@@ -139,10 +133,11 @@ def _tell(outcome: Outcome) -> None:
         say(f"Error: {outcome.error}")
 
 
-def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path]) -> None:
+def _summary(built: BuiltModel) -> None:
+    folder, outcomes = built.folder, built.outcomes
     registered = [outcome for outcome in outcomes if not outcome.error]
-    doubtful = [outcome for outcome in registered if outcome.warnings]
-    for outcome in doubtful:
+    warned = [outcome for outcome in registered if outcome.warnings]
+    for outcome in warned:
         for warning in outcome.warnings:
             say(f"Warning: {outcome.subject.name}: {warning}")
     others = folder.others([outcome.subject for outcome in outcomes])
@@ -152,9 +147,6 @@ def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path
     if len(outcomes) > most_shown:
         say(f"contact_sheet.png shows the worst {most_shown} of {len(outcomes)} shapes.")
     failed = len(outcomes) - len(registered)
-    say(
-        f"Registered the template to {len(registered)} of {len(outcomes)} shapes: "
-        f"{failed} failed, {len(doubtful)} with warnings."
-    )
-    for path in files:
+    say(f"Registered {len(registered)} of {len(outcomes)} shapes: {failed} failed, {len(warned)} with warnings.")
+    for path in built.files:
         typer.echo(path)

@@ -239,14 +239,6 @@ def check_file(output: Path) -> None:
         raise ArgumentError(f"{output} cannot be written: {fault}")
 
 
-def check_outside(output: Path, *, inputs: Iterable[Path]) -> None:
-    """Refuse inputs in the folder of the result: files there are replaced, and go when they are no longer made."""
-    place = expanded(output).resolve()
-    for path in inputs:
-        if expanded(path).resolve().is_relative_to(place):
-            raise ArgumentError(f"{path} lies in {output}, where the result is written; give another -o, or move it")
-
-
 def check_picture_file(output: Path | None, lines: int, width: int) -> None:
     """Refuse a picture that cannot be written, or what says how to draw one that is not wanted, before any work."""
     if output is not None:
