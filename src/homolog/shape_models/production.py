@@ -12,7 +12,7 @@ from typing import Any
 from homolog.core.arguments import check_count
 from homolog.core.errors import HomologError
 from homolog.core.progress import Progress, no_progress
-from homolog.core.tasks import work_off
+from homolog.core.tasks import run_tasks
 from homolog.matching import Matcher
 from homolog.shape_models.folder import CollectionFolder, Outcome
 from homolog.shape_models.registering import Template
@@ -73,9 +73,6 @@ def collect(
 ) -> list[Outcome]:
     """Place the template's points on all shapes that do not have them yet; one that fails does not stop the others.
 
-    Several processes begin by importing the program that calls this: a script must call it below
-    ``if __name__ == "__main__":``.
-
     Args:
         template: as it was read, with the hash that ``folder`` was begun with.
         subjects: the shapes.
@@ -104,9 +101,9 @@ def collect(
         told(outcome)
 
     processes = min(processes, max(1, len(missing)))
-    place = _Placing(template, make_matcher, folder, settings or CollectionSettings(), processes)
+    place = _Placing(template, make_matcher, folder, settings or CollectionSettings())
     there = len(subjects) - len(missing)
-    work_off(
+    run_tasks(
         [[(subject.name, _Task(place, subject)) for subject in missing]],
         processes=processes,
         progress=lambda done, _, what: progress(there + done, len(subjects), what),
@@ -132,7 +129,6 @@ class _Placing:
     make_matcher: Callable[[], Matcher] = field(compare=False)
     folder: CollectionFolder
     settings: CollectionSettings
-    processes: int
 
     def outcome(self, subject: Subject) -> Outcome:
         """Match one shape, and write what came of it."""
@@ -170,8 +166,6 @@ class _Task:
 @lru_cache(maxsize=1)
 def _prepared(placing: _Placing) -> Template:
     """The template of this process, made ready once."""
-    if placing.processes > 1:
-        _share_cores(placing.processes)
     settings = placing.settings
     return Template(
         placing.template,
@@ -179,13 +173,6 @@ def _prepared(placing: _Placing) -> Template:
         up=settings.template_up,
         as_cloud=settings.template_as_cloud,
     )
-
-
-def _share_cores(processes: int) -> None:
-    """Leave cores to the other processes: threads that wait for each other are slow."""
-    import torch
-
-    torch.set_num_threads(max(1, (os.cpu_count() or 1) // processes))
 
 
 def _in_a_line(subject: Subject, error: Exception) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from homolog.core.arguments import check_count
 from homolog.core.progress import Progress, no_progress
-from homolog.core.tasks import work_off
+from homolog.core.tasks import run_tasks
 from homolog.geometry.surface import Places
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.people import PeopleSettings, make_person
@@ -28,9 +28,6 @@ def synthesize_people(
     progress: Progress = no_progress,
 ) -> PeopleFolder:
     """Make the first ``n`` bodies of an endless set, or those of them that are not there yet.
-
-    Several processes begin by importing the program that calls this: a script must call it below
-    ``if __name__ == "__main__":``.
 
     Args:
         output: the folder; it may hold bodies made with the same settings, which are kept.
@@ -60,7 +57,7 @@ def synthesize_people(
         make = _Making(points, settings, folder)
         tasks = [(names[index], partial(make, index)) for index in missing]
         there = n - len(missing)
-        work_off(
+        run_tasks(
             [tasks],
             processes=min(processes, len(missing)),
             progress=lambda done, _, what: progress(there + done, n, what),

@@ -20,7 +20,7 @@ from homolog.core.errors import DataError, bad_value
 from homolog.core.files import all_or_nothing, atomic_path, expanded, write_json
 from homolog.core.folders import MANIFEST, claim
 from homolog.core.progress import Progress, no_progress
-from homolog.core.tasks import work_off
+from homolog.core.tasks import run_tasks
 from homolog.datasets import ShapeFolder
 from homolog.shapes import read_shape, repair, write_shape
 from homolog.synthesis.view_plan import TEST_EVERY, Bodies, PlannedView, SetSplit, planned_view
@@ -73,7 +73,7 @@ def write_view_set(
     used = sorted({name for one in planned for name in (one.own, one.complete)})
     make_bodies = [(name, partial(_write_body, bodies.files[name], bodies.truth_root, place)) for name in used]
     make_views = [(one.name, partial(_write_view, one, place, settings)) for one in planned]
-    work_off([make_bodies, make_views], processes=processes, progress=progress or no_progress)
+    run_tasks([make_bodies, make_views], processes=processes, progress=progress or no_progress)
     _write_lists(place, planned)
     records = [json.loads(_record(place, one.name).read_text(encoding="utf-8")) for one in planned]
     write_json(place / MANIFEST, {**manifest, "views": records})
