@@ -15,13 +15,14 @@ import numpy as np
 import pytest
 
 from homolog.core.errors import MissingExtraError, ShapeError
-from homolog.shapes import READABLE, WRITABLE, Shape, read_shape, write_shape
+from homolog.shapes import Shape, read_shape, readable_suffixes, register_format, writable_suffixes, write_shape
+from homolog.shapes.formats import registry
 
 MESH = Shape(
     [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]],
     [[0, 1, 2], [0, 1, 3], [1, 2, 4], [2, 3, 4], [0, 2, 3], [1, 3, 4]],
 )
-MESH_FORMATS = [s for s in WRITABLE if s not in (".xyz", ".txt", ".csv", ".npy", ".pcd")]
+MESH_FORMATS = [s for s in writable_suffixes() if s not in (".xyz", ".txt", ".csv", ".npy", ".pcd")]
 BILLION = 10**9
 
 
@@ -73,7 +74,7 @@ def test_missing_folder_and_unknown(tmp_path):
     (tmp_path / "folder.ply").mkdir()
     refused(tmp_path / "folder.ply", "folder")
     message = refused(put(tmp_path, "a.docx", "x"), "'.docx'")
-    assert all(suffix in message for suffix in READABLE)
+    assert all(suffix in message for suffix in readable_suffixes())
     refused(put(tmp_path, "ply", "x"), "no suffix")
     (tmp_path / "scans").mkdir()
     refused(tmp_path / "scans", "scans is a folder")
@@ -92,7 +93,7 @@ def test_forbidden(tmp_path):
     refused(tmp_path / "a.ply", "Permission denied")
 
 
-@pytest.mark.parametrize("suffix", READABLE)
+@pytest.mark.parametrize("suffix", readable_suffixes())
 def test_empty(tmp_path, suffix):
     refused(put(tmp_path, "a" + suffix, b""), "is empty")
 
@@ -109,13 +110,13 @@ RUBBISH = {
 }
 
 
-@pytest.mark.parametrize("suffix", READABLE)
+@pytest.mark.parametrize("suffix", readable_suffixes())
 @pytest.mark.parametrize("content", RUBBISH.values(), ids=RUBBISH)
 def test_rubbish(tmp_path, suffix, content):
     refused(put(tmp_path, "a" + suffix, content), suffix[1:].upper())
 
 
-@pytest.mark.parametrize("suffix", READABLE)
+@pytest.mark.parametrize("suffix", readable_suffixes())
 @pytest.mark.parametrize("start", [b"ply\n", b"OFF\n", b"glTF", b"solid\n", b"# vtk DataFile Version 3.0\n", b"PK\3\4"])
 def test_rubbish_after_the_right_start(tmp_path, suffix, start):
     refused(put(tmp_path, "a" + suffix, start + RUBBISH["binary"]))
@@ -145,7 +146,7 @@ def test_cut_off_within_a_line(tmp_path):
     refused(put(tmp_path, "c.csv", "0,0,0\n1,0,0\n0,1,0\n0,0,1\n2,3"), "'2,3'")
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
     refused(put(tmp_path, "d.stl", "solid\n" + 3 * facet + facet[:-40]), "cut off")
-    refused(put(tmp_path, "e.stl", "solid\n" + 3 * facet), "its end is missing")
+    refused(put(tmp_path, "e.stl", "solid\n" + 3 * facet + facet[:-9]), "cut off")
 
 
 def ply_head(kind, points, faces, faces_type="int"):
@@ -374,7 +375,8 @@ def test_memory_and_depth_become_one_line(tmp_path, monkeypatch):
         def fail(path, error=error):
             raise error
 
-        monkeypatch.setitem(sys.modules["homolog.shapes.reading"]._READERS, ".ply", fail)
+        monkeypatch.setattr(registry, "_FORMATS", dict(registry._FORMATS))
+        register_format(".ply", read=fail)
         refused(put(tmp_path, "a.ply", "x"), "could not be read as PLY")
 
 

@@ -17,8 +17,8 @@ from jaxtyping import Float
 
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, expanded
-from homolog.shapes.parsing import UnreadableError, number_rows, shorten
-from homolog.shapes.point_formats import read_table_lines
+from homolog.shapes.formats.parsing import UnreadableError, number_rows, shorten
+from homolog.shapes.formats.tables import read_table_lines
 
 System = Literal["LPS", "RAS"]
 """Which way a scan's axes point: to the patient's left, back and head, or to the right, front and head."""

@@ -2,19 +2,58 @@
 
 from __future__ import annotations
 
+import codecs
+import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import Literal, NamedTuple, NoReturn, cast
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from homolog.shapes.finding import Finding
+from homolog.shapes.polygons import triangulate
+
+Space = Literal["RAS", "LPS"]
+"""Anatomical axes: x to the right, y to the front and z up, or x to the left, y to the back and z up."""
+
+# As 3D Slicer writes it into the comments and titles of meshes.
+_SPACE = re.compile(rb"SPACE=(RAS|LPS)\b")
+
 
 class Arrays(NamedTuple):
-    """What a reader gives: points in file order, and faces or None for a point cloud."""
+    """What a reader gives.
+
+    Args:
+        points: in file order.
+        faces: triangles of point indices from 0; None for a point cloud.
+        notes: what the reader left out or decided, which ``check`` reports.
+        space: the anatomical axes that the file names.
+    """
 
     points: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"] | None = None
+    notes: tuple[Finding, ...] = ()
+    space: Space | None = None
+
+
+def left_out(what: str, count: int, why: str) -> Finding:
+    """A note on what a reader passed over."""
+    return Finding(what, count, "note", f"left out; {why}")
+
+
+def space_of(head: bytes) -> Space | None:
+    """The anatomical axes that the comments of a file name, as 3D Slicer writes them."""
+    found = _SPACE.search(head)
+    return cast(Space, found[1].decode()) if found else None
+
+
+def polygon_faces(
+    points: Float[np.ndarray, "n 3"], sizes: Int[np.ndarray, " m"], corners: Int[np.ndarray, " c"]
+) -> Int[np.ndarray, "t 3"]:
+    """The triangles of polygons, as indices of points."""
+    faces: np.ndarray = corners[triangulate(points, sizes, corners)]
+    return faces
 
 
 class UnreadableError(Exception):
@@ -41,8 +80,10 @@ def check_claim(count: int, what: str, smallest: int, available: int) -> None:
 
 
 def read_text(path: Path) -> str:
-    """Read a text file, refusing binary content; bytes other than UTF-8 only stand in names and comments."""
+    """Read a text file, refusing binary content; UTF-16 by its byte order mark."""
     content = path.read_bytes()
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16", errors="replace")
     if b"\0" in content:
         raise UnreadableError("it holds binary data where text is expected; check the suffix")
     return content.decode("utf-8-sig", errors="replace")
@@ -91,27 +132,17 @@ def shorten(text: object, length: int = 50) -> str:
     return line if len(line) <= length else line[: length - 3] + "..."
 
 
-def fan_triangles(sizes: Int[np.ndarray, " m"], corners: Int[np.ndarray, " c"]) -> Int[np.ndarray, "t 3"]:
-    """Split polygons into triangles around their first corner, in the order of the polygons.
-
-    Args:
-        sizes: corners of each polygon; those with fewer than three give no triangle.
-        corners: the corners of all polygons, one polygon after the other.
-    """
-    per_polygon = np.maximum(sizes - 2, 0)
-    polygon = np.repeat(np.arange(len(sizes)), per_polygon)
-    first = (np.cumsum(sizes) - sizes)[polygon]
-    step = np.arange(len(polygon)) - (np.cumsum(per_polygon) - per_polygon)[polygon]
-    return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)
+Polygons = tuple[Int[np.ndarray, " m"], Int[np.ndarray, " c"]]
+"""The corners of each polygon, counted, and all corners, one polygon after the other."""
 
 
-def polygon_rows(lines: list[str], column: int = 0) -> Int[np.ndarray, "t 3"]:
-    """Triangles of lines that hold, from ``column`` on, a number of corners and then as many corners."""
+def polygon_rows(lines: list[str], column: int = 0) -> Polygons:
+    """Polygons of lines that hold, from ``column`` on, a number of corners and then as many corners."""
     sizes = number_rows(lines, (column,), np.int64)[:, 0]
     if sizes.min() < 0:
         raise UnreadableError("a face has a negative number of corners")
     check_claim(int(sizes.max()), "corners of one face", 2, max(map(len, lines)))
-    return fan_triangles(sizes, polygon_corners(lines, sizes, column + 1))
+    return sizes, polygon_corners(lines, sizes, column + 1)
 
 
 def polygon_corners(lines: list[str], sizes: Int[np.ndarray, " m"], column: int) -> Int[np.ndarray, " c"]:

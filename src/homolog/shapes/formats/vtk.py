@@ -12,9 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
-from homolog.core.errors import MissingExtraError
-from homolog.shapes.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, shorten
+from homolog.core.errors import MissingExtraError, ShapeError
+from homolog.shapes.formats.parsing import (
+    CUT_OFF,
+    Arrays,
+    UnreadableError,
+    check_claim,
+    polygon_faces,
+    shorten,
+    space_of,
+)
+from homolog.shapes.polygons import strips
 from homolog.shapes.shape import Shape
 
 # Lines of a legacy file that announce how many of something follow, and the data arrays of a FIELD.
@@ -32,11 +42,20 @@ _MOST_COMPRESSION = 1100
 _REFUSED = 3
 
 
-def read_vtk(path: Path) -> Arrays:
-    """Read the points and surface of a legacy VTK file with poly data or an unstructured grid."""
+# The kinds of XML data sets that are read.
+_XML_KINDS = {"PolyData": ".vtp", "UnstructuredGrid": ".vtu"}
+
+
+def read(path: Path) -> Arrays:
+    """Read the points and the surface of poly data or an unstructured grid, legacy or XML, as the content says.
+
+    Of volume cells the outer surface is read. Faces of quadratic cells go through the points on their edges.
+    """
     content = path.read_bytes()
-    if not content.startswith(b"# vtk"):
-        raise UnreadableError("it does not start with '# vtk DataFile'")
+    return _load(path, ".vtk" if content.startswith(b"# vtk") else _xml_kind(content), content)
+
+
+def _check_legacy(content: bytes) -> None:
     kind = _LEGACY_KIND.search(content)
     if kind is None or kind[1].lower() not in (b"polydata", b"unstructured_grid"):
         found = "no data set" if kind is None else f"a data set {kind[1].decode().upper()}"
@@ -44,32 +63,30 @@ def read_vtk(path: Path) -> Arrays:
     for match in _LEGACY_COUNTS.finditer(content):
         for count in filter(None, match.groups()):
             check_claim(int(count), "values", 1, len(content))
-    return _load(path, ".vtk")
 
 
-def read_vtp(path: Path) -> Arrays:
-    """Read the points and surface of a VTP file (XML poly data)."""
-    return _read_xml(path, ".vtp")
-
-
-def read_vtu(path: Path) -> Arrays:
-    """Read the points and surface of a VTU file (XML unstructured grid)."""
-    return _read_xml(path, ".vtu")
-
-
-def _read_xml(path: Path, suffix: str) -> Arrays:
-    content = path.read_bytes()
-    if b"<VTKFile" not in content[:1000]:
-        raise UnreadableError("it does not start with <VTKFile>")
+def _check_xml(content: bytes) -> None:
     if not content.rstrip().endswith(b"</VTKFile>"):
         raise UnreadableError(f"it does not end with </VTKFile>; {CUT_OFF}")
     for match in _XML_COUNTS.finditer(content):
         check_claim(int(match[1]), "values", 1, _MOST_COMPRESSION * len(content))
-    return _load(path, suffix)
 
 
-def _load(path: Path, suffix: str) -> Arrays:
+def _xml_kind(content: bytes) -> str:
+    """The suffix of files that hold what this one says it holds."""
+    root = re.search(rb"<VTKFile\b[^>]*", content[:2000])
+    kind = re.search(rb"""\btype\s*=\s*["'](\w+)""", root[0]) if root else None
+    if kind is None:
+        raise UnreadableError("it does not start with '# vtk DataFile' or <VTKFile>")
+    name = kind[1].decode()
+    if name not in _XML_KINDS:
+        raise UnreadableError(f"it holds a data set {name}, but PolyData or UnstructuredGrid is needed")
+    return _XML_KINDS[name]
+
+
+def _load(path: Path, suffix: str, content: bytes) -> Arrays:
     """Read the file in a second process, which damaged content may end without any harm here."""
+    (_check_legacy if suffix == ".vtk" else _check_xml)(content)
     if find_spec("vtkmodules") is None:
         raise _missing()
     script = Path(__file__).with_name("vtk_process.py")
@@ -78,14 +95,32 @@ def _load(path: Path, suffix: str) -> Arrays:
     if done.returncode:
         # Exit codes other than the one that comes with a reason are crashes.
         said = (
-            shorten(done.stderr.decode(errors="replace"), 80)
+            shorten(done.stderr.decode(errors="replace"), 120)
             if done.returncode == _REFUSED
             else "VTK cannot take it in"
         )
         raise UnreadableError(f"{said}; {CUT_OFF}")
     stream = BytesIO(done.stdout)
-    points, faces = np.load(stream, allow_pickle=False), np.load(stream, allow_pickle=False)
-    return Arrays(points.astype(np.float64), faces.astype(np.int64) if len(faces) else None)
+    points, sizes, corners, strip_sizes, strip_corners = (np.load(stream, allow_pickle=False) for _ in range(5))
+    points = points.astype(np.float64)
+    faces = np.concatenate([polygon_faces(points, sizes, corners), strip_corners[strips(strip_sizes)]])
+    return Arrays(points, faces if len(faces) else None, space=space_of(content[:256]))
+
+
+def surface_of(data: Any) -> tuple[np.ndarray, Int[np.ndarray, " m"], Int[np.ndarray, " c"]]:
+    """The points of VTK's poly data or unstructured grid, and the sizes and corners of its outer polygons.
+
+    Raises:
+        ShapeError: if its cells cannot be used.
+    """
+    from homolog.shapes.formats.vtk_process import surface
+
+    try:
+        points, sizes, corners, strip_sizes, strip_corners = surface(data)
+    except ValueError as error:
+        raise ShapeError(f"a VTK data set cannot be used: {error}") from None
+    of_strips = strip_corners[strips(strip_sizes)]
+    return points, np.append(sizes, [3] * len(of_strips)), np.append(corners, of_strips.ravel())
 
 
 def _missing() -> MissingExtraError:
@@ -112,7 +147,7 @@ def _save(path: Path, shape: Shape, suffix: str) -> None:
         from vtkmodules.vtkIOLegacy import vtkPolyDataWriter
         from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
 
-        from homolog.shapes.vtk_process import collected_messages, reason
+        from homolog.shapes.formats.vtk_process import collected_messages, reason
     except ImportError:
         raise _missing() from None
 
