@@ -194,7 +194,7 @@ def test_other_programs_open_what_is_written_for_broken_meshes(shapes, found, tm
 
 
 def test_a_mesh_without_a_usable_face_is_written_as_a_cloud(shapes, found, tmp_path):
-    paths = write_result(tmp_path, Shape(shapes[0].points, [[0, 1, 999], [2, 2, 3]]), shapes[1], found, {})
+    paths = write_result(tmp_path, Shape(shapes[0].points, [[0, 1, 999], [2, 2, 3]], allow_broken=True), shapes[1], found, {})
     written = read_shape(paths[1])
     assert written.faces is None
     np.testing.assert_array_equal(written.points, shapes[0].points)

@@ -78,7 +78,7 @@ class Gltf:
     def view(self, number: int) -> bytes:
         """The bytes of a buffer view."""
         view = self.header["bufferViews"][number]
-        content = self.buffers[view["buffer"]]
+        content: bytes | None = self.buffers[view["buffer"]]
         if content is None:
             raise self._compressed(_MESHOPT)
         start = int(view.get("byteOffset", 0))
@@ -324,8 +324,7 @@ def _placed(
         if weight and "POSITION" in target:
             points = points + weight * file.accessor(target["POSITION"])
     if "skin" not in file.nodes[node] or "JOINTS_0" not in primitive["attributes"]:
-        points = points @ world[:3, :3].T + world[:3, 3]
-        return points
+        return np.asarray(points @ world[:3, :3].T + world[:3, 3])
     return _posed(file, file.nodes[node]["skin"], primitive["attributes"], points) if pose == "posed" else points
 
 

@@ -90,7 +90,7 @@ def _load(path: Path, suffix: str, content: bytes) -> Arrays:
     if find_spec("vtkmodules") is None:
         raise _missing()
     script = Path(__file__).with_name("vtk_process.py")
-    command = [sys.executable, "-I", str(script), str(path.resolve()), suffix, json.dumps(sys.path)]
+    command = [sys.executable, "-I", "-W", "ignore", str(script), str(path.resolve()), suffix, json.dumps(sys.path)]
     done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False)
     if done.returncode:
         # Exit codes other than the one that comes with a reason are crashes.
@@ -120,7 +120,7 @@ def surface_of(data: Any) -> tuple[np.ndarray, Int[np.ndarray, " m"], Int[np.nda
     except ValueError as error:
         raise ShapeError(f"a VTK data set cannot be used: {error}") from None
     of_strips = strip_corners[strips(strip_sizes)]
-    return points, np.append(sizes, [3] * len(of_strips)), np.append(corners, of_strips.ravel())
+    return points, np.append(sizes, np.full(len(of_strips), 3)), np.append(corners, of_strips.ravel())
 
 
 def _missing() -> MissingExtraError:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
@@ -132,8 +133,7 @@ def surface(data: Any) -> tuple[np.ndarray, ...]:
         return points, *_cells(data.GetPolys(), len(points)), *_cells(data.GetStrips(), len(points))
     nothing = np.zeros(0, dtype=np.int64)
     _cells(data.GetCells(), len(points))
-    types = np.unique(vtk_to_numpy(data.GetCellTypesArray())) if data.GetNumberOfCells() else nothing
-    linear = all(_cell_of(cell_type).IsLinear() for cell_type in types.tolist())
+    linear = all(_cell_of(cell_type).IsLinear() for cell_type in np.unique(_types(data)).tolist())
     polygons = _linear_surface(data) if linear else _quadratic_surface(data)
     return points, *polygons, nothing, nothing
 
@@ -149,6 +149,16 @@ def _cells(cells: Any, n_points: int) -> tuple[np.ndarray, np.ndarray]:
     if offsets[0] != 0 or offsets[-1] != len(corners) or np.any(np.diff(offsets) < 0):
         raise ValueError("its cells do not add up")
     return np.diff(offsets), corners
+
+
+def _types(data: Any) -> np.ndarray:
+    """The type of each cell of a grid."""
+    if not data.GetNumberOfCells():
+        return np.zeros(0, dtype=np.uint8)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # from 9.6 on VTK would have another name, which earlier ones do not know
+        types: np.ndarray = vtk_to_numpy(data.GetCellTypesArray())
+    return types
 
 
 def _linear_surface(data: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -170,7 +180,7 @@ def _quadratic_surface(data: Any) -> tuple[np.ndarray, np.ndarray]:
 
     VTK's own filter makes new points, which have no number in the file.
     """
-    types = vtk_to_numpy(data.GetCellTypesArray())
+    types = _types(data)
     offsets = vtk_to_numpy(data.GetCells().GetOffsetsArray())
     corners = vtk_to_numpy(data.GetCells().GetConnectivityArray())
     pieces = list[np.ndarray]()
