@@ -136,3 +136,12 @@ def test_strips(tmp_path):
     text += "0 0 0\n1 0 0\n0 1 0\n1 1 0\n0 2 0\nTRIANGLE_STRIPS 1 6\n5 0 1 2 3 4\n"
     (tmp_path / "a.vtk").write_text(text)
     np.testing.assert_array_equal(read_shape(tmp_path / "a.vtk").faces, [[0, 1, 2], [1, 3, 2], [2, 3, 4]])
+
+
+@pytest.mark.parametrize("n", [1, 64, 65, 256, 1000])
+@pytest.mark.parametrize("mark", [b" ", b"\n"])
+def test_blanks_at_the_end(tmp_path, make, n, mark):
+    """VTK's own reader waits forever where there are 256."""
+    write_shape(tmp_path / "a.vtk", make.blob(1))
+    (tmp_path / "b.vtk").write_bytes((tmp_path / "a.vtk").read_bytes() + n * mark)
+    np.testing.assert_array_equal(read_shape(tmp_path / "b.vtk").faces, make.blob(1).faces)

@@ -51,7 +51,7 @@ def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
         >>> from pathlib import Path
         >>> folder = Path(homolog.__file__).parent / "demo_data" / "off"
         >>> homolog.read_shape(folder / "amber.off")
-        Shape('amber.off': mesh, 5000 points, 9996 faces)
+        Shape('amber.off': mesh, 4918 points, 9832 faces)
     """
     check_kind("path", path, PathLike, str)
     if pose not in get_args(Pose):

@@ -87,8 +87,9 @@ def read_obj_texture(path: Path) -> ObjTexture | None:
 
 def _material(known: dict[str, Material], name: str) -> Material:
     """The material of a name, which a comment may follow."""
-    bare = name.partition(" #")[0].rstrip()
-    return known.get(name, known.get(bare, Material()))
+    while name not in known and " #" in name:
+        name = name.rpartition(" #")[0].rstrip()
+    return known.get(name, Material())
 
 
 class _Coordinates:

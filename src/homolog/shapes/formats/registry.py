@@ -88,7 +88,7 @@ def register_format(
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     homolog.write_shape(Path(folder) / "body.raw3", body.as_cloud())
         ...     homolog.read_shape(Path(folder) / "body.raw3")
-        Shape('body.raw3': cloud, 5000 points)
+        Shape('body.raw3': cloud, 4918 points)
     """
     if len(suffix) < 2 or suffix[0] != "." or not suffix[1:].isalnum():
         raise bad_value("suffix", suffix, "a dot and letters or digits, such as '.tri'")

@@ -38,6 +38,9 @@ _LEGACY_KIND = re.compile(rb"^[ \t]*dataset[ \t]+(\w+)", re.IGNORECASE | re.MULT
 _XML_COUNTS = re.compile(rb"""\bNumberOf\w+\s*=\s*["']\s*(\d+)""")
 # No compressor of VTK makes data smaller than this.
 _MOST_COMPRESSION = 1100
+# Within so many seconds VTK has read any file that is whole.
+_SECONDS = 30.0
+_SECONDS_PER_BYTE = 2e-6
 # The exit code of vtk_process.py that comes with a reason.
 _REFUSED = 3
 
@@ -91,7 +94,11 @@ def _load(path: Path, suffix: str, content: bytes) -> Arrays:
         raise _missing()
     script = Path(__file__).with_name("vtk_process.py")
     command = [sys.executable, "-I", "-W", "ignore", str(script), str(path.resolve()), suffix, json.dumps(sys.path)]
-    done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False)
+    limit = _SECONDS + len(content) * _SECONDS_PER_BYTE
+    try:
+        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False, timeout=limit)
+    except subprocess.TimeoutExpired:
+        raise UnreadableError(f"VTK has not read it within {limit:.0f} s; {CUT_OFF}") from None
     if done.returncode:
         # Exit codes other than the one that comes with a reason are crashes.
         said = (
