@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from homolog.cli.main import main
-from homolog.features import DiffusionNet, NetworkSettings, FeatureInfo, save_weights
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, save_weights
 from homolog.shapes import Shape, write_shape
 
 

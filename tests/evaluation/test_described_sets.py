@@ -232,7 +232,7 @@ def test_shapes_are_let_go_of_when_they_are_needed_no_more(views_set, modality):
 
     class Counting(Stub):
         def prepare(self, shape, **options):
-            ready = super().prepare(shape, **options)
+            ready = super().preprocess(shape, **options)
             held.append(weakref.ref(ready))
             return ready
 

@@ -250,7 +250,7 @@ def test_every_shape_is_prepared_once_per_role_that_differs(family, modality, no
             np.testing.assert_array_equal(shape.points, family.shapes[name].points)
     assert counts == expected
     source, _, target = modality.partition("-to-")
-    assert found.route == f"{source}, {target or source}"
+    assert found.method == f"{source}, {target or source}"
 
 
 def noise_of(family, protocol):

@@ -17,8 +17,8 @@ from homolog.core.files import sha256
 from homolog.features import (
     DEFAULT_WEIGHTS,
     DiffusionNet,
-    NetworkSettings,
     FeatureInfo,
+    NetworkSettings,
     load_weights,
     pretrained_weights,
     save_weights,

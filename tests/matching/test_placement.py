@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from homolog.features import DiffusionNet
 from homolog.geometry import compute_operators, unit_frame
 from homolog.matching import Matcher
+from homolog.matching.alignment import _samples
 from homolog.pairs import MatcherSettings
-from homolog.matching.placement import _PART_SAMPLES, _samples, placed
 from homolog.shapes import Shape
 
 
@@ -67,7 +67,7 @@ def test_a_part_is_turned_and_shifted_to_its_place(upper, matcher_of, pre_aligne
     found, given, places = displaced(upper, pre_aligned, matcher)
     assert (given.operators.points - places).norm(dim=1).mean() > 0.1
     assert (found.operators.points - places).norm(dim=1).mean() < 0.01
-    torch.testing.assert_close(found.features, matcher.network(found.operators.points, None))
+    torch.testing.assert_close(found.features, matcher.extractor.network(found.operators.points, None))
     lengths = [torch.pdist(each.operators.points[:200]) for each in (found, given)]
     torch.testing.assert_close(*lengths, atol=1e-4, rtol=0)
 
@@ -84,7 +84,7 @@ def test_maps_are_those_of_the_place(upper, matcher_of):
     turned = Shape(part.points @ Rotation.from_euler("x", 30, degrees=True).as_matrix().T, part.faces)
     error = {}
     for place in (True, False):
-        matcher = matcher_of(place=place, method="nearest-features", refine=False)
+        matcher = matcher_of(place=place, method="nearest-features", refinement=None)
         found = matcher.match(body, turned, partial="target").target_to_source
         error[place] = np.linalg.norm(body.points[found] - body.points[kept], axis=1).mean()
         mirrored = matcher.match(turned, body, partial="source").source_to_target
@@ -98,7 +98,7 @@ def test_nothing_moves_that_need_not(upper, matcher_of):
     whole, prepared = matcher.prepare_pair(body, part, partial="target", pre_aligned=True)
     found = matcher.placed(whole, prepared)
     assert (found.operators.points - prepared.operators.points).norm(dim=1).max() < 1e-3
-    assert matcher_of(place=False).placed(whole, prepared) is prepared
+    assert matcher_of(alignment=None).placed(whole, prepared) is prepared
     assert Matcher().placed(whole, prepared) is prepared
     given = compute_operators(part, scale=whole.operators.scale).points
     torch.testing.assert_close(

@@ -18,7 +18,7 @@ import pytest
 from serving_tools import TRIANGLE, Listener, gone, pids, program, until
 
 from homolog.core.errors import ArgumentError
-from homolog.matching import Match, RESULT_FILES
+from homolog.matching import RESULT_FILES, Match
 from homolog.serving import Limits, MatchCommand
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")

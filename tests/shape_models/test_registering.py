@@ -9,8 +9,8 @@ import trimesh
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.shape_models import CollectionFolder, CollectionSettings, Figures, Template, check_template, subjects_of
-from homolog.shape_models import registering as registering_module
 from homolog.shape_models import production as production_module
+from homolog.shape_models import registering as registering_module
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.transfer import PlaceFinder, SurfaceMap
 

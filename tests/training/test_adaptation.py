@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from homolog.core.errors import ArgumentError, TrainingError
-from homolog.features import DiffusionNet, NetworkSettings, FeatureInfo
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings
 from homolog.geometry import OperatorSettings
 from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings
@@ -39,12 +39,14 @@ def loss_of(matcher, source, target, *, partial=False):
     x, y = (TrainingShape("", shape.operators.basis, shape.operators.basis) for shape in (source, target))
     settings = LossSettings(map_eigenpairs=matcher.map_size(partial=partial))
     with torch.no_grad():
-        return float(pair_losses(matcher.network, x, y, settings=settings, partial=partial).total)
+        return float(pair_losses(matcher.extractor.network, x, y, settings=settings, partial=partial).total)
 
 
 def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_those_that_do(matcher, shapes):
     for_organs = Matcher(
-        matcher.network, replace(matcher.info, name="organs", near_isometric=False), settings=matcher.settings
+        matcher.extractor.network,
+        replace(matcher.extractor.info, name="organs", near_isometric=False),
+        settings=matcher.settings,
     )
     pair = matcher.prepare_pair(*shapes)
     with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that keep no areas"):
@@ -54,7 +56,8 @@ def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_tho
     )
     adapted = adapt_to_pair(for_organs, *pair, registration)[0]
     assert any(
-        not torch.equal(*both) for both in zip(adapted.network.parameters(), matcher.network.parameters(), strict=True)
+        not torch.equal(*both)
+        for both in zip(adapted.network.parameters(), matcher.extractor.network.parameters(), strict=True)
     )
 
 
@@ -69,13 +72,13 @@ def test_the_loss_of_the_pair_falls(matcher, shapes, as_cloud):
 
 
 def test_the_loaded_weights_stay_and_the_result_is_repeatable(matcher, shapes):
-    before = {name: value.clone() for name, value in matcher.network.state_dict().items()}
+    before = {name: value.clone() for name, value in matcher.extractor.network.state_dict().items()}
     pair = matcher.prepare_pair(*shapes)
     first, second = (adapt_to_pair(matcher, *pair, SETTINGS)[0] for _ in range(2))
     other = adapt_to_pair(matcher, *pair, replace(SETTINGS, seed=1))[0]
-    after = matcher.network.state_dict()
+    after = matcher.extractor.network.state_dict()
     assert all(torch.equal(after[name], value) for name, value in before.items())
-    assert not matcher.network.training
+    assert not matcher.extractor.network.training
     assert not first.network.training
     weights, repeated, others = (list(m.network.state_dict().values()) for m in (first, second, other))
     assert all(map(torch.equal, weights, repeated))

@@ -117,9 +117,9 @@ def test_features_are_those_of_the_matcher_whatever_was_left_out(known, make):
     source, target = pair_features(result, matcher)
     assert source.shape == (len(stray), 8)
     np.testing.assert_array_equal(np.isnan(source).any(axis=1), np.arange(len(stray)) == len(stray) - 1)
-    np.testing.assert_allclose(target, matcher.prepare(known.target).features, atol=1e-5)
+    np.testing.assert_allclose(target, matcher.preprocess(known.target).features, atol=1e-5)
     options = {"as_cloud": "target", "partial": None, "partial_scale": 1.0, "pre_aligned": False}
     cloud = pair_features(replace(result, report={"options": options}), matcher)[1]
-    np.testing.assert_allclose(cloud, matcher.prepare(known.target, as_cloud=True).features, atol=1e-5)
+    np.testing.assert_allclose(cloud, matcher.preprocess(known.target, as_cloud=True).features, atol=1e-5)
     layer = feature_layer(source, target)
     assert (layer.colours["source"][-1] == UNKNOWN).all() and layer.values is None
