@@ -49,7 +49,7 @@ def gather_parts(root: Path, output: Path, leave_out: str) -> Iterator[Pair]:
     """The parts of SHREC'16, in the frames of their complete shapes."""
     for kind in ("shrec16_cuts", "shrec16_holes"):
         folder = ShapeFolder.open(root, kind)
-        frames = {name: unit_frame(folder.shape(name)) for name in folder.complete}
+        frames = {name: unit_frame(folder.shape(name)) for name in folder.full}
         for name, frame in frames.items():
             written(folder.shape(name), frame, output / f"null_{name}.off")
         for complete, part in folder.pairs("all"):

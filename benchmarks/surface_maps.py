@@ -25,7 +25,7 @@ from homolog.datasets.folder import drawn_pairs
 from homolog.geometry import OperatorCache, Surface, unit
 from homolog.matching import Matcher
 from homolog.shapes import Shape
-from homolog.transfer import PlaceFinder, surface_map
+from homolog.transfer import SurfaceProjector, surface_map
 
 _WELL = 3.0
 _NAMES = ("mean error", "median", "95th percentile", "% flipped", "% flipped, lying well", "edges, 5 %", "edges, 95 %")
@@ -54,11 +54,11 @@ def compared(
 ) -> tuple[list[float], list[float], float]:
     """The figures of the point map and of the smooth one, and the seconds that the latter took."""
     found = matcher.match(source, target)
-    goal = PlaceFinder(target)
+    goal = SurfaceProjector(target)
     begin = time.perf_counter()
     smooth = surface_map(source, goal, found)
     seconds = time.perf_counter() - begin
-    normals = goal.normals(smooth.places)
+    normals = goal.normals(smooth.surface_points)
     assert goal.surface is not None and normals is not None
 
     def errors(images: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
@@ -87,7 +87,7 @@ def main() -> None:
     pairs = drawn_pairs(permutations(folder.names[: given.first], 2), given.n_pairs, seed=0)
     told, all_seconds = list[tuple[list[float], list[float]]](), list[float]()
     for a, b in pairs:
-        truth = (folder.common_points(a), folder.common_points(b))
+        truth = (folder.template_correspondence(a), folder.template_correspondence(b))
         before, after, seconds = compared(matcher, folder.shape(a), folder.shape(b), truth)
         told.append((before, after))
         all_seconds.append(seconds)

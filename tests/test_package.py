@@ -17,11 +17,12 @@ CORE = {
     "core.errors": set(),
     "core.versions": set(),
     "core.progress": set(),
+    "core.reprs": set(),
     "core.arguments": {"core.errors"},
     "core.memory": {"core.errors", "core.arguments"},
     "core.arrays": {"core.errors"},
     "core.files": {"core.errors"},
-    "core.tables": {"core.errors"},
+    "core.settings": {"core.errors"},
     "core.tensors": {"core.files"},
     "core.folders": {"core.errors", "core.files"},
     "core.tasks": {"core.errors", "core.progress"},
@@ -64,7 +65,6 @@ HEAVY = [
     "PIL",
     "tensorboard",
     "lightning_fabric",
-    "viser",
     "starlette",
     "uvicorn",
     "h5py",
@@ -159,6 +159,7 @@ def test_star_import():
     assert set(homolog.__all__) <= set(names)
 
 
+@pytest.mark.process
 def test_import_takes_no_extra_and_no_output():
     """What is heavy or optional is imported where it is used."""
     program = f"import sys, homolog, homolog.cli.main; print([name for name in {HEAVY!r} if name in sys.modules])"
@@ -196,6 +197,7 @@ def test_version_is_that_of_the_package():
     assert homolog.__version__ == version_of("homolog")
 
 
+@pytest.mark.process
 def test_lazy_names_are_listed():
     program = "import homolog; print(*dir(homolog))"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)

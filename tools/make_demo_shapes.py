@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from homolog.synthesis import BodyModel, MeshSettings, meshed, write_shape_files
+from homolog.synthesis import BodyModel, MeshSettings, mesh_body, write_shape_files
 from homolog.synthesis.template import sample_evenly
 
 Degrees = tuple[float, float, float]
@@ -94,7 +94,7 @@ def main() -> None:
     points = sample_evenly(bodies.template.rest, TEMPLATE_POINTS)
     for model in (AMBER, BORIS):
         surface = bodies.template.surface(posed(bodies, model))
-        made = meshed(bodies.template, points, surface, MeshSettings(model.vertices), np.random.default_rng(0))
+        made = mesh_body(bodies.template, points, surface, MeshSettings(model.vertices), np.random.default_rng(0))
         write_shape_files(out, model.name, made)
         print(f"{model.name}: {len(made.mesh.vertices)} vertices, {len(made.mesh.faces)} faces")
 

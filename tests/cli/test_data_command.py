@@ -26,7 +26,7 @@ def test_list_is_plain_where_it_is_piped(homolog):
     head, *rows = [line.split("\t") for line in ended.out.splitlines()]
     assert head == ["name", "title", "shapes", "truth", "terms"]
     assert [row[0] for row in rows] == [one.name for one in builtin_descriptions()]
-    assert next(row for row in rows if row[0] == "scape_r")[2:4] == ["71", "common-points"]
+    assert next(row for row in rows if row[0] == "scape_r")[2:4] == ["71", "template-correspondence"]
 
 
 def test_list_is_a_table_on_a_terminal(homolog, monkeypatch):
@@ -81,7 +81,7 @@ def test_check_says_each_fault_in_a_line(homolog, own):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["faust_r", "gone"], "put the set at gone; get it from the link FAUST"),
+        (["faust_r", "gone"], "put the dataset at gone; get it from the link FAUST"),
         (["faust", "gone"], "did you mean 'faust_"),
         (["gone.toml", "."], "gone.toml cannot be read"),
     ],

@@ -20,6 +20,7 @@ def bodies(tmp_path, make):
     return tmp_path / "bodies"
 
 
+@pytest.mark.slow
 def test_views(homolog, bodies, tmp_path):
     options = ["-n", 5, "--seed", 2, "--pixels", 30, 40, "--distance", 2, 2.5, "--elevation", 0, 10, "--noise", 0.01]
     for name in ("one", "two"):
@@ -29,7 +30,7 @@ def test_views(homolog, bodies, tmp_path):
     expected = {"seed": 2, "distance": [2, 2.5], "elevation": [0, 10], "pixels": [30, 40], "noise": 0.01}
     assert expected.items() <= manifest["making"].items() and len(manifest["views"]) == 5
     files = [path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*") if path.is_file()]
-    assert len(files) == 4 + 5 * 4 + len({view[key] for view in manifest["views"] for key in ("own", "complete")})
+    assert len(files) == 4 + 5 * 4 + len({view[key] for view in manifest["views"] for key in ("viewed", "full")})
     assert all((tmp_path / "one" / file).read_bytes() == (tmp_path / "two" / file).read_bytes() for file in files)
 
 
@@ -63,14 +64,14 @@ def test_a_part_leads_back_to_the_points_of_the_file(homolog, files, tmp_path, m
     assert {path.name for path in (tmp_path / "out").iterdir()} == expected
     part = read_shape(tmp_path / "out" / "part.ply")
     with np.load(tmp_path / "out" / "part.npz") as stored:
-        assert np.array_equal(part.points, given.points[stored["complete_index"]])
+        assert np.array_equal(part.points, given.points[stored["full_index"]])
     assert 0 < part.n_faces < given.n_faces
     if kind == "view":
         cloud = read_shape(tmp_path / "out" / "cloud.ply")
         with np.load(tmp_path / "out" / "cloud.npz") as stored:
             places = np.einsum("nk,nkd->nd", stored["weights"], given.points[stored["corners"]])
             assert cloud.points == pytest.approx(places, abs=1e-12)
-            assert (stored["complete_index"][:, None] == stored["corners"]).any(axis=1).all()
+            assert (stored["full_index"][:, None] == stored["corners"]).any(axis=1).all()
 
 
 def test_a_folder_holds_one_part(homolog, files, tmp_path):
@@ -97,6 +98,7 @@ def test_parts_that_cannot_be(homolog, files, tmp_path):
     assert homolog("synth", "part", files.mesh, "--kind", "slice").is_one_line_of_complaint()
 
 
+@pytest.mark.slow
 def test_a_set_of_views_is_scored_as_it_is(homolog, make, tmp_path):
     """Of two views of copies of one blob the axiomatic way finds something; each target is scored where it is seen."""
     blob = make.blob(3)
@@ -117,6 +119,6 @@ def test_a_set_of_views_is_scored_as_it_is(homolog, make, tmp_path):
     assert len(found["pairs"]) == 2
     for pair in found["pairs"]:
         assert pair["points"] == views[pair["target"]]["mesh_points"]
-        assert pair["source"] == views[pair["target"]]["complete"]
+        assert pair["source"] == views[pair["target"]]["full"]
     # A point at random is some 60 away.
     assert found["mean_geodesic_error"] < 40

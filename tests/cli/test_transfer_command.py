@@ -11,7 +11,7 @@ import trimesh
 from homolog.core.files import sha256
 from homolog.matching import Match
 from homolog.shapes import Shape, read_shape, write_shape
-from homolog.transfer import PlaceFinder, Skin, painted, png, unwrapped, write_glb
+from homolog.transfer import Skin, SurfaceProjector, bake_texture, png, unwrap, write_glb
 
 pytest.importorskip("xatlas")
 pytest.importorskip("PIL")
@@ -21,14 +21,14 @@ pytest.importorskip("PIL")
 def result(make, tmp_path):
     """A match of a blob, whose file has texture and skin, with a larger copy, whose cap has no counterpart."""
     shape = make.blob(2)
-    finder = PlaceFinder(shape)
-    atlas = unwrapped(finder, size=64)
-    image = png(painted(atlas, finder, lambda places: np.full((len(places.faces), 3), [10, 200, 90], np.uint8)))
+    projector = SurfaceProjector(shape)
+    atlas = unwrap(projector, size=64)
+    image = png(bake_texture(atlas, projector, lambda places: np.full((len(places.faces), 3), [10, 200, 90], np.uint8)))
     frames = np.stack([np.eye(4), np.eye(4)])
     frames[1, 1, 3] = 0.5
     weights = np.stack([shape.points[:, 1] < 0, shape.points[:, 1] >= 0], axis=1).astype(float)
     skin = Skin(("hip", "head"), np.array([-1, 0]), frames, weights)
-    write_glb(tmp_path / "source.glb", finder, texture=(atlas, image), skin=skin)
+    write_glb(tmp_path / "source.glb", projector, texture=(atlas, image), skin=skin)
     source = read_shape(tmp_path / "source.glb")
     point_of = np.linalg.norm(source.points[:, None] - shape.points, axis=2).argmin(axis=1)
     target = Shape(2 * shape.points, shape.faces)
@@ -177,7 +177,7 @@ def test_nothing_to_carry(homolog, files, result, tmp_path):
     (result / "report.json").write_text(json.dumps(report))
     write_shape(tmp_path / "plain.off", read_shape(tmp_path / "target.ply"))
     ended = homolog("transfer", result, "--reverse", "-o", tmp_path / "out")
-    assert ended.is_one_line_of_complaint() and "holds nothing that could be carried" in ended.err
+    assert ended.is_one_line_of_complaint() and "holds nothing that could be transferred" in ended.err
 
 
 def test_another_file_in_place_of_the_one_that_was_matched(homolog, result, make, tmp_path):

@@ -66,14 +66,6 @@ def test_page_with_all_layers(homolog, result, truth, files, tmp_path):
     assert layers["Error"]["ramp"]["unit"] == "% of √area"
 
 
-def test_page_needs_no_extra(homolog, result, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert homolog("view", result, "--html", tmp_path / "page.html").code == 0
-    ended = homolog("view", result)
-    assert ended.is_one_line_of_complaint()
-    assert "viser" in ended.err and "homolog[view]" in ended.err
-
-
 def test_what_is_refused(homolog, result, truth, files, tmp_path):
     page = tmp_path / "page.html"
     short = tmp_path / "short.vts"
@@ -104,22 +96,21 @@ def test_what_is_refused(homolog, result, truth, files, tmp_path):
     ("option", "value"), [("--host", "no such host"), ("--host", "203.0.113.7"), ("--port", "70000")]
 )
 def test_addresses_that_cannot_be_listened_on(homolog, result, option, value):
-    pytest.importorskip("viser", reason="viser is missing; pip install 'homolog[view]'")
     ended = homolog("view", result, option, value)
     assert ended.is_one_line_of_complaint()
     assert option.strip("-") in ended.err
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
 def test_the_server_prints_its_address_and_ends_by_ctrl_c(result):
-    pytest.importorskip("viser", reason="viser is missing; pip install 'homolog[view]'")
     command = [sys.executable, "-m", "homolog", "view", str(result), "--port", "0", "--no-open"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             address = process.stdout.readline().strip()
             assert re.fullmatch(r"http://127\.0\.0\.1:\d+", address)
             with urllib.request.urlopen(address, timeout=30) as answer:
-                assert b"<html" in answer.read()
+                assert "<title>mesh.off → other.obj</title>" in answer.read().decode()
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=60)
         finally:

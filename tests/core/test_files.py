@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from homolog.core.errors import ArgumentError
-from homolog.core.files import atomic_path, expanded, sha256, write_csv
+from homolog.core.files import atomic_path, expanded, refuse_overwriting_inputs, sha256, write_csv
 
 
 def written(path):
@@ -44,3 +44,32 @@ def test_no_cell_of_a_table_is_run_by_a_spreadsheet(tmp_path):
         (found,) = csv.reader(file)
     harmless = ["'=1+1", "'+x", "'-x", "'@x", "'\tx", "a=1", "-0.5", "+1e-3", "-0.5", "7", "", "'-a.ply", "a-b.ply"]
     assert found == harmless
+
+
+@pytest.mark.parametrize("way", ["itself", "relative", "symbolic link", "hard link", "linked folder"])
+def test_outputs_are_no_inputs(tmp_path, monkeypatch, way):
+    given = tmp_path / "data" / "source.ply"
+    given.parent.mkdir()
+    given.write_text("precious")
+    output = {"itself": given, "relative": Path("data/../data/source.ply")}.get(way, tmp_path / "other")
+    monkeypatch.chdir(tmp_path)
+    if way == "symbolic link":
+        output.symlink_to(given)
+    elif way == "hard link":
+        output.hardlink_to(given)
+    elif way == "linked folder":
+        output.symlink_to(given.parent)
+        output = output / "source.ply"
+    with pytest.raises(ArgumentError, match="is an input and would be replaced"):
+        refuse_overwriting_inputs(["new.npz", output], [tmp_path / "absent", given])
+
+
+def test_outputs_replace_no_file_of_an_input_folder(tmp_path):
+    folder = tmp_path / "data"
+    (folder / "off").mkdir(parents=True)
+    (folder / "off" / "a.off").write_text("precious")
+    refuse_overwriting_inputs([folder / "new.npz", tmp_path / "a.off"], [folder])
+    (tmp_path / "link").symlink_to(folder / "off")
+    for output in (folder / "off" / "a.off", tmp_path / "link" / "a.off"):
+        with pytest.raises(ArgumentError, match="lies in the input"):
+            refuse_overwriting_inputs([output], [folder])

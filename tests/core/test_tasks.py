@@ -5,13 +5,15 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.process
+
 # Each process that shares the work is interrupted while it loads the program, as by Ctrl-C in a terminal.
 INTERRUPTED = """
 import os
 import signal
 from functools import partial
 
-from homolog.core.tasks import work_off
+from homolog.core.tasks import run_tasks
 
 if __name__ != "__main__":
     os.kill(os.getpid(), signal.SIGINT)
@@ -19,7 +21,7 @@ if __name__ != "__main__":
 if __name__ == "__main__":
     found = []
     tasks = [(str(number), partial(pow, number, 2)) for number in range(4)]
-    work_off([tasks], processes=2, progress=lambda *told: None, told=found.append)
+    run_tasks([tasks], processes=2, progress=lambda *told: None, told=found.append)
     print(found, signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
 """
 

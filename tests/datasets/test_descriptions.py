@@ -27,7 +27,7 @@ def empty(root, description):
     """A folder with all files of shapes and truth, but nothing in them."""
     names = description.expected_names or [f"shape{number:04d}" for number in range(description.expected_shapes)]
     patterns = [description.shapes]
-    patterns += [description.truth_files] if description.truth == "common-points" else []
+    patterns += [description.truth_files] if description.truth == "template-correspondence" else []
     for pattern, name in itertools.product(patterns, names):
         path = root / pattern.replace("*", name)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -116,14 +116,14 @@ def test_one_s_own_description(tmp_path):
 MISTAKES = {
     'titel = "x"': r"has an unknown key 'titel'; did you mean 'title'\?",
     'up = "w"': "up is 'w', but must be one of x, y, z",
-    'truth = "common"': "truth is 'common', but must be one of .*did you mean 'common-points'",
+    'truth = "template-correspondances"': "truth is .*, but must be one of .*did you mean 'template-correspondence'",
     'shapes = "off/a.off"': r"shapes is 'off/a.off', but must have one star, for a shape's name",
     'truth_files = "*/*.vts"': "truth_files is .* must have one star",
     "pre_aligned = true": "pre_aligned is true, which needs partial to be true",
     "shuffled = true": "shuffled is true, which needs truth to be 'same-numbering'",
-    'truth = "barycentric"': "truth is 'barycentric', which needs pairs to be 'parts'",
-    'pairs = "parts"\npartial = true': "complete and pairs = 'parts' belong together",
-    'complete = "null/*.off"': "complete and pairs = 'parts' belong together",
+    'truth = "barycentric"': "truth is 'barycentric', which needs pairs to be 'partial'",
+    'pairs = "partial"\npartial = true': "full and pairs = 'partial' belong together",
+    'full = "null/*.off"': "full and pairs = 'partial' belong together",
     'split = "last"': "n_test is 0, but split = 'last' needs at least 1",
     'holds = "volumes"': "holds is 'volumes', which needs truth to be 'none'",
     'n_points = "many"': "n_points is 'many', but must be a list of 2, each of them a whole number",

@@ -13,7 +13,7 @@ from homolog.shapes import write_shape
 
 @pytest.fixture
 def folder(tmp_path, make):
-    """Four spheres d, a, c, b with some common points."""
+    """Four spheres d, a, c, b with some template points."""
     root = tmp_path / "set"
     (root / "off").mkdir(parents=True)
     (root / "corres").mkdir()
@@ -38,13 +38,13 @@ def test_names_shapes_and_common_points(folder):
     assert found.root == folder
     assert found.shape("c").n_points == 42
     assert np.linalg.norm(found.shape("c").points[0]) == pytest.approx(3)
-    assert found.common_points("c").tolist() == [0, 41, 6, 6]
-    assert found.common_points("c").dtype == np.int64
+    assert found.template_correspondence("c").tolist() == [0, 41, 6, 6]
+    assert found.template_correspondence("c").dtype == np.int64
 
 
 def test_one_common_point_is_enough(folder):
     (folder / "corres" / "a.vts").write_text("5\n")
-    assert ShapeFolder.open(folder).common_points("a").tolist() == [4]
+    assert ShapeFolder.open(folder).template_correspondence("a").tolist() == [4]
 
 
 def test_a_home_folder(folder, monkeypatch):
@@ -125,7 +125,7 @@ def message(call):
 
 def test_parts_lack_some_common_points(folder):
     (folder / "corres" / "a.vts").write_text("5\n-1\n7\n")
-    assert ShapeFolder.open(folder).common_points("a").tolist() == [4, -1, 6]
+    assert ShapeFolder.open(folder).template_correspondence("a").tolist() == [4, -1, 6]
 
 
 @pytest.mark.parametrize("root", ["nowhere", "."])
@@ -149,7 +149,7 @@ def test_missing_ground_truth_says_which_file_goes_where(folder):
 )
 def test_ground_truth_that_is_no_list_of_vertices(folder, content, recwarn):
     (folder / "corres" / "a.vts").write_bytes(content)
-    said = message(lambda: ShapeFolder.open(folder).common_points("a"))
+    said = message(lambda: ShapeFolder.open(folder).template_correspondence("a"))
     assert "a.vts must hold a vertex number a line" in said
     assert not recwarn.list
 

@@ -26,7 +26,7 @@ def message(call):
 def test_parts_lie_at_the_nearest_corner_of_their_triangle(parts_set):
     root, known = parts_set
     folder = ShapeFolder.open(root, "shrec16_cuts")
-    assert folder.names == tuple(sorted(known)) and folder.complete == ("cat", "dog")
+    assert folder.names == tuple(sorted(known)) and folder.full == ("cat", "dog")
     assert set(folder.pairs("test")) == {(partner, name) for name, (partner, *_) in known.items()}
     for name, (partner, triangles, weights) in known.items():
         found = folder.ground_truth().between(partner, name)
@@ -91,9 +91,11 @@ def test_parts_without_truth_or_partner(parts_set):
     assert "1 of 3 shapes have no ground truth" in found and str(root / "cuts" / "cuts_dog_2.baryc_gt") in found
     (root / "kept").rename(root / "cuts" / "cuts_dog_2.baryc_gt")
     (root / "null" / "dog.off").rename(root / "null" / "horse.off")
-    assert "cuts_dog_2: no complete shape" in message(lambda: ShapeFolder.open(root, "shrec16_cuts").pairs("test"))
+    assert "cuts_dog_2: no full shape" in message(lambda: ShapeFolder.open(root, "shrec16_cuts").pairs("test"))
     (root / "null" / "cuts_dog_2.off").touch()
-    assert "'cuts_dog_2' names a complete shape and a part" in message(lambda: ShapeFolder.open(root, "shrec16_cuts"))
+    assert "'cuts_dog_2' names a full shape and a partial one" in message(
+        lambda: ShapeFolder.open(root, "shrec16_cuts")
+    )
 
 
 def test_a_set_of_parts_without_complete_shapes(parts_set):
@@ -213,7 +215,7 @@ def test_pairs_of_a_shape_that_is_left_out(maps_set):
     assert ShapeFolder.open(root, replace(described, split="either")).pairs("train") == (("a", "b"), ("c_1", "a"))
 
 
-# ---- common points
+# ---- template correspondence
 
 
 def test_common_points_that_either_lacks_are_not_asked_for(tmp_path, make):
@@ -260,4 +262,4 @@ def test_no_truth_is_no_score(tmp_path, make):
     (tmp_path / "off").mkdir()
     write_shape(tmp_path / "off" / "a.off", Shape(make.sphere(1).points))
     truth = ShapeFolder.open(tmp_path, DatasetDescription(truth="none")).ground_truth()
-    assert "this set has no ground truth" in message(lambda: truth.between("a", "a"))
+    assert "this dataset has no ground truth" in message(lambda: truth.between("a", "a"))

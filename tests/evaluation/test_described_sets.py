@@ -13,7 +13,7 @@ from homolog.datasets import ShapeFolder
 from homolog.evaluation import Detection, Protocol, evaluate
 from homolog.matching import Match, Matcher
 from homolog.shapes import Shape, read_shape, stand_upright, upright_rotation, write_shape
-from homolog.synthesis import ViewSettings, write_view_set
+from homolog.synthesis import ViewSettings, write_view_dataset
 
 PARTS = Protocol(partial=True, pre_aligned=True)
 
@@ -179,14 +179,14 @@ def views_set(tmp_path, make):
         write_shape(tmp_path / "in" / "off" / f"{name}.off", blob)
         (tmp_path / "in" / "corres" / f"{name}.vts").write_text("\n".join(str(i + 1) for i in range(blob.n_points)))
     settings = ViewSettings(pixels=(24, 18), noise=0.01)
-    write_view_set(tmp_path / "in", tmp_path / "out", views=10, seed=3, settings=settings)
+    write_view_dataset(tmp_path / "in", tmp_path / "out", views=10, seed=3, settings=settings)
     return tmp_path / "out"
 
 
 def test_views_as_clouds_have_points_of_their_own(views_set):
     folder = ShapeFolder.open(views_set, "views")
     clouds = {name: read_shape(views_set / "clouds" / f"{name}.ply") for _, name in folder.pairs("test")}
-    truth = {name: np.load(views_set / "truth" / f"{name}.npz")["cloud_to_complete"] for name in clouds}
+    truth = {name: np.load(views_set / "truth" / f"{name}.npz")["cloud_to_full"] for name in clouds}
     matcher = Stub(lambda source, target: truth[target.name])
     found = evaluate(matcher, folder, Protocol(partial=True, modality="mesh-to-cloud"))
     assert [pair.pair[1] for pair in found.pairs] == list(clouds)
@@ -209,7 +209,7 @@ def test_views_as_clouds_have_points_of_their_own(views_set):
 
 def test_views_as_meshes_have_the_points_of_the_complete_shape(views_set):
     folder = ShapeFolder.open(views_set, "views")
-    maps = {name: np.load(views_set / "truth" / f"{name}.npz")["mesh_to_complete"] for _, name in folder.pairs("test")}
+    maps = {name: np.load(views_set / "truth" / f"{name}.npz")["mesh_to_full"] for _, name in folder.pairs("test")}
     found = evaluate(Stub(lambda source, target: maps[target.name]), folder, Protocol(partial=True))
     assert all(len(pair.errors) == len(maps[pair.pair[1]]) and not pair.errors.any() for pair in found.pairs)
 
@@ -219,9 +219,9 @@ def test_views_without_common_points_have_no_truth_as_clouds(views_set):
     (_, name), *_ = folder.pairs("test")
     path = views_set / "truth" / f"{name}.npz"
     with np.load(path) as arrays:
-        kept = {key: arrays[key] for key in arrays if key != "cloud_to_complete"}
+        kept = {key: arrays[key] for key in arrays if key != "cloud_to_full"}
     np.savez(path, **kept)
-    with pytest.raises(DataError, match=f"{path} has no cloud_to_complete"):
+    with pytest.raises(DataError, match=f"{path} has no cloud_to_full"):
         evaluate(Stub(lambda s, t: [0]), folder, Protocol(partial=True, modality="mesh-to-cloud"))
 
 
@@ -333,6 +333,6 @@ def test_all_truth_is_looked_at_before_anything_is_matched(parts_set):
 def test_a_set_without_truth_is_not_scored(parts_set):
     root, _ = parts_set
     folder = ShapeFolder.open(root, "shrec16_cuts")
-    described = replace(folder.description, truth="none", complete="", pairs="every", partial=False, pre_aligned=False)
-    with pytest.raises(DataError, match="this set has no ground truth"):
+    described = replace(folder.description, truth="none", full="", pairs="every", partial=False, pre_aligned=False)
+    with pytest.raises(DataError, match="this dataset has no ground truth"):
         evaluate(Stub(random_answer), ShapeFolder.open(root, described), Protocol())

@@ -143,7 +143,7 @@ def shifted(family):
 def expected_errors(family, answer, pairs):
     errors = []
     for source, target in pairs:
-        truth, asked = family.folder.common_points(source), family.folder.common_points(target)
+        truth, asked = family.folder.template_correspondence(source), family.folder.template_correspondence(target)
         errors.append(brute_force(family.shapes[source], truth, answer(source, target)[asked]))
     return errors
 
@@ -202,7 +202,7 @@ def test_points_without_a_match_are_counted_and_left_out(family, shifted):
     found = evaluate(Stub(with_gaps), family.folder, ALL)
     unmatched = 0
     for pair, expected in zip(found.pairs, expected_errors(family, shifted, family.folder.pairs("all")), strict=True):
-        left = family.folder.common_points(pair.pair[1]) % 4 != 1
+        left = family.folder.template_correspondence(pair.pair[1]) % 4 != 1
         np.testing.assert_allclose(pair.errors, expected[left])
         assert len(pair.confidences) == len(pair.errors)
         unmatched += np.sum(~left)
@@ -534,7 +534,7 @@ def test_unequal_numbers_of_lines(family, tmp_path):
     root = copied(family, tmp_path)
     (root / "corres" / "b.vts").write_text("1\n" * 89)
     stub = Stub(never)
-    with pytest.raises(DataError, match=r"a has 90 common points and b 89; every \.vts"):
+    with pytest.raises(DataError, match=r"a has 90 template points and b 89; every \.vts"):
         evaluate(stub, ShapeFolder.open(root), ALL)
     assert stub.prepared == []
 

@@ -1,9 +1,16 @@
-"""Surfaces: subdivision, closest points, and the places of points on the side that faces their way."""
+"""Surfaces: subdivision, closest points, and projection onto the side whose normal agrees."""
 
 import numpy as np
 import trimesh
 
-from homolog.geometry.surface import Ground, Places, Surface, closest_weights, split_long, subdivided
+from homolog.geometry.surface import (
+    BarycentricPoints,
+    ReferenceSurface,
+    Surface,
+    closest_weights,
+    split_long,
+    subdivided,
+)
 
 
 def sphere(subdivisions):
@@ -37,13 +44,13 @@ def test_closest_point_of_a_needle():
     np.testing.assert_allclose(np.einsum("pck,pc->pk", needle, weights), [[1.5, 0, 0]])
 
 
-def test_places_of_points_on_the_surface():
+def test_projecting_points_on_the_surface():
     surface = Surface(*sphere(3))
     generator = np.random.default_rng(1)
     triangles = generator.integers(len(surface.faces), size=300)
-    given = Places(triangles, generator.dirichlet([1.0, 1.0, 1.0], 300))
-    found = Ground(surface).places(given.on(surface), surface.face_normals[triangles])
-    np.testing.assert_allclose(found.on(surface), given.on(surface), atol=1e-9)
+    given = BarycentricPoints(triangles, generator.dirichlet([1.0, 1.0, 1.0], 300))
+    found = ReferenceSurface(surface).project(given.positions(surface), surface.face_normals[triangles])
+    np.testing.assert_allclose(found.positions(surface), given.positions(surface), atol=1e-9)
 
 
 def test_points_stay_on_their_side_of_a_thin_sheet():
@@ -52,28 +59,28 @@ def test_points_stay_on_their_side_of_a_thin_sheet():
     upper = sheet.vertices[sheet.vertices[:, 2] > 0.003]
     # The points are nearer to the lower side, but face up.
     points, up = upper - [0.0, 0.0, 0.012], np.tile([0.0, 0.0, 1.0], (len(upper), 1))
-    assert (Ground(sheet).places(points, up).on(sheet)[:, 2] > 0).all()
+    assert (ReferenceSurface(sheet).project(points, up).positions(sheet)[:, 2] > 0).all()
 
 
 def test_values_at_subdivided_vertices():
     surface = Surface(*sphere(2))
-    ground = Ground(surface)
+    reference = ReferenceSurface(surface)
     values = surface.vertices @ [1.0, 2.0, 3.0]
     middles = surface.vertices[surface.faces[:, :2]].mean(axis=1)
-    nearest = ground.nearest(middles, middles)
-    np.testing.assert_allclose(ground.values_at(nearest, values), middles @ [1.0, 2.0, 3.0])
+    nearest = reference.nearest_vertices(middles, middles)
+    np.testing.assert_allclose(reference.values_at(nearest, values), middles @ [1.0, 2.0, 3.0])
 
 
-def test_places_without_normals_are_the_closest_of_all():
+def test_projections_without_normals_are_the_closest_of_all():
     vertices, faces = sphere(2)
     surface = Surface(vertices * [1.0, 1.3, 0.7], faces)
     points = np.random.default_rng(2).normal(size=(60, 3))
-    found = Ground(surface).places(points, around=3).on(surface)
+    found = ReferenceSurface(surface).project(points, around=3).positions(surface)
     every = closest_weights(np.tile(surface.vertices[faces], (60, 1, 1)), np.repeat(points, len(faces), axis=0))
     on = np.einsum("pck,pc->pk", np.tile(surface.vertices[faces], (60, 1, 1)), every).reshape(60, -1, 3)
     closest = np.linalg.norm(on - points[:, None], axis=2).min(axis=1)
     np.testing.assert_allclose(np.linalg.norm(found - points, axis=1), closest, rtol=1e-9)
-    assert Ground(surface).places(points[:0]).weights.shape == (0, 3)
+    assert ReferenceSurface(surface).project(points[:0]).weights.shape == (0, 3)
 
 
 def test_split_triangles_are_the_same_surface():
@@ -81,11 +88,11 @@ def test_split_triangles_are_the_same_surface():
     surface = Surface(
         generator.normal(size=(30, 3)), generator.permuted(np.tile(np.arange(30), (12, 1)), axis=1)[:, :3]
     )
-    pieces = split_long(surface, 0.9, most=100_000)
-    fine = pieces.surface
+    split = split_long(surface, 0.9, most=100_000)
+    fine = split.surface
     assert np.linalg.norm(np.diff(fine.vertices[fine.faces], axis=1), axis=2).max() <= 0.9
-    areas = np.bincount(pieces.of, np.linalg.norm(fine.face_vectors, axis=1), len(surface.faces))
+    areas = np.bincount(split.parents, np.linalg.norm(fine.face_vectors, axis=1), len(surface.faces))
     np.testing.assert_allclose(areas, np.linalg.norm(surface.face_vectors, axis=1))
-    places = Places(np.arange(len(fine.faces)), generator.dirichlet([1.0, 1.0, 1.0], len(fine.faces)))
-    np.testing.assert_allclose(pieces.whole(places).on(surface), places.on(fine), atol=1e-12)
+    points = BarycentricPoints(np.arange(len(fine.faces)), generator.dirichlet([1.0, 1.0, 1.0], len(fine.faces)))
+    np.testing.assert_allclose(split.to_original(points).positions(surface), points.positions(fine), atol=1e-12)
     assert len(split_long(surface, 0.9, most=40).surface.faces) <= 40

@@ -99,6 +99,8 @@ def test_a_cut_is_found_given_the_true_map(name: str, modality: str, demo, make)
     complete = compute_operators(whole, settings=few)
     partial = compute_operators(part, settings=few, scale=complete.scale)
     found = overlap(complete, partial, torch.from_numpy(kept)).numpy()
+    # The edge is where it was cut: a lower threshold would add a rim all around, a higher one would take one away.
+    assert float(complete.mass[found].sum()) == pytest.approx(float(partial.mass.sum()), rel=0.01)
     missing = np.ones(whole.n_points, dtype=bool)
     missing[kept] = False
     assert f1(~found, missing) >= 0.9

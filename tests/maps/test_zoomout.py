@@ -19,6 +19,9 @@ from homolog.maps import (
 )
 from homolog.shapes import Shape
 
+# What features weigh in the first round and in the last; geometrically less from round to round.
+FIRST_GUIDANCE, LAST_GUIDANCE = 1.0, 0.1
+
 
 def random(*shape: int, seed: int = 0) -> Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
@@ -35,7 +38,7 @@ def slow_guided_zoom_out(
     """All points in every round, distances point by point, functional maps by least squares over the listed pairs."""
     (phi_x, phi_y), (f_x, f_y) = phi, f
     for number, size in enumerate(sizes):
-        weight = np.geomspace(1.0, 0.1, len(sizes))[number]
+        weight = np.geomspace(FIRST_GUIDANCE, LAST_GUIDANCE, len(sizes))[number]
         pairs = [(int(i), j) for j, i in enumerate(y_to_x)] + [(i, int(j)) for i, j in enumerate(x_to_y)]
         in_x = np.stack([phi_x[i, :size] for i, _ in pairs])
         in_y = np.stack([phi_y[j, :size] for _, j in pairs])
@@ -79,7 +82,7 @@ def slow_guided_zoom_out_to_part(
     """All points in every round; the part's functions carried to the whole's, and distances point by point there."""
     (phi_x, phi_y), (f_x, f_y) = phi, f
     for number, size in enumerate(sizes):
-        weight = np.geomspace(1.0, 0.1, len(sizes))[number]
+        weight = np.geomspace(FIRST_GUIDANCE, LAST_GUIDANCE, len(sizes))[number]
         as_slow = sum(value <= eigenvalues[0][size - 1] for value in eigenvalues[1])
         in_x = np.stack([phi_x[i, :size] for i in y_to_x])
         carried = phi_y[:, :as_slow] @ np.linalg.lstsq(phi_y[:, :as_slow], in_x, rcond=None)[0]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from homolog.matching.checks import doubts
 
 from homolog.core.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.core.progress import Steps

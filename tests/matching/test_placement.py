@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from homolog.matching.placement import _PART_SAMPLES, _samples, placed
 from scipy.spatial.transform import Rotation
 
 from homolog.features import DiffusionNet

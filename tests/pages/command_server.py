@@ -17,10 +17,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from homolog.cli.main import main
+from homolog.serving import PageServer
 from homolog.serving.server import MatchServer
-from homolog.synthesis import production, synthesize_people, write_view_set
+from homolog.synthesis import production, synthesize_people, write_view_dataset
 from homolog.training import builtin_recipes, read_recipe
-from homolog.viewing import LiveView
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "synthesis"))
 from stand_in import StandIn
@@ -45,7 +45,7 @@ def synthesize_few(output, number, settings, *, processes, progress):
 
 def write_few_views(*arguments, views, processes, **others):
     """A few views, made in this process."""
-    return write_view_set(*arguments, views=min(views, SHAPES), processes=1, **others)
+    return write_view_dataset(*arguments, views=min(views, SHAPES), processes=1, **others)
 
 
 def end_once_it_serves(server):
@@ -64,9 +64,9 @@ def shorten():
     # By their full names, as packages export functions under the names of some of these modules.
     importlib.import_module("homolog.cli.train").read_recipe = read_short_recipe
     importlib.import_module("homolog.cli.synth_people").synthesize_people = synthesize_few
-    importlib.import_module("homolog.cli.synth_views").write_view_set = write_few_views
+    importlib.import_module("homolog.cli.synth_views").write_view_dataset = write_few_views
     production._body_model = StandIn
-    end_once_it_serves(LiveView)
+    end_once_it_serves(PageServer)
     end_once_it_serves(MatchServer)
 
 

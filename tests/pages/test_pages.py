@@ -27,6 +27,8 @@ from sybil.parsers.markdown import CodeBlockParser
 
 from homolog.shapes import Shape, write_shape
 
+pytestmark = pytest.mark.pages
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", DOCS / "index.md", *sorted((DOCS / "tutorials").glob("*.md"))]

@@ -12,7 +12,7 @@ from homolog.shape_models import CollectionFolder, CollectionSettings, Figures, 
 from homolog.shape_models import production as production_module
 from homolog.shape_models import registering as registering_module
 from homolog.shapes import Shape, read_shape, write_shape
-from homolog.transfer import PlaceFinder, SurfaceMap
+from homolog.transfer import SurfaceMap, SurfaceProjector
 
 
 def state(place):
@@ -99,6 +99,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in (folder.root / "shapes").iterdir()}
 
 
+@pytest.mark.process
 def test_several_processes_give_the_same(family, gathered, tmp_path):
     template, files, _ = family
     alone, _ = gathered(template, files[:2], tmp_path / "alone")
@@ -183,8 +184,8 @@ def test_points_in_clumps_are_told(faces, make):
     clumped = np.where(right % 5 == 0, right, np.where(blob.points[:, 1] > 0, ends[1], ends[0]))
     evenness = []
     for mapped in (right, clumped):
-        finder = PlaceFinder(base)
-        smooth = SurfaceMap(finder, PlaceFinder(blob), blob.points[mapped])
+        projector = SurfaceProjector(base)
+        smooth = SurfaceMap(projector, SurfaceProjector(blob), blob.points[mapped])
         low, high = registering_module._edge_spread(smooth)
         evenness.append(Figures(1.0, 1.0, 0.0, 1.0, 0.0 if faces else None, low, high))
     assert evenness[0].unevenness == pytest.approx(1, abs=1e-6) and evenness[0].doubts() == ()

@@ -15,7 +15,7 @@ def test_outliers_are_far_and_have_no_index(make):
     n = blob.n_points
     assert found.shape.faces is None
     assert np.array_equal(found.shape.points[:n], blob.points)
-    assert found.complete_index.tolist() == [*range(n), *[-1] * round(0.2 * n)]
+    assert found.full_index.tolist() == [*range(n), *[-1] * round(0.2 * n)]
     far = found.shape.points[n:]
     distances = cdist(far, blob.points).min(axis=1)
     assert distances.min() >= 0.15 * unit
@@ -34,8 +34,8 @@ def test_density_follows_the_cosine(least):
     """In each of ten slabs as many of the evenly spread points are kept as the law has it, within five deviations."""
     cloud = Shape(np.random.default_rng(0).random((200_000, 3)))
     part = subsample(cloud, least=least, direction=[0, 0, 2], seed=3)
-    assert part.shape.faces is None and (np.diff(part.complete_index) > 0).all()
-    assert np.array_equal(part.shape.points, cloud.points[part.complete_index])
+    assert part.shape.faces is None and (np.diff(part.full_index) > 0).all()
+    assert np.array_equal(part.shape.points, cloud.points[part.full_index])
     heights = np.linspace(0, 1, 10_001)
     law = least + (1 - least) * np.sin(np.pi * heights / 2) ** 2
     expected = np.array([law[(heights >= k / 10) & (heights <= (k + 1) / 10)].mean() for k in range(10)])

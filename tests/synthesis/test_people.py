@@ -13,7 +13,7 @@ from stand_in import Crossing, StandIn, sphere
 
 from homolog.core.errors import ArgumentError, MissingExtraError
 from homolog.datasets import ShapeFolder
-from homolog.geometry.surface import Places, Surface
+from homolog.geometry.surface import BarycentricPoints, Surface
 from homolog.shapes import read_shape
 from homolog.synthesis import (
     BodyModel,
@@ -24,9 +24,9 @@ from homolog.synthesis import (
     remeshing,
     synthesize_people,
 )
-from homolog.synthesis.crossings import crossing_share
 from homolog.synthesis.people import MOST_CROSSING
 from homolog.synthesis.remeshing import is_one_closed_surface
+from homolog.synthesis.self_intersections import self_intersection_share
 from homolog.synthesis.template import boundary_loops, sample_evenly
 
 SMALL = PeopleSettings(seed=3, mesh=MeshSettings(500))
@@ -62,7 +62,7 @@ def test_a_body_depends_on_seed_and_number_alone(points):
 def test_a_pose_that_crosses_is_drawn_back(points):
     settings = PeopleSettings(seed=0, mesh=MeshSettings(500))
     people = [make_person(Crossing(), points, settings, index) for index in (5, 8)]
-    assert all(person.body.crossing <= MOST_CROSSING for person in people)
+    assert all(person.body.self_intersection <= MOST_CROSSING for person in people)
     assert min(person.character.pose_share for person in people) < 1.0
 
 
@@ -102,18 +102,18 @@ def test_a_set_is_a_folder_of_shapes_with_ground_truth(tmp_path, workshop):
     template = read_shape(tmp_path / "set" / "template" / "template.off")
     rest = Surface(template.points, template.faces)
     at = np.load(tmp_path / "set" / "template" / "points.npz", allow_pickle=False)
-    points = Places(at["triangles"], at["weights"]).on(rest)
+    points = BarycentricPoints(at["triangles"], at["weights"]).positions(rest)
     for name in folder.names:
         shape = folder.shape(name)
         assert is_one_closed_surface(Surface(shape.points, shape.faces))
-        held = np.load(tmp_path / "set" / "places" / f"{name}.npz", allow_pickle=False)
-        places = Places(held["triangles"], held["weights"]).on(rest)
+        held = np.load(tmp_path / "set" / "barycentric" / f"{name}.npz", allow_pickle=False)
+        places = BarycentricPoints(held["triangles"], held["weights"]).positions(rest)
         assert len(places) == shape.n_points
         # Stand-ins are the template made taller, which places bear out.
         build = json.loads((tmp_path / "set" / "records" / f"{name}.json").read_text())["build"]
         height = (0.5 + 0.5 * build["height"]) / 0.75
         np.testing.assert_allclose(shape.points, places * [1.0, height, 1.0], atol=1e-5)
-        found = folder.common_points(name)
+        found = folder.template_correspondence(name)
         assert np.linalg.norm(places[found] - points, axis=1).max() < 0.12
 
 
@@ -210,7 +210,7 @@ def test_real_people(tmp_path):
         shape = folder.shape(name)
         surface = Surface(shape.points, shape.faces)
         assert is_one_closed_surface(surface)
-        assert crossing_share(surface) <= MOST_CROSSING
+        assert self_intersection_share(surface) <= MOST_CROSSING
         assert shape.n_points == pytest.approx(2500, rel=0.08)
         assert shape.points[:, 1].min() == pytest.approx(0.0, abs=5e-3)
         assert 0.5 < np.ptp(shape.points[:, 1]) < 2.7

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from homolog.synthesis.builds import PARAMETERS, draw_build, nearer_the_mean
+from homolog.synthesis.builds import PARAMETERS, draw_build, toward_mean
 from homolog.synthesis.joints import MIDDLE_RANGES, RANGES, SIDED_RANGES, within_ranges
-from homolog.synthesis.poses import FAMILIES, STANDING, draw_pose, drawn_back
+from homolog.synthesis.poses import FAMILIES, STANDING, draw_pose, scaled_pose
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -45,8 +45,8 @@ def test_feet_are_flat_where_ankles_allow():
 
 def test_drawing_back_ends_in_standing():
     pose = draw_pose("crouching", np.random.default_rng(0))
-    assert drawn_back(pose, 1.0) == pytest.approx(pose)
-    assert drawn_back(pose, 0.0) == STANDING == within_ranges(STANDING)
+    assert scaled_pose(pose, 1.0) == pytest.approx(pose)
+    assert scaled_pose(pose, 0.0) == STANDING == within_ranges(STANDING)
 
 
 def test_builds_cover_all_there_is_evenly():
@@ -81,5 +81,5 @@ def test_another_seed_gives_others():
 
 def test_builds_come_nearer_to_the_mean():
     build = draw_build(0, 3)
-    assert nearer_the_mean(build, 1.0) == build
-    assert set(nearer_the_mean(build, 0.0).values()) == {0.5}
+    assert toward_mean(build, 1.0) == build
+    assert set(toward_mean(build, 0.0).values()) == {0.5}

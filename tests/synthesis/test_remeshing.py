@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from stand_in import sphere
 
-from homolog.geometry.surface import Ground, Surface
-from homolog.synthesis.crossings import crossing_share
-from homolog.synthesis.remeshing import MeshSettings, is_one_closed_surface, relaxed, remesh
+from homolog.geometry.surface import ReferenceSurface, Surface
+from homolog.synthesis.remeshing import MeshSettings, is_one_closed_surface, relax, remesh
+from homolog.synthesis.self_intersections import self_intersection_share
 
 
 def quality(surface):
@@ -18,7 +18,7 @@ def quality(surface):
 
 def made(surface, count, *, detail=None, stretch=1.0, seed=0):
     detail = np.ones(len(surface.vertices)) if detail is None else detail
-    return remesh(Ground(surface), detail, MeshSettings(count, stretch), np.random.default_rng(seed))
+    return remesh(ReferenceSurface(surface), detail, MeshSettings(count, stretch), np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_finer_where_wanted(ball):
 def test_stretched_in_one_direction(ball):
     isotropic, stretched = made(ball, 1000), made(ball, 1000, stretch=3.0)
     assert is_one_closed_surface(stretched)
-    assert crossing_share(stretched) == 0.0
+    assert self_intersection_share(stretched) == 0.0
     assert len(stretched.vertices) == pytest.approx(1000, rel=0.1)
     assert elongation(isotropic) < 1.1
     assert elongation(stretched) > 1.5
@@ -79,7 +79,7 @@ def test_relaxing_evens_out_without_leaving_the_surface(ball):
     shaken = coarse.vertices + 0.012 * generator.normal(size=coarse.vertices.shape)
     shaken *= 0.5 / np.linalg.norm(shaken, axis=1, keepdims=True)
     uneven = Surface(shaken, coarse.faces)
-    even = relaxed(uneven, Ground(ball))
+    even = relax(uneven, ReferenceSurface(ball))
     assert quality(even).mean() > quality(uneven).mean() + 0.02
     np.testing.assert_allclose(np.linalg.norm(even.vertices, axis=1), 0.5, rtol=5e-3)
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.shapes import Shape, face_areas
-from homolog.synthesis import Camera, ViewSettings, drawn_camera, view, view_from
+from homolog.synthesis import Camera, ViewSettings, sample_camera, view, view_from
 
 
 def looking(position, target=(0.0, 0.0, 0.0), *, opening=1.0, pixels=(60, 40)):
@@ -18,8 +18,7 @@ def looking(position, target=(0.0, 0.0, 0.0), *, opening=1.0, pixels=(60, 40)):
 def same(one, other):
     """Whether two parts have the same bytes."""
     arrays = [
-        (part.shape.points, part.shape.faces, part.complete_index, part.triangles, part.weights)
-        for part in (one, other)
+        (part.shape.points, part.shape.faces, part.full_index, part.triangles, part.weights) for part in (one, other)
     ]
     return all(
         (a is None and b is None) or (a.dtype == b.dtype and a.tobytes() == b.tobytes())
@@ -36,14 +35,14 @@ def test_a_sphere_shows_the_faces_that_look_at_the_camera(make, position):
     towards = np.array(position) - corners.mean(axis=1)
     facing = np.einsum("md,md->m", outwards, towards) > 0
     expected = {tuple(sorted(face)) for face in sphere.faces[facing]}
-    assert {tuple(sorted(face)) for face in found.mesh.complete_index[found.mesh.shape.faces]} == expected
+    assert {tuple(sorted(face)) for face in found.mesh.full_index[found.mesh.shape.faces]} == expected
     areas = face_areas(sphere.points, sphere.faces)
     assert found.visible_share == pytest.approx(areas[facing].sum() / areas.sum(), rel=1e-12)
     # On the sphere itself the cap of n.(c - p) > 0 is seen. Flat faces show up to an edge more at its rim.
     normals = sphere.points
     cap = np.einsum("nd,nd->n", normals, np.array(position) - sphere.points)
     seen = np.zeros(sphere.n_points, dtype=bool)
-    seen[found.mesh.complete_index] = True
+    seen[found.mesh.full_index] = True
     edge = np.linalg.norm(corners[:, 0] - corners[:, 1], axis=1).max()
     assert seen[cap > edge * np.linalg.norm(position)].all()
     assert not seen[cap < -edge * np.linalg.norm(position)].any()
@@ -76,9 +75,9 @@ def test_a_wall_hides_what_is_behind_it(make):
     x, y, _ = back.points.T
     shadow = np.maximum(np.abs(x), np.abs(y)) < 0.75 - 1e-9
     expected = np.flatnonzero(np.concatenate([np.ones(front.n_points, dtype=bool), ~shadow]))
-    assert found.mesh.complete_index.tolist() == expected.tolist()
-    assert (found.cloud.complete_index < front.n_points).any()
-    behind = found.cloud.shape.points[found.cloud.complete_index >= front.n_points]
+    assert found.mesh.full_index.tolist() == expected.tolist()
+    assert (found.cloud.full_index < front.n_points).any()
+    behind = found.cloud.shape.points[found.cloud.full_index >= front.n_points]
     assert (np.abs(behind[:, :2]).max(axis=1) > 0.75).all()
 
 
@@ -91,7 +90,7 @@ def test_a_surface_is_seen_from_its_back_as_well(make):
 def test_what_lies_outside_the_image_is_not_seen(make):
     grid = make.grid(21)
     found = view_from(grid, looking((0.5, 0.5, 1), (0.5, 0.5, 0), opening=0.25, pixels=(20, 10)))
-    across, up = np.abs(grid.points[found.mesh.complete_index, :2] - 0.5).max(axis=0)
+    across, up = np.abs(grid.points[found.mesh.full_index, :2] - 0.5).max(axis=0)
     assert (across, up) == pytest.approx((0.5, 0.25))
 
 
@@ -101,18 +100,18 @@ def test_indices_and_weights_lead_back(demo, seed):
     body = demo.amber
     found = view(body, ViewSettings(pixels=(60, 60)), seed=seed)
     mesh, cloud = found.mesh, found.cloud
-    assert np.array_equal(mesh.shape.points, body.points[mesh.complete_index])
+    assert np.array_equal(mesh.shape.points, body.points[mesh.full_index])
     faces = {tuple(face) for face in body.faces}
-    assert all(tuple(face) in faces for face in mesh.complete_index[mesh.shape.faces])
+    assert all(tuple(face) in faces for face in mesh.full_index[mesh.shape.faces])
     assert np.array_equal(np.unique(mesh.shape.faces), np.arange(mesh.shape.n_points))
     corners = body.faces[cloud.triangles]
     assert cloud.shape.points == pytest.approx(np.einsum("nk,nkd->nd", cloud.weights, body.points[corners]), abs=1e-12)
     assert (cloud.weights >= 0).all() and cloud.weights.sum(axis=1) == pytest.approx(1)
     largest = np.take_along_axis(corners, cloud.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
-    assert np.array_equal(cloud.complete_index, largest)
+    assert np.array_equal(cloud.full_index, largest)
     assert 0.1 < found.visible_share < 0.6
     # Every cloud point projects to the middle of a pixel, each to one of its own.
-    coordinates = found.camera.seen_from(cloud.shape.points)
+    coordinates = found.camera.to_camera(cloud.shape.points)
     pixel = (coordinates[:, :2] / coordinates[:, 2:] / found.camera.edges + 1) * 30 - 0.5
     assert pixel == pytest.approx(np.round(pixel), abs=1e-6)
     assert len(np.unique(np.round(pixel) @ [1, 100])) == len(pixel)
@@ -144,7 +143,7 @@ def test_cameras_stand_where_the_settings_say(make):
     middle = (blob.points.min(axis=0) + blob.points.max(axis=0)) / 2
     radius = np.linalg.norm(blob.points - middle, axis=1).max()
     options = ViewSettings(distance=(1.5, 2.5), elevation=(-10, 60))
-    cameras = [drawn_camera(blob, options, seed=seed) for seed in range(400)]
+    cameras = [sample_camera(blob, options, seed=seed) for seed in range(400)]
     away = (np.array([camera.position for camera in cameras]) - middle) / radius
     distances = np.linalg.norm(away, axis=1)
     height = away[:, 1] / distances
@@ -157,15 +156,15 @@ def test_cameras_stand_where_the_settings_say(make):
         100, abs=30
     )
     for camera in cameras:
-        assert camera.frames(camera.seen_from(blob.points)).all()
-    given_values = drawn_camera(blob, ViewSettings(distance=3.0, elevation=30.0), seed=0)
+        assert camera.frames(camera.to_camera(blob.points)).all()
+    given_values = sample_camera(blob, ViewSettings(distance=3.0, elevation=30.0), seed=0)
     place = (np.array(given_values.position) - middle) / radius
     assert (np.linalg.norm(place), place[1]) == pytest.approx((3, 1.5))
 
 
 def test_the_image_is_upright_and_not_mirrored():
     camera = looking((0, 0, 5))
-    assert camera.seen_from(np.array([1.0, 2.0, 3.0])) == pytest.approx([1, -2, 2])
+    assert camera.to_camera(np.array([1.0, 2.0, 3.0])) == pytest.approx([1, -2, 2])
     rays = camera.rays().reshape(40, 60, 2)
     assert rays[0, 0] == pytest.approx([-1.5 * 59 / 60, -39 / 40])
     assert rays[-1, -1] == pytest.approx([1.5 * 59 / 60, 39 / 40])
@@ -185,10 +184,8 @@ def test_points_without_a_face_do_not_matter(make):
     sphere = make.sphere(2)
     with_stray = Shape(np.concatenate([[[0, 0, 50.0]], sphere.points]), sphere.faces + 1)
     camera = looking((0, 0, 3), opening=0.5)
-    assert np.array_equal(
-        view_from(with_stray, camera).mesh.complete_index, view_from(sphere, camera).mesh.complete_index + 1
-    )
-    assert drawn_camera(with_stray, ViewSettings(), seed=0) == drawn_camera(sphere, ViewSettings(), seed=0)
+    assert np.array_equal(view_from(with_stray, camera).mesh.full_index, view_from(sphere, camera).mesh.full_index + 1)
+    assert sample_camera(with_stray, ViewSettings(), seed=0) == sample_camera(sphere, ViewSettings(), seed=0)
 
 
 @pytest.mark.parametrize(

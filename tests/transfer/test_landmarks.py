@@ -8,7 +8,7 @@ import pytest
 from homolog.core.errors import DataError
 from homolog.matching import Match
 from homolog.shapes import Shape
-from homolog.transfer import Carrier, read_landmarks
+from homolog.transfer import Transfer, read_landmarks
 
 POINTS = np.array([[1.5, -2.0, 3.25], [0.1, 0.2, -0.3], [7.0, 8.0, 9.0]])
 
@@ -127,15 +127,15 @@ def test_landmarks_go_along(make, matched):
     other = Shape(shape.points @ turn.T * 10 + 5, shape.faces)
     same = np.arange(shape.n_points)
     there = np.where(shape.points[:, 1] > 1.0, -1, same)
-    carrier = Carrier(Match(shape, other, matched(there, there), {}))
+    transfer = Transfer(Match(shape, other, matched(there, there), {}))
     low = np.flatnonzero(shape.points[shape.faces].max(axis=1)[:, 1] < 0.8)[:40]
     top = shape.points[[shape.points[:, 1].argmax()]]
     points = np.concatenate([shape.points[shape.faces[low]].mean(axis=1), top])
-    carried, away = carrier.landmarks(np.concatenate([points, [[np.nan] * 3]]))
+    carried, away = transfer.landmarks(np.concatenate([points, [[np.nan] * 3]]))
     np.testing.assert_allclose(carried[:40], points[:40] @ turn.T * 10 + 5, atol=0.01)
     assert np.isnan(carried[40:]).all() and np.isnan(away[41])
     np.testing.assert_allclose(away[:41], 0.0, atol=1e-6)
-    _, away = carrier.landmarks(np.array([[0.0, -50.0, 0.0]]))
+    _, away = transfer.landmarks(np.array([[0.0, -50.0, 0.0]]))
     assert away[0] > 40
 
 

@@ -10,7 +10,7 @@ import trimesh
 from homolog.core.errors import ArgumentError, DataError
 from homolog.matching import Match
 from homolog.shapes import Shape, read_shape
-from homolog.transfer import Carrier, PlaceFinder, Skin, read_skin, write_glb
+from homolog.transfer import Skin, SurfaceProjector, Transfer, read_skin, write_glb
 from homolog.transfer.gltf import GltfReader
 
 
@@ -38,7 +38,7 @@ def largest_four(weights):
 
 def test_a_file_goes_round(skinned, tmp_path):
     shape, skin = skinned
-    write_glb(tmp_path / "a.glb", PlaceFinder(shape), skin=skin)
+    write_glb(tmp_path / "a.glb", SurfaceProjector(shape), skin=skin)
     found = read_skin(tmp_path / "a.glb", read_shape(tmp_path / "a.glb"))
     assert found.names == skin.names
     np.testing.assert_array_equal(found.parents, skin.parents)
@@ -50,7 +50,7 @@ def test_a_file_goes_round(skinned, tmp_path):
 def test_a_written_skin_leaves_the_mesh_as_it_is(skinned, tmp_path):
     """By glTF's rules: each vertex is moved by its joints' places in the scene times their inverse binds."""
     shape, skin = skinned
-    write_glb(tmp_path / "a.glb", PlaceFinder(shape), skin=skin)
+    write_glb(tmp_path / "a.glb", SurfaceProjector(shape), skin=skin)
     file = GltfReader(tmp_path / "a.glb")
     (entry,) = file.header["skins"]
     binds = file.accessor(entry["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
@@ -69,7 +69,7 @@ def test_a_skin_goes_along(skinned, make, matched, tmp_path):
     turn = make.rotation(9)
     other = Shape(2.0 * shape.points @ turn.T + [1.0, 2.0, 3.0], shape.faces)
     same = np.arange(shape.n_points)
-    carried = Carrier(Match(shape, other, matched(same, same), {})).skin(skin)
+    carried = Transfer(Match(shape, other, matched(same, same), {})).skin(skin)
     np.testing.assert_allclose(carried.weights, largest_four(skin.weights), atol=1e-4)
     np.testing.assert_allclose(carried.frames[:, :3, :3], turn @ skin.frames[:, :3, :3], atol=1e-4)
     expected = 2.0 * skin.frames[:, :3, 3] @ turn.T + [1.0, 2.0, 3.0]
@@ -81,15 +81,15 @@ def test_every_point_moves_with_the_body(skinned, make, matched):
     shape, skin = skinned
     same = np.arange(shape.n_points)
     lost = np.where(shape.points[:, 1] > 0.9, -1, same)
-    carried = Carrier(Match(shape, shape, matched(lost, lost), {})).skin(skin)
+    carried = Transfer(Match(shape, shape, matched(lost, lost), {})).skin(skin)
     np.testing.assert_allclose(carried.weights.sum(axis=1), 1.0)
     assert ((carried.weights > 0).sum(axis=1) <= 4).all()
-    cloud = Carrier(Match(shape, shape.as_cloud(), matched(same, same), {}))
+    cloud = Transfer(Match(shape, shape.as_cloud(), matched(same, same), {}))
     with pytest.raises(ArgumentError, match="no faces"):
         cloud.skin(skin)
     with pytest.raises(DataError, match="dozen"):
         few = np.where(same < 8, same, -1)
-        Carrier(Match(shape, shape, matched(few, few), {})).skin(skin)
+        Transfer(Match(shape, shape, matched(few, few), {})).skin(skin)
 
 
 def by_hand(folder, **changes):

@@ -1,17 +1,21 @@
 """Smooth maps between surfaces: exact where the truth is, better than the point maps that they come from elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, unit
+from homolog.matching import Match
 from homolog.shapes import Shape
-from homolog.transfer import PlaceFinder, ShapePlaces, surface_map
+from homolog.transfer import SurfacePoints, SurfaceProjector, Transfer, surface_map
 
 
 def flipped(found, faces):
     """Which triangles of the start are drawn on the goal's surface with the wrong side out."""
-    normals = found.goal.normals(found.places)[faces].mean(axis=1)
+    normals = found.target.normals(found.surface_points)[faces].mean(axis=1)
     laid = Surface(found.positions, faces).face_normals
     return np.einsum("mk,mk->m", laid, normals) <= 0
 
@@ -22,8 +26,8 @@ def test_the_identity_carries_everything_unchanged(make, matched):
     found = surface_map(shape, shape, matched(same, same))
     np.testing.assert_allclose(found.positions, shape.points, atol=1e-6)
     values = np.random.default_rng(0).normal(size=(shape.n_points, 2))
-    np.testing.assert_allclose(found.places.values(values), values, atol=1e-4)
-    np.testing.assert_array_equal(found.places.labels(same), same)
+    np.testing.assert_allclose(found.surface_points.interpolate(values), values, atol=1e-4)
+    np.testing.assert_array_equal(found.surface_points.labels(same), same)
 
 
 @pytest.mark.parametrize("scale", [3.0, 1000.0, 1e-3])
@@ -35,7 +39,7 @@ def test_a_moved_copy_is_met_exactly(make, matched, scale):
     np.testing.assert_allclose(found.positions, other.points, atol=1e-5 * scale)
     linear = shape.points @ [0.3, -2.0, 1.0] + 4.0
     back = surface_map(other, shape, matched(same, same))
-    np.testing.assert_allclose(back.places.values(linear), linear, atol=1e-4)
+    np.testing.assert_allclose(back.surface_points.interpolate(linear), linear, atol=1e-4)
 
 
 def test_smooth_maps_are_nearer_to_the_truth_than_point_maps(pair):
@@ -45,7 +49,7 @@ def test_smooth_maps_are_nearer_to_the_truth_than_point_maps(pair):
     before, after = (np.linalg.norm(where - truth, axis=1).mean() for where in (by_points, found.positions))
     assert after < 0.5 * before
     assert flipped(found, pair.source.faces).mean() == 0
-    assert found.turned == 1
+    assert found.orientation == 1
 
 
 def test_wrong_patches_give_way(pair, matched):
@@ -64,20 +68,37 @@ def test_wrong_patches_give_way(pair, matched):
     assert flipped(found, pair.source.faces).mean() < 0.01
 
 
+def test_pairs_count_by_their_confidence(pair):
+    """One of the two maps is wrong all over, as if turned about the vertical axis; confidences say which."""
+    truth, turn = pair.bend(pair.source.points), np.array([[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]])
+    right = pair.found
+    turned = cKDTree(pair.target.points).query(pair.bend(pair.source.points @ turn.T))[1]
+    wrong = np.linalg.norm(pair.target.points[turned] - truth, axis=1).mean()
+    errors = []
+    for there, back in ((0.05, 1.0), (1.0, 0.05)):
+        confidences = {
+            "source_confidence": np.full(pair.source.n_points, there),
+            "target_confidence": np.full(pair.target.n_points, back),
+        }
+        found = surface_map(pair.source, pair.target, replace(right, source_to_target=turned, **confidences))
+        errors.append(np.linalg.norm(found.positions - truth, axis=1).mean())
+    assert errors[0] < 0.1 * wrong and errors[1] > 0.8 * wrong
+
+
 def test_points_without_a_counterpart_have_no_place(pair, matched):
     there, back = pair.found.source_to_target.copy(), pair.found.target_to_source.copy()
     lost = pair.source.points[:, 1] > 0.5
     there[lost] = -1
     back[np.isin(back, np.flatnonzero(lost))] = -1
     found = surface_map(pair.source, pair.target, matched(there, back))
-    np.testing.assert_array_equal(found.places.exist, ~lost)
+    np.testing.assert_array_equal(found.surface_points.valid, ~lost)
     assert np.isnan(found.positions[lost]).all()
-    assert (found.places.faces[lost] == -1).all()
+    assert (found.surface_points.faces[lost] == -1).all()
     truth = pair.bend(pair.source.points)
     assert np.linalg.norm(found.positions - truth, axis=1)[~lost].max() < 0.25
-    values = found.places.values(pair.target.points)
+    values = found.surface_points.interpolate(pair.target.points)
     np.testing.assert_array_equal(np.isnan(values).any(axis=1), lost)
-    assert (found.places.labels(np.arange(pair.target.n_points))[lost] == -1).all()
+    assert (found.surface_points.labels(np.arange(pair.target.n_points))[lost] == -1).all()
 
 
 @pytest.mark.parametrize(("start_is_cloud", "goal_is_cloud"), [(True, False), (False, True), (True, True)])
@@ -85,18 +106,18 @@ def test_clouds(pair, start_is_cloud, goal_is_cloud):
     source = pair.source.as_cloud() if start_is_cloud else pair.source
     target = pair.target.as_cloud() if goal_is_cloud else pair.target
     found = surface_map(source, target, pair.found)
-    assert found.turned == 0
+    assert found.orientation == 0
     truth = pair.bend(pair.source.points)
     before = np.linalg.norm(pair.target.points[pair.found.source_to_target] - truth, axis=1).mean()
     assert np.linalg.norm(found.positions - truth, axis=1).mean() < 0.75 * before
-    assert (found.places.faces is None) == goal_is_cloud
-    np.testing.assert_allclose(found.places.weights.sum(axis=1), 1.0)
+    assert (found.surface_points.faces is None) == goal_is_cloud
+    np.testing.assert_allclose(found.surface_points.weights.sum(axis=1), 1.0)
 
 
 def test_faces_that_turn_the_other_way_are_noticed(pair):
     inside_out = Shape(pair.target.points, pair.target.faces[:, ::-1])
     found = surface_map(pair.source, inside_out, pair.found)
-    assert found.turned == -1
+    assert found.orientation == -1
     right_way = surface_map(pair.source, pair.target, pair.found)
     np.testing.assert_allclose(found.positions, right_way.positions, atol=1e-6)
 
@@ -111,10 +132,10 @@ def test_indices_are_those_of_the_shapes_as_given(make, matched):
     _, first = np.unique(corners, return_index=True)
     found = surface_map(soup, shape, matched(there, first + 2))
     np.testing.assert_allclose(found.positions[2:], shape.points[corners], atol=1e-6)
-    assert not found.places.exist[:2].any()
+    assert not found.surface_points.valid[:2].any()
     back = surface_map(shape, soup, matched(first + 2, there))
-    assert back.places.corners.min() >= 2 and back.places.faces.min() >= 1
-    np.testing.assert_array_equal(soup.faces[back.places.faces], back.places.corners)
+    assert back.surface_points.corners.min() >= 2 and back.surface_points.faces.min() >= 1
+    np.testing.assert_array_equal(soup.faces[back.surface_points.faces], back.surface_points.corners)
     np.testing.assert_allclose(back.positions, shape.points, atol=1e-6)
 
 
@@ -123,15 +144,15 @@ def test_places_amid_the_start_go_continuously(pair):
     rng = np.random.default_rng(1)
     faces = rng.integers(pair.source.n_faces, size=500)
     weights = rng.dirichlet([1.0, 1.0, 1.0], size=500)
-    places = ShapePlaces(pair.source.faces[faces], weights, faces)
-    truth = pair.bend(places.values(pair.source.points))
-    assert np.linalg.norm(found.goal.positions(found.at(places)) - truth, axis=1).max() < 0.1
+    places = SurfacePoints(pair.source.faces[faces], weights, faces)
+    truth = pair.bend(places.interpolate(pair.source.points))
+    assert np.linalg.norm(found.target.positions(found.apply(places)) - truth, axis=1).max() < 0.1
     # At its corners a triangle's places are those of its points.
-    corners = ShapePlaces(pair.source.faces[faces], np.tile([0.0, 1.0, 0.0], (500, 1)), faces)
+    corners = SurfacePoints(pair.source.faces[faces], np.tile([0.0, 1.0, 0.0], (500, 1)), faces)
     of_points = found.positions[pair.source.faces[faces, 1]]
-    np.testing.assert_allclose(found.goal.positions(found.at(corners)), of_points, atol=1e-6)
-    nowhere = places.only(np.arange(500) > 0)
-    np.testing.assert_array_equal(found.at(nowhere).exist, np.arange(500) > 0)
+    np.testing.assert_allclose(found.target.positions(found.apply(corners)), of_points, atol=1e-6)
+    nowhere = places.masked(np.arange(500) > 0)
+    np.testing.assert_array_equal(found.apply(nowhere).valid, np.arange(500) > 0)
 
 
 def test_the_far_side_of_a_thin_sheet_is_not_taken(make, matched):
@@ -153,18 +174,18 @@ def test_the_far_side_of_a_thin_sheet_is_not_taken(make, matched):
 
 def test_places_on_a_cloud_meet_its_points(make):
     cloud = make.blob(2).as_cloud()
-    finder = PlaceFinder(cloud)
-    at_points = finder.places(cloud.points)
+    projector = SurfaceProjector(cloud)
+    at_points = projector.project(cloud.points)
     values = np.random.default_rng(0).normal(size=cloud.n_points)
-    np.testing.assert_allclose(at_points.values(values), values, atol=1e-9)
-    between = finder.places(unit(np.random.default_rng(1).normal(size=(50, 3))))
+    np.testing.assert_allclose(at_points.interpolate(values), values, atol=1e-9)
+    between = projector.project(unit(np.random.default_rng(1).normal(size=(50, 3))))
     assert between.weights.min() >= 0
     np.testing.assert_allclose(between.weights.sum(axis=1), 1.0)
-    np.testing.assert_allclose(between.values(np.full(cloud.n_points, 3.0)), 3.0)
+    np.testing.assert_allclose(between.interpolate(np.full(cloud.n_points, 3.0)), 3.0)
 
 
 def test_labels_have_the_largest_weight_together():
-    places = ShapePlaces(
+    places = SurfacePoints(
         np.array([[0, 1, 2], [0, 1, 2], [0, 0, 0]]), np.array([[0.4, 0.3, 0.3], [0.5, 0.3, 0.2], [np.nan] * 3])
     )
     np.testing.assert_array_equal(places.labels(np.array([5, 7, 7])), [7, 5, -1])
@@ -173,9 +194,9 @@ def test_labels_have_the_largest_weight_together():
 
 
 def test_a_value_that_counts_nothing_may_be_unknown():
-    places = ShapePlaces(np.array([[0, 1, 2]]), np.array([[0.5, 0.5, 0.0]]))
-    np.testing.assert_array_equal(places.values(np.array([1.0, 3.0, np.nan])), [2.0])
-    assert np.isnan(places.values(np.array([1.0, np.nan, 3.0]))).all()
+    places = SurfacePoints(np.array([[0, 1, 2]]), np.array([[0.5, 0.5, 0.0]]))
+    np.testing.assert_array_equal(places.interpolate(np.array([1.0, 3.0, np.nan])), [2.0])
+    assert np.isnan(places.interpolate(np.array([1.0, np.nan, 3.0]))).all()
 
 
 def test_other_maps_are_refused(pair, matched, make):
@@ -194,8 +215,19 @@ def test_places_on_long_triangles(make):
     ball = make.sphere(3)
     both = make.joined([Shape(box, faces), Shape(0.5 * ball.points + [5.0, 5.0, 2.0], ball.faces)])
     points = np.random.default_rng(0).uniform([1.0, 1.0, 1.0], [9.0, 9.0, 1.1], size=(200, 3))
-    finder = PlaceFinder(both)
-    found = finder.places(points)
+    projector = SurfaceProjector(both)
+    found = projector.project(points)
     near = np.linalg.norm(points - [5.0, 5.0, 2.0], axis=1) - 0.5 < points[:, 2] - 1 + 0.01
-    np.testing.assert_allclose(finder.positions(found)[~near], (points * [1, 1, 0] + [0, 0, 1.0])[~near], atol=1e-9)
+    np.testing.assert_allclose(projector.positions(found)[~near], (points * [1, 1, 0] + [0, 0, 1.0])[~near], atol=1e-9)
     assert np.isin(found.faces[~near], [10, 11]).all()
+
+
+def test_the_label_of_points_without_a_counterpart_is_no_label_of_the_source(make, matched):
+    shape = make.blob(2)
+    same = np.arange(shape.n_points)
+    there = np.where(same < 20, -1, same)
+    transfer = Transfer(Match(shape, shape, matched(there, there), {}))
+    for labels, none in ((same % 3, -1), (same % 3 - 1, -2), (same % 3 - 4, -1), (same % 5 - 3, -4)):
+        found = transfer.labels(labels)
+        np.testing.assert_array_equal(found[20:], labels[20:])
+        assert (found[:20] == none).all()

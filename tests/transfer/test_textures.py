@@ -10,14 +10,14 @@ from homolog.shapes import Shape, read_shape, write_shape
 from homolog.transfer import (
     Appearance,
     Atlas,
-    Carrier,
-    PlaceFinder,
-    ShapePlaces,
+    SurfacePoints,
+    SurfaceProjector,
     Texture,
-    painted,
+    Transfer,
+    bake_texture,
     png,
     read_appearance,
-    unwrapped,
+    unwrap,
     write_glb,
     write_obj,
 )
@@ -34,8 +34,8 @@ def colour_at(points):
     return 127.5 + 100 * np.sin(points * [1.0, 1.2, 0.9] + [0.3, 1.0, 2.0])
 
 
-def painter(finder):
-    return lambda places: np.round(colour_at(finder.positions(places))).astype(np.uint8)
+def painter(projector):
+    return lambda places: np.round(colour_at(projector.positions(places))).astype(np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +43,19 @@ def textured(make, tmp_path_factory):
     """A blob painted by position, as OBJ and as GLB; its atlas has many pieces."""
     folder = tmp_path_factory.mktemp("textured")
     shape = make.blob(3)
-    finder = PlaceFinder(shape)
-    atlas = unwrapped(finder, size=SIZE)
-    image = png(painted(atlas, finder, painter(finder)))
+    projector = SurfaceProjector(shape)
+    atlas = unwrap(projector, size=SIZE)
+    image = png(bake_texture(atlas, projector, painter(projector)))
     (folder / "paint.png").write_bytes(image)
-    write_obj(folder / "blob.obj", shape, atlas.places[atlas.faces], materials="blob.mtl", image="paint.png")
-    write_glb(folder / "blob.glb", finder, texture=(atlas, image))
+    write_obj(folder / "blob.obj", shape, atlas.uv[atlas.faces], materials="blob.mtl", image="paint.png")
+    write_glb(folder / "blob.glb", projector, texture=(atlas, image))
     return folder
 
 
 def random_places(shape, count=2000, seed=0):
     rng = np.random.default_rng(seed)
     faces = rng.integers(shape.n_faces, size=count)
-    return ShapePlaces(shape.faces[faces], rng.dirichlet([1.0, 1.0, 1.0], size=count), faces)
+    return SurfacePoints(shape.faces[faces], rng.dirichlet([1.0, 1.0, 1.0], size=count), faces)
 
 
 def pieces_of(shape, texture):
@@ -75,7 +75,7 @@ def test_files_give_the_colours_that_were_painted(textured, name):
     texture = read_appearance(textured / name, shape).texture
     assert pieces_of(shape, texture) > 5
     places = random_places(shape)
-    expected = colour_at(places.values(shape.points))
+    expected = colour_at(places.interpolate(shape.points))
     np.testing.assert_allclose(texture.colours(places), expected, atol=4)
 
 
@@ -87,12 +87,12 @@ def test_seams_do_not_smear(textured, name, make, matched):
     moved = make.relabelled(Shape(2.0 * shape.points @ turn.T + 3.0, shape.faces), order)
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
-    carrier = Carrier(Match(shape, moved, matched(back, order), {}), source=shape)
-    atlas, image = carrier.texture(read_appearance(textured / name, shape), size=SIZE)
-    carried = Texture(atlas.places[atlas.faces], np.zeros(moved.n_faces, dtype=int), (image,))
+    transfer = Transfer(Match(shape, moved, matched(back, order), {}), source=shape)
+    atlas, image = transfer.texture(read_appearance(textured / name, shape), size=SIZE)
+    carried = Texture(atlas.uv[atlas.faces], np.zeros(moved.n_faces, dtype=int), (image,))
     np.testing.assert_array_equal(atlas.face_of, np.arange(moved.n_faces))
     places = random_places(moved, 5000)
-    expected = colour_at(places.values((moved.points - 3.0) @ turn / 2.0))
+    expected = colour_at(places.interpolate((moved.points - 3.0) @ turn / 2.0))
     # Texels are some 0.02 wide, over which a colour changes by 3.
     assert np.abs(carried.colours(places) - expected).max() < 8
 
@@ -137,10 +137,10 @@ def test_texels_are_met_and_images_repeat():
     for shift in ([0, 0], [1, -2]):
         coordinates = np.repeat((middles + shift)[:, None], 3, axis=1)
         texture = Texture(coordinates, np.zeros(32, dtype=int), (image,))
-        places = ShapePlaces(np.zeros((32, 3), int), np.tile([0.2, 0.3, 0.5], (32, 1)), np.arange(32))
+        places = SurfacePoints(np.zeros((32, 3), int), np.tile([0.2, 0.3, 0.5], (32, 1)), np.arange(32))
         np.testing.assert_array_equal(texture.colours(places), image.reshape(-1, 3))
     half = Texture(np.tile([1.0 / 8, 0.5 / 4], (1, 3, 1)), np.zeros(1, int), (image,))
-    between = half.colours(ShapePlaces(np.zeros((1, 3), int), np.array([[1.0, 0, 0]]), np.zeros(1, int)))
+    between = half.colours(SurfacePoints(np.zeros((1, 3), int), np.array([[1.0, 0, 0]]), np.zeros(1, int)))
     np.testing.assert_allclose(between[0], image[0, :2].mean(axis=0), atol=0.51)
 
 
@@ -148,16 +148,16 @@ def test_what_has_no_counterpart_is_grey(textured, matched):
     shape = read_shape(textured / "blob.obj")
     same = np.arange(shape.n_points)
     there = np.where(shape.points[:, 1] > 0.2, -1, same)
-    carrier = Carrier(Match(shape, shape, matched(there, there), {}), source=shape)
-    atlas, image = carrier.texture(read_appearance(textured / "blob.obj", shape), size=SIZE)
-    texture = Texture(atlas.places[atlas.faces], np.zeros(shape.n_faces, dtype=int), (image,))
-    middles = ShapePlaces(shape.faces, np.full((shape.n_faces, 3), 1 / 3), np.arange(shape.n_faces))
+    transfer = Transfer(Match(shape, shape, matched(there, there), {}), source=shape)
+    atlas, image = transfer.texture(read_appearance(textured / "blob.obj", shape), size=SIZE)
+    texture = Texture(atlas.uv[atlas.faces], np.zeros(shape.n_faces, dtype=int), (image,))
+    middles = SurfacePoints(shape.faces, np.full((shape.n_faces, 3), 1 / 3), np.arange(shape.n_faces))
     lost = (there[shape.faces] < 0).all(axis=1)
     assert (texture.colours(middles)[lost] == 160).all()
     kept = (there[shape.faces] >= 0).all(axis=1)
-    expected = colour_at(middles.values(shape.points))
+    expected = colour_at(middles.interpolate(shape.points))
     assert np.median(np.abs(texture.colours(middles) - expected).max(axis=1)[kept]) < 4
-    colours = carrier.colours(Appearance(point_colours=np.full((shape.n_points, 3), 0.2)))
+    colours = transfer.colours(Appearance(point_colours=np.full((shape.n_points, 3), 0.2)))
     np.testing.assert_array_equal(colours, np.where((there < 0)[:, None], 160, 51) * np.ones((1, 3), int))
 
 
@@ -178,7 +178,7 @@ def test_materials_have_images_or_colours(tmp_path):
     texture = read_appearance(tmp_path / "flat.obj", shape).texture
     assert texture.coordinates.shape == (shape.n_faces, 3, 2) == (4, 3, 2)
     np.testing.assert_array_equal(texture.coordinates[1], [[0, 1], [1, 0], [0, 1]])
-    middles = ShapePlaces(shape.faces, np.full((4, 3), 1 / 3), np.arange(4))
+    middles = SurfacePoints(shape.faces, np.full((4, 3), 1 / 3), np.arange(4))
     expected = [[200, 0, 0], [200, 0, 0], [0, 255, 128], [255, 255, 255]]
     np.testing.assert_array_equal(texture.colours(middles), expected)
 
@@ -194,7 +194,7 @@ def test_colours_of_points(tmp_path, make):
     head = ["ply", "format ascii 1.0", "element vertex 4", *(f"property float {axis}" for axis in "xyz")]
     head += [*(f"property float {name}" for name in ("red", "green", "blue")), "end_header"]
     (tmp_path / "b.ply").write_text("\n".join([*head, "0 0 0 1 0 0", "1 0 0 0 1 0", "0 1 0 0 0 .5", "0 0 1 1 1 1"]))
-    write_glb(tmp_path / "a.glb", PlaceFinder(shape), colours=colours)
+    write_glb(tmp_path / "a.glb", SurfaceProjector(shape), colours=colours)
     for name in ("a.ply", "a.obj", "a.glb"):
         found = read_appearance(tmp_path / name, read_shape(tmp_path / name))
         assert found.texture is None
@@ -211,11 +211,11 @@ def test_colours_of_points(tmp_path, make):
 def test_a_cloud_takes_no_texture_but_its_colours(textured, matched):
     shape = read_shape(textured / "blob.obj")
     same = np.arange(shape.n_points)
-    carrier = Carrier(Match(shape, shape.as_cloud(), matched(same, same), {}), source=shape)
+    transfer = Transfer(Match(shape, shape.as_cloud(), matched(same, same), {}), source=shape)
     appearance = read_appearance(textured / "blob.obj", shape)
     with pytest.raises(ArgumentError, match="no faces"):
-        carrier.texture(appearance)
-    np.testing.assert_allclose(carrier.colours(appearance), colour_at(shape.points), atol=5)
+        transfer.texture(appearance)
+    np.testing.assert_allclose(transfer.colours(appearance), colour_at(shape.points), atol=5)
 
 
 def test_faults_of_files(textured, tmp_path):

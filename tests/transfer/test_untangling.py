@@ -2,18 +2,18 @@
 
 import numpy as np
 
-from homolog.transfer import PlaceFinder, untangled
+from homolog.transfer import SurfaceProjector, untangled
 from homolog.transfer.smooth_map import SurfaceMap
 
 
 def folded(make, seed):
     """The identity of a sphere, but for some points that are exchanged with a neighbour."""
     sphere = make.sphere(3)
-    finder = PlaceFinder(sphere)
+    projector = SurfaceProjector(sphere)
     positions = sphere.points.copy()
     for corner, neighbour in sphere.faces[np.random.default_rng(seed).permutation(len(sphere.faces))[:6], :2]:
         positions[[corner, neighbour]] = positions[[neighbour, corner]]
-    return sphere, SurfaceMap(finder, finder, positions, turned=1)
+    return sphere, SurfaceMap(projector, projector, positions, orientation=1)
 
 
 def test_folds_open(make):
@@ -45,12 +45,12 @@ def test_a_mirrored_orientation_is_no_flip(make):
     sphere = make.sphere(2)
     inside_out = type(sphere)(sphere.points, sphere.faces[:, ::-1])
     for start, goal, turned in ((inside_out, inside_out, 1), (sphere, inside_out, -1), (sphere, inside_out, 0)):
-        smooth = SurfaceMap(PlaceFinder(start), PlaceFinder(goal), sphere.points, turned=turned)
+        smooth = SurfaceMap(SurfaceProjector(start), SurfaceProjector(goal), sphere.points, orientation=turned)
         assert not smooth.flipped_triangles.any()
         assert untangled(smooth) is smooth
 
 
 def test_clouds_are_left_alone(make):
     sphere = make.sphere(2)
-    smooth = SurfaceMap(PlaceFinder(sphere), PlaceFinder(sphere.as_cloud()), sphere.points)
+    smooth = SurfaceMap(SurfaceProjector(sphere), SurfaceProjector(sphere.as_cloud()), sphere.points)
     assert smooth.flipped_triangles is None and untangled(smooth) is smooth

@@ -1,4 +1,4 @@
-"""What a type checker infers of functions that take tensors or numpy arrays is what they return. mypy reads this file."""
+"""What a type checker infers of functions of tensors or numpy arrays is what they return. mypy reads this file."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def _facts(described: DatasetDescription) -> list[tuple[str, str]]:
 
 
 def _complete(described: DatasetDescription) -> str:
-    return described.complete and f"{described.complete}{_number(len(described.expected_complete_names))}"
+    return described.full and f"{described.full}{_number(len(described.expected_full_names))}"
 
 
 def _number(count: int) -> str:
@@ -149,10 +149,10 @@ def _summary(report: DatasetReport, described: DatasetDescription) -> Table:
 
 
 def _counts(report: DatasetReport, described: DatasetDescription) -> list[tuple[str, str]]:
-    parts = "parts" if described.complete else "volumes" if described.holds == "volumes" else "shapes"
+    parts = "parts" if described.full else "volumes" if described.holds == "volumes" else "shapes"
     return [
         (parts, _of(report.n_shapes, described.expected_shapes)),
-        ("complete shapes", _of(report.n_complete, len(described.expected_complete_names))),
+        ("complete shapes", _of(report.n_full, len(described.expected_full_names))),
         ("points", counted(report.n_points)),
         ("points with ground truth", counted(report.n_truth)),
         *((f"split {split!r}", _sizes(report, split)) for split in report.splits),

@@ -47,7 +47,7 @@ def demo(
         found = build_matcher(None, "auto", "auto", no_cache=True).match(files[0], files[1], steps=steps)
         paths = write_folder(output, found, steps=steps)
     source = folder.shape(_SOURCE)
-    truth, asked = folder.common_points(_SOURCE), folder.common_points(_TARGET)
+    truth, asked = folder.template_correspondence(_SOURCE), folder.template_correspondence(_TARGET)
     errors = 100 * geodesic_errors(source, truth, found.target_to_source[asked])
     sides = _same_side(source, truth, found.target_to_source[asked])
     if not quiet:

@@ -19,7 +19,6 @@ _EXTRAS = {
     "synth": ("anny",),
     "transfer": ("pillow", "xatlas"),
     "volumes": ("SimpleITK", "scikit-image", "fast-simplification"),
-    "view": ("viser",),
     "picture": ("pillow",),
     "serve": ("anyio", "filelock", "starlette", "uvicorn"),
     "collection": ("h5py", "matplotlib", "pillow"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import re
@@ -50,7 +51,7 @@ def main() -> None:
         _hear(_interrupt)
         status = app(standalone_mode=False)
     except HomologError as error:
-        _end(f"Error: {error}", 2)
+        _fail(str(error))
     except _Interrupted as interrupted:
         _end(_INTERRUPTED, interrupted.exit_code)
     except BrokenPipeError:
@@ -61,7 +62,7 @@ def main() -> None:
         complaint = _complaint(error)
         if complaint is None:
             raise
-        _end(f"Error: {complaint}", 2)
+        _fail(complaint)
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -97,6 +98,15 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     raise _Interrupted(number)
+
+
+def _fail(error: str) -> NoReturn:
+    """End with a user's mistake, in JSON for programs that ask for it: see ``cli.progress``.
+
+    The arguments are looked at as they are, as the mistake may be in them.
+    """
+    as_json = " --progress json" in " ".join(sys.argv).replace("=", " ")
+    _end(json.dumps({"error": error}) if as_json else f"Error: {error}", 2)
 
 
 def _end(message: str, code: int) -> NoReturn:

@@ -27,7 +27,7 @@ from homolog.cli.options import (
     check_picture_file,
     set_verbosity,
 )
-from homolog.cli.progress import Report, progress_bar, say
+from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.core.progress import Listener, Steps
 from homolog.matching import RESULT_FILES, Match, Matcher, with_inputs, write_folder
 from homolog.pairs import SIDES, AsCloud, PairOptions, Side
@@ -73,6 +73,7 @@ def match(
     no_cache: NoCache = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
+    progress_form: ProgressOption = "bar",
 ) -> None:
     """Match two shapes: for every point of each, the corresponding point of the other.
 
@@ -106,7 +107,7 @@ def match(
         target_up=target_up or up,
         strict=strict,
     )
-    with progress_bar(quiet=quiet) as progress:
+    with progress_bar(quiet=quiet, form=progress_form) as progress:
         steps = Steps(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         found = match_or_adapt(matcher, source, target, options, adapt, steps)

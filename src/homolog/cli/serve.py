@@ -9,8 +9,7 @@ from typing import Annotated
 import typer
 
 from homolog.cli.browsing import Host, NoOpen, Port, announce, interrupt_ends
-from homolog.cli.match import STEPS
-from homolog.cli.options import DeviceOption, Quiet, Weights, build_matcher
+from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher
 from homolog.core.errors import needs_extra
 from homolog.core.files import expanded
 from homolog.features import DEFAULT_WEIGHTS, pretrained_weights
@@ -64,7 +63,7 @@ def serve(
     with needs_extra("homolog serve", "serve"):
         from homolog.serving.server import MatchServer
     build_matcher(weights, method, device, no_cache=True)  # says now what would be wrong with each match
-    command = MatchCommand(_options(weights, method, device), n_steps=STEPS)
+    command = MatchCommand(_options(weights, method, device))
     limits = Limits(
         max_mb=max_mb, jobs=jobs, queue=queue, per_address=per_address, minutes=minutes, memory_gb=memory_gb
     )

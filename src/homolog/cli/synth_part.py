@@ -12,7 +12,7 @@ from homolog.cli.options import Quiet
 from homolog.core.errors import ArgumentError
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder
 from homolog.shapes import Repaired, Shape, read_shape, repair, write_shape
-from homolog.synthesis import Part, cut, cut_holes, view
+from homolog.synthesis import PartialShape, cut, cut_holes, view
 
 Kind = Literal["cut", "holes", "view"]
 
@@ -29,9 +29,9 @@ def part(
 ) -> None:
     """Make a part of a mesh, and the indices that lead back to it.
 
-    Writes DIR/part.ply and DIR/part.npz, whose complete_index holds for each point of the part the point of FILE that
+    Writes DIR/part.ply and DIR/part.npz, whose full_index holds for each point of the part the point of FILE that
     it is. A view (of a shape that stands +y up) also gives what a depth camera takes, DIR/cloud.ply and DIR/cloud.npz:
-    there complete_index is the nearest corner, and corners and weights tell the exact place. In Python,
+    there full_index is the nearest corner, and corners and weights tell the exact place. In Python,
     homolog.synthesis also takes how much is cut away, how many holes and which camera, and adds noise, outliers and
     uneven density.
 
@@ -62,7 +62,7 @@ def _check_folder(output: Path) -> None:
         raise ArgumentError(f"{output} holds other things; give another folder with -o, a new or an empty one")
 
 
-def _parts(shape: Shape, kind: Kind, seed: int) -> dict[str, Part]:
+def _parts(shape: Shape, kind: Kind, seed: int) -> dict[str, PartialShape]:
     """What is to be written, by the names of the files."""
     if kind == "view":
         seen = view(shape, seed=seed)
@@ -70,9 +70,9 @@ def _parts(shape: Shape, kind: Kind, seed: int) -> dict[str, Part]:
     return {"part": cut(shape, seed=seed) if kind == "cut" else cut_holes(shape, seed=seed)}
 
 
-def _way_back(made: Part, repaired: Repaired) -> dict[str, np.ndarray]:
+def _way_back(made: PartialShape, repaired: Repaired) -> dict[str, np.ndarray]:
     """Indices of the file's own points, and where points were sampled anew also the corners around them."""
-    arrays = {"complete_index": repaired.original_index(made.complete_index)}
+    arrays = {"full_index": repaired.original_index(made.full_index)}
     if made.triangles is None or made.weights is None or repaired.shape.faces is None:
         return arrays
     corners = repaired.original_index(repaired.shape.faces[made.triangles])

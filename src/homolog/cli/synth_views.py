@@ -9,7 +9,7 @@ import typer
 
 from homolog.cli.options import ONE_PER_CORE, Processes, Quiet
 from homolog.cli.progress import progress_bar
-from homolog.synthesis import ViewSettings, write_view_set
+from homolog.synthesis import ViewSettings, write_view_dataset
 
 
 def views(
@@ -48,6 +48,8 @@ def views(
     """
     settings = ViewSettings(distance=distance, elevation=elevation, pixels=pixels, noise=noise)
     with progress_bar(quiet=quiet) as progress:
-        write_view_set(data, output, views=number, seed=seed, settings=settings, processes=processes, progress=progress)
+        write_view_dataset(
+            data, output, views=number, seed=seed, settings=settings, processes=processes, progress=progress
+        )
     if not quiet:
         typer.echo(output)

@@ -14,13 +14,13 @@ from homolog.core.versions import versions
 from homolog.matching import Match
 from homolog.pairs import Side
 from homolog.transfer import (
-    OWN_NAMES,
+    OUTPUT_NAMES,
     TEXTURE_SIZE,
-    Carrier,
     Delivery,
     Kind,
     System,
-    check_names,
+    Transfer,
+    check_output_names,
     read_original,
 )
 
@@ -82,7 +82,7 @@ def transfer(
     """
     kinds = _asked(texture=texture, colours=colours, skin=skin)
     files = [*(array or []), *(labels or []), *(landmarks or [])]
-    check_names(files)
+    check_output_names(files)
     side: Side = "target" if reverse else "source"
     match = Match.load(result)
     match = match.inverse() if reverse else match
@@ -91,9 +91,9 @@ def transfer(
     contents = bool(kinds) or not (files or checker)
     original = read_original(match, side, origin) if contents or origin is not None else None
     inputs = files if original is None else [*files, *original.files]
-    check_folder(output, inputs=inputs, names=[*OWN_NAMES, *(file.name for file in files)])
-    carrier = Carrier(match, source=None if original is None else original.shape)
-    delivery = Delivery(carrier, axes=axes, texture_size=texture_size)
+    check_folder(output, inputs=inputs, names=[*OUTPUT_NAMES, *(file.name for file in files)])
+    along = Transfer(match, source=None if original is None else original.shape)
+    delivery = Delivery(along, axes=axes, texture_size=texture_size)
     for paths, add in (
         (array, delivery.add_array),
         (labels, delivery.add_labels),

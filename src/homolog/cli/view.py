@@ -1,4 +1,4 @@
-"""``homolog view``: a result in the browser, served or as one page."""
+"""``homolog view``: a match in the browser, as a page that is served or written, or as a picture."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ from homolog.cli.progress import progress_bar
 from homolog.core.progress import Steps
 from homolog.datasets import read_truth
 from homolog.matching import Match
+from homolog.serving import PageServer
 from homolog.viewing import (
     Layer,
-    LiveView,
     Scene,
     error_layer,
     feature_layer,
     map_errors,
+    page_of,
     pair_features,
     scene_of,
     write_page,
@@ -67,12 +68,12 @@ def view(
     no_open: NoOpen = False,
     quiet: Quiet = False,
 ) -> None:
-    """Look at a match in the browser: both shapes side by side, the same colours on the same points.
+    """Show a match in the browser: both shapes side by side, the same colours on corresponding points.
 
     Click a point to mark its counterpart. Colours show the correspondence, the confidence, with --truth the error, and
-    with --weights the features. Sliders choose how confident points must be, and how many are drawn. Prints the address
-    and serves until Ctrl-C; that needs the extra `view`, which --html and --picture do not; --picture needs the extra
-    `picture`.
+    with --weights the features. Sliders set the least confidence and the number of points. Of more than 100,000 points
+    as many are shown. Prints the address and serves until Ctrl-C; --html writes the same page to a file. --picture
+    needs the extra `picture`.
 
     Examples:
       homolog view result
@@ -114,10 +115,10 @@ def _layers(result: Match, truth: tuple[Path, Path] | None, weights: str | None,
 
 
 def _serve(scene: Scene, host: str, port: int, *, open_browser: bool, quiet: bool) -> None:
-    live = LiveView(scene, host, port)
+    server = PageServer(page_of(scene), host, port)
     try:
-        announce(live.address, open_browser=open_browser, quiet=quiet)
-        with interrupt_ends(live.end):
-            live.serve()
+        announce(server.address, open_browser=open_browser, quiet=quiet)
+        with interrupt_ends(server.end):
+            server.serve()
     finally:
-        live.stop()
+        server.close()

@@ -49,17 +49,17 @@ class _TakesArrays(Protocol):
 
 
 def _taking(function: Callable[..., Any], *, one_type: bool) -> Any:
-    names, wanted = list(inspect.signature(function).parameters), _wanted(function)
+    names, annotations = list(inspect.signature(function).parameters), _annotations(function)
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         if not any(isinstance(value, np.ndarray) for value in (*args, *kwargs.values())):
-            _check(wanted, dict(zip(names, args, strict=False)) | kwargs, one_type=one_type)
+            _check(annotations, dict(zip(names, args, strict=False)) | kwargs, one_type=one_type)
             return function(*args, **kwargs)
         # More than there are names for is for Python itself to refuse.
         given = [_to_tensor(name, value) for name, value in zip([*names, *args], args, strict=False)]
         named = {name: _to_tensor(name, value) for name, value in kwargs.items()}
-        _check(wanted, dict(zip(names, given, strict=False)) | named, one_type=one_type)
+        _check(annotations, dict(zip(names, given, strict=False)) | named, one_type=one_type)
         return _to_numpy(function(*given, **named))
 
     return wrapper
@@ -68,8 +68,8 @@ def _taking(function: Callable[..., Any], *, one_type: bool) -> Any:
 takes_arrays: _TakesArrays = functools.partial(_taking, one_type=True)
 """Let a function of tensors take numpy arrays: if any argument is one, its results are numpy arrays too.
 
-Arguments that are annotated as ``Float[Tensor, "n d"]`` or ``Int[Tensor, " n"]`` are checked by that: dimensions, none of
-them empty, equal where they have one name; and all real ones must have one type. What does not fit is an
+Arguments that are annotated as ``Float[Tensor, "n d"]`` or ``Int[Tensor, " n"]`` are checked by that: dimensions, none
+of them empty, equal where they have one name; and all real ones must have one type. What does not fit is an
 ``ArgumentError`` of one line.
 """
 
@@ -78,8 +78,8 @@ takes_arrays_of_any_precision: _TakesArrays = functools.partial(_taking, one_typ
 
 
 @dataclass(frozen=True)
-class _Wanted:
-    """What an annotation asks of a tensor: real numbers or whole ones, and the names of its dimensions."""
+class _Annotation:
+    """What an annotation asks of a tensor: real numbers or integers, and the names of its dimensions."""
 
     real: bool
     dimensions: tuple[str, ...]
@@ -99,20 +99,20 @@ class _Wanted:
         return f"({', '.join(names)}{',' if len(names) == 1 else ''})"
 
 
-def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted]:
-    """What is asked of the arguments of a function that are annotated as tensors of some shape."""
+def _annotations(function: Callable[..., Any]) -> dict[str, _Annotation]:
+    """What is asked of each argument that is annotated as a tensor of some shape."""
     hints = {name: hint for name, hint in get_type_hints(function).items() if name != "return"}
     return {
-        name: _Wanted("float32" in hint.dtypes, tuple(hint.dim_str.split()))
+        name: _Annotation("float32" in hint.dtypes, tuple(hint.dim_str.split()))
         for name, hint in hints.items()
         if getattr(hint, "array_type", None) is Tensor
     }
 
 
-def _check(wanted: Mapping[str, _Wanted], values: Mapping[str, Any], *, one_type: bool) -> None:
+def _check(annotations: Mapping[str, _Annotation], values: Mapping[str, Any], *, one_type: bool) -> None:
     sizes: dict[str, tuple[int, str]] = {}
     first: str | None = None
-    for name, asked in wanted.items():
+    for name, asked in annotations.items():
         if name not in values:
             continue
         _check_tensor(name, values[name], asked)
@@ -123,7 +123,7 @@ def _check(wanted: Mapping[str, _Wanted], values: Mapping[str, Any], *, one_type
             first = name
 
 
-def _check_tensor(name: str, value: Any, asked: _Wanted) -> None:
+def _check_tensor(name: str, value: Any, asked: _Annotation) -> None:
     if not isinstance(value, Tensor):
         raise ArgumentError(f"{name} is a {type(value).__name__}, but must be a tensor or numpy array of shape {asked}")
     fits = value.is_floating_point() if asked.real else value.dtype in (torch.int32, torch.int64)
@@ -132,7 +132,7 @@ def _check_tensor(name: str, value: Any, asked: _Wanted) -> None:
         raise ArgumentError(f"{name} holds {_dtype(value)}, but must hold {allowed}")
 
 
-def _check_sizes(name: str, value: Tensor, asked: _Wanted, sizes: dict[str, tuple[int, str]]) -> None:
+def _check_sizes(name: str, value: Tensor, asked: _Annotation, sizes: dict[str, tuple[int, str]]) -> None:
     """Compare with what is asked and with ``sizes``: for each name of a dimension its size, and who had it first."""
     n_dimensions, shape = len(asked.names), tuple(value.shape)
     if len(shape) < n_dimensions or (len(shape) > n_dimensions and not asked.open_ended):

@@ -52,6 +52,35 @@ def made_folder(path: str | Path) -> Path:
     return folder
 
 
+def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path]) -> None:
+    """Refuse outputs that would replace an input, or a file in a folder that is an input.
+
+    Files are compared by their identity, so that links, other spellings and relative paths are recognised. An output
+    that does not exist yet replaces nothing, and may lie in an input folder.
+
+    Args:
+        outputs: files that are to be written.
+        inputs: files and folders that are read; those that do not exist are passed over.
+
+    Raises:
+        ArgumentError: naming the first such output.
+
+    Example:
+        >>> refuse_overwriting_inputs(["map.npz"], ["source.ply", "target.ply"])
+    """
+    read = [path for path in map(expanded, inputs) if path.exists()]
+    for output in map(expanded, outputs):
+        if not output.exists():
+            continue
+        for given in read:
+            if given.samefile(output):
+                raise ArgumentError(f"{output} is an input and would be replaced by the result; give another output")
+            if given.is_dir() and any(folder.samefile(given) for folder in output.resolve().parents):
+                raise ArgumentError(
+                    f"{output} lies in the input {given} and would be replaced by the result; give another output"
+                )
+
+
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside ``path`` that takes its place when the block ends well.

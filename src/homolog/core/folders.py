@@ -1,4 +1,4 @@
-"""Folders that are made over a while: begun for one way of making, and gone on with in that way alone."""
+"""Output folders that are filled step by step, and can be resumed with the same settings only."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from homolog.core.errors import ArgumentError
 from homolog.core.files import made_folder, read_json, write_json
 
 MANIFEST = "manifest.json"
-"""What is made in a folder, and how; there from the start, and complete once the whole is."""
+"""The file that says what is made in a folder and how; it exists from the start, and is completed at the end."""
 
 
-def claim(root: Path, manifest: dict[str, Any], folders: Sequence[str], *, what: str = "a set") -> None:
-    """Make a folder, or make sure that what is in it was begun in the same way.
+def prepare_folder(root: Path, manifest: dict[str, Any], folders: Sequence[str], *, what: str = "a dataset") -> None:
+    """Create an output folder, or check that an existing one was begun with the same settings.
 
     Args:
         root: the folder.
-        manifest: what it is to say until the whole is complete; all that its files depend on is under ``making``.
-        folders: to make within it.
+        manifest: its first content; all settings that its files depend on are under the key ``making``.
+        folders: to create within it.
         what: is made there, for messages.
 
     Raises:
-        ArgumentError: if it holds another such whole or other things, or cannot be written to; nothing is changed then.
+        ArgumentError: if it holds other files, or was begun with other settings, or cannot be written to; nothing is
+            changed then.
     """
     begun = read_json(root / MANIFEST, needs="making")
     if begun is None:
@@ -41,14 +42,12 @@ def claim(root: Path, manifest: dict[str, Any], folders: Sequence[str], *, what:
 
 
 @contextmanager
-def unless_empty(root: Path, folders: Sequence[str]) -> Iterator[None]:
-    """Around ``claim`` and the work: where it ends with an error or an interrupt, leave no folder in which nothing is.
-
-    What was there before stays.
+def remove_if_unused(root: Path, folders: Sequence[str]) -> Iterator[None]:
+    """Remove new folders without files when the block, which calls ``prepare_folder``, ends with an error.
 
     Args:
         root: the folder.
-        folders: those within it that ``claim`` makes.
+        folders: those within it that ``prepare_folder`` creates.
     """
     new = [path for path in (root, *root.parents) if not path.exists()]
     begun = (root / MANIFEST).exists()
@@ -56,12 +55,12 @@ def unless_empty(root: Path, folders: Sequence[str]) -> Iterator[None]:
         yield
     except BaseException:
         if not begun:
-            _take_back(root, folders, new)
+            _remove_unused(root, folders, new)
         raise
 
 
-def _take_back(root: Path, folders: Sequence[str], new: Sequence[Path]) -> None:
-    """Take away what ``claim`` made, if there is nothing else, and folders above it that are new."""
+def _remove_unused(root: Path, folders: Sequence[str], new: Sequence[Path]) -> None:
+    """Remove what ``prepare_folder`` created, if nothing else is there, and the new folders above it."""
     with suppress(OSError):  # the first that is not there, or not empty, ends it
         for name in folders:
             (root / name).rmdir()
@@ -71,11 +70,11 @@ def _take_back(root: Path, folders: Sequence[str], new: Sequence[Path]) -> None:
             path.rmdir()
 
 
-def _differences(begun: Any, wanted: dict[str, Any]) -> str:
+def _differences(begun: Any, given: dict[str, Any]) -> str:
     if not isinstance(begun, dict):
-        return "nothing tells how"
+        return "its settings are unknown"
     return ", ".join(
         key if isinstance(value, dict) else f"{key} {begun.get(key)}, not {value}"
-        for key, value in wanted.items()
+        for key, value in given.items()
         if begun.get(key) != value
     )

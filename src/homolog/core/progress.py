@@ -12,12 +12,15 @@ import psutil
 
 Listener = Callable[[str], None]
 
-# Told how many steps are done of how many, and what is being done.
+# Called with the number of finished steps, their total and the name of the current one.
 Progress = Callable[[int, int, str], None]
 
 
-def no_progress(done: int, total: int, what: str) -> None:
-    """Progress that no one wants to know of."""
+def ignore(*_: object) -> None:
+    """A callback that does nothing: the default for progress and results that nobody listens to."""
+
+
+no_progress: Progress = ignore
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Doing many tasks, one by one or in several processes."""
+"""Running many tasks, one by one or in several processes."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import get_context
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from homolog.core.errors import ArgumentError
-from homolog.core.progress import Progress
+from homolog.core.progress import Progress, ignore
 
 T = TypeVar("T")
 
@@ -21,18 +21,14 @@ T = TypeVar("T")
 Task = tuple[str, Callable[[], T]]
 
 
-def _unheard(result: Any) -> None:
-    """What a task gives that no one wants to know of."""
-
-
-def work_off(
+def run_tasks(
     phases: Sequence[Sequence[Task[T]]],
     *,
     processes: int,
     progress: Progress,
-    told: Callable[[T], None] = _unheard,
+    told: Callable[[T], None] = ignore,
 ) -> None:
-    """Do all tasks of a phase, in any order, before those of the next.
+    """Run all tasks of a phase, in any order, before those of the next phase.
 
     On an error or an interrupt no further task begins. One process is this one; several begin by importing the program
     that calls this, so that a script must call it below ``if __name__ == "__main__":``.

@@ -1,4 +1,4 @@
-"""Sets of shapes with splits, pairs and ground truth."""
+"""Datasets: folders of shapes with splits, pairs and ground truth, read by descriptions."""
 
 from homolog.datasets.checking import DatasetReport, check_dataset, counted
 from homolog.datasets.description import DatasetDescription, builtin_descriptions, read_description

@@ -1,4 +1,4 @@
-"""Whether a folder holds what its description says: files, counts, sizes, splits, pairs, and truth that fits."""
+"""Checking a dataset against its description: files, counts, sizes, splits, pairs and ground truth."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from typing import get_args
 
 from homolog.core.errors import DataError, HomologError
 from homolog.core.files import expanded, sha256
-from homolog.core.progress import Progress, no_progress
+from homolog.core.progress import Progress, ignore
 from homolog.datasets.description import DatasetDescription
-from homolog.datasets.folder import ShapeFolder, Split, class_of, names_at, partner, place
+from homolog.datasets.folder import Pair, ShapeFolder, Split, class_of, names_at, partner, path_of
 from homolog.shapes import Shape
 
 
 @dataclass
 class DatasetReport:
-    """What was found in a folder.
+    """The result of checking a dataset.
 
     Args:
         root: the folder.
         findings: what is wrong, each a line that says what to do.
-        n_shapes: how many shapes or parts, or volumes, are there.
-        n_complete: how many complete shapes lie apart from parts.
-        n_points: the fewest and the most points of a shape.
-        n_truth: the fewest and the most points of a shape, part or pair whose counterparts are known.
-        splits: the number of shapes of each split that has any.
-        pairs: the number of pairs of each.
-        sha256: of what ``sha256sum`` says of all files of shapes and truth, in the order of their places.
+        n_shapes: number of shapes, partial shapes or volumes.
+        n_full: number of full shapes, where these are separate files.
+        n_points: least and largest number of points of a shape.
+        n_truth: least and largest number of points with ground truth, of a shape or pair.
+        splits: number of shapes of each split that has any.
+        pairs: number of pairs of each.
+        sha256: hash of the output of ``sha256sum`` for all files of shapes and truth, sorted by path.
     """
 
     root: Path
     findings: list[str] = field(default_factory=list)
     n_shapes: int = 0
-    n_complete: int = 0
+    n_full: int = 0
     n_points: tuple[int, int] | None = None
     n_truth: tuple[int, int] | None = None
     splits: dict[str, int] = field(default_factory=dict)
@@ -48,14 +48,18 @@ class DatasetReport:
 def check_dataset(
     root: str | Path, description: DatasetDescription, *, progress: Progress | None = None
 ) -> DatasetReport:
-    """Read every file of a set, and compare with its description.
+    """Read every file of a dataset and compare it with its description.
 
     Args:
         root: the folder.
-        description: of the set.
-        progress: told which file is read.
+        description: of the dataset.
+        progress: called with the number of files that were read, their total and the current file.
+
+    Example:
+        >>> check_dataset("FAUST_r", read_description("faust_r")).findings  # doctest: +SKIP
+        []
     """
-    check = _Check(expanded(root), description, progress or no_progress)
+    check = _Check(expanded(root), description, progress or ignore)
     check.run()
     return check.report
 
@@ -67,14 +71,14 @@ class _Check:
 
     def run(self) -> None:
         if not self.root.is_dir():
-            self._say(f"put the set at {self.root}; get it from {self.description.source or 'its owner'}")
+            self._say(f"put the dataset at {self.root}; get it from {self.description.source or 'its owner'}")
             return
         self._names()
         self._lists()
         if self.description.holds == "volumes":
             self._volumes()
-        elif self.report.n_shapes and bool(self.description.complete) == bool(self.report.n_complete):
-            with self._saying():
+        elif self.report.n_shapes and bool(self.description.full) == bool(self.report.n_full):
+            with self._errors_as_findings():
                 self._shapes(ShapeFolder.without_truth(self.root, self.description))
         self._checksum()
 
@@ -82,42 +86,42 @@ class _Check:
         if finding not in self.report.findings:
             self.report.findings.append(finding)
 
-    def _put(self, file: Path) -> None:
+    def _say_missing(self, file: Path) -> None:
         self._say(f"put {file.name} at {file}")
 
     @contextmanager
-    def _saying(self, *, unless: bool = False) -> Iterator[None]:
-        """Turn an error of this block into a finding, unless it is none of the set's."""
+    def _errors_as_findings(self, *, unless: bool = False) -> Iterator[None]:
+        """Turn an error of this block into a finding; ``unless`` the description does not promise what it is about."""
         try:
             yield
         except HomologError as error:
             if not unless:
                 self._say(str(error))
 
-    # ---- which files are there
+    # ---- existing files
 
     def _names(self) -> None:
         described = self.description
-        names, complete = names_at(self.root, described.shapes), names_at(self.root, described.complete)
-        self.report.n_shapes, self.report.n_complete = len(names), len(complete)
+        names, full = names_at(self.root, described.shapes), names_at(self.root, described.full)
+        self.report.n_shapes, self.report.n_full = len(names), len(full)
         self._expect(names, described.expected_names, described.shapes, described.n_shapes)
-        if described.complete:
-            self._expect(complete, described.expected_complete_names, described.complete, 0)
+        if described.full:
+            self._expect(full, described.expected_full_names, described.full, 0)
 
     def _expect(self, names: Sequence[str], expected: Sequence[str], pattern: str, count: int) -> None:
-        """Say what is missing and what is too much, by names where these are known."""
+        """Report missing and superfluous files, by name where the names are known."""
         for name in (name for name in expected if name not in names):
-            self._put(place(self.root, pattern, name))
+            self._say_missing(path_of(self.root, pattern, name))
         for name in (name for name in names if expected and name not in expected):
-            self._say(f"take {place(self.root, pattern, name)} away; the set has no such shape")
+            self._say(f"take {path_of(self.root, pattern, name)} away; the dataset has no such shape")
         if not expected:
-            self._count(len(names), count, place(self.root, pattern, "NAME"))
+            self._count(len(names), count, path_of(self.root, pattern, "NAME"))
 
-    def _count(self, found: int, wanted: int, files: Path) -> None:
-        if wanted and found > wanted:
-            self._say(f"take {found - wanted} of the {found} shapes at {files} away; the set has {wanted}")
-        elif not found or found < wanted:
-            missing = f"the {wanted - found} missing of {wanted} shapes" if wanted else "the shapes"
+    def _count(self, found: int, expected: int, files: Path) -> None:
+        if expected and found > expected:
+            self._say(f"take {found - expected} of the {found} shapes at {files} away; the dataset has {expected}")
+        elif not found or found < expected:
+            missing = f"the {expected - found} missing of {expected} shapes" if expected else "the shapes"
             self._say(f"put {missing} at {files}")
 
     def _lists(self) -> None:
@@ -126,51 +130,54 @@ class _Check:
         lists += [described.pairs_file] if described.pairs == "listed" else []
         for name in lists:
             if not (self.root / name).is_file():
-                self._put(self.root / name)
+                self._say_missing(self.root / name)
 
-    # ---- what is in them
+    # ---- their contents
 
     def _shapes(self, folder: ShapeFolder) -> None:
         for file in folder.missing_truth().values():
-            self._put(file)
+            self._say_missing(file)
+        with self._errors_as_findings():
+            for finding in folder.missing_shapes():
+                self._say(finding)
         reader = _Reader(folder)
         steps = reader.steps()
         for done, (what, read) in enumerate(steps):
             self.progress(done, len(steps), what)
-            with self._saying():
+            with self._errors_as_findings():
                 read()
         self.report.n_points, self.report.n_truth = _range(reader.n_points), _range(reader.n_truth)
         self._within("points", self.report.n_points, self.description.n_points)
-        wanted = self.description.n_truth
-        self._within("points of ground truth", self.report.n_truth, (wanted, wanted) if wanted else None)
+        n_truth = self.description.n_truth
+        self._within("points of ground truth", self.report.n_truth, (n_truth, n_truth) if n_truth else None)
         self._splits(folder)
 
-    def _within(self, what: str, found: tuple[int, int] | None, wanted: tuple[int, int] | None) -> None:
-        if found and wanted and (found[0] < wanted[0] or found[1] > wanted[1]):
+    def _within(self, what: str, found: tuple[int, int] | None, expected: tuple[int, int] | None) -> None:
+        if found and expected and (found[0] < expected[0] or found[1] > expected[1]):
             self._say(
-                f"{self.root}: shapes have {counted(found)} {what}, but those of the set have {counted(wanted)}; "
+                f"{self.root}: shapes have {counted(found)} {what}, but those of the dataset have {counted(expected)}; "
                 "get the ones that differ again"
             )
 
     def _splits(self, folder: ShapeFolder) -> None:
-        wanted: dict[str, int] = {"train": self.description.n_train, "test": self.description.n_test}
+        expected: dict[str, int] = {"train": self.description.n_train, "test": self.description.n_test}
         for split in get_args(Split):
-            with self._saying(unless=not wanted.get(split)):
+            with self._errors_as_findings(unless=not expected.get(split)):
                 found = len(folder.split(split))
                 self.report.splits[split] = found
-                self._same(split, "shapes", found, wanted.get(split, 0))
+                self._same(split, "shapes", found, expected.get(split, 0))
             if split in self.report.splits:
                 self._pairs(folder, split)
 
     def _pairs(self, folder: ShapeFolder, split: Split) -> None:
-        with self._saying(unless=split != "test"):
+        with self._errors_as_findings(unless=split != "test"):
             found = len(folder.pairs(split))
             self.report.pairs[split] = found
             self._same(split, "pairs", found, self.description.n_pairs if split == "test" else 0)
 
-    def _same(self, split: Split, what: str, found: int, wanted: int) -> None:
-        if wanted and found != wanted:
-            self._say(f"{self.root}: split {split!r} has {found} {what}, but that of the set has {wanted}")
+    def _same(self, split: Split, what: str, found: int, expected: int) -> None:
+        if expected and found != expected:
+            self._say(f"{self.root}: split {split!r} has {found} {what}, but that of the dataset has {expected}")
 
     def _volumes(self) -> None:
         headers = sorted(self.root.glob(self.description.shapes))
@@ -180,26 +187,28 @@ class _Check:
             if data is None:
                 self._say(f"{header} is no MetaImage header that names its ElementDataFile; get it again")
             elif not data.is_file():
-                self._put(data)
+                self._say_missing(data)
 
     def _checksum(self) -> None:
         files = sorted(file for file in set(self._files()) if not file.name.startswith("."))
         lines = (f"{sha256(file)}  {file.relative_to(self.root).as_posix()}\n" for file in files)
         self.report.sha256 = hashlib.sha256("".join(lines).encode()).hexdigest()
         if self.description.sha256 not in ("", self.report.sha256):
-            self._say(f"{self.root}: the checksum is {self.report.sha256}, but the set's is {self.description.sha256}")
+            self._say(
+                f"{self.root}: the checksum is {self.report.sha256}, but the dataset's is {self.description.sha256}"
+            )
 
     def _files(self) -> Iterable[Path]:
         described = self.description
         truth = described.truth_files if described.truth not in ("none", "same-numbering") else ""
-        for pattern in filter(None, (described.shapes, described.complete, truth)):
+        for pattern in filter(None, (described.shapes, described.full, truth)):
             yield from self.root.glob(pattern)
 
 
 class _Reader:
-    """Reads the shapes of a set one after the other, and their truth by the way that evaluations take.
+    """Reads the shapes of a dataset one by one, and their ground truth in the same way as an evaluation.
 
-    Only those shapes stay in memory that the truth of later ones needs.
+    Only the shapes that the ground truth of later ones needs stay in memory.
     """
 
     def __init__(self, folder: ShapeFolder) -> None:
@@ -212,37 +221,47 @@ class _Reader:
         self._missing = folder.missing_truth()
 
     def steps(self) -> list[tuple[str, Callable[[], None]]]:
-        """What is to be read, and a function that reads it."""
-        steps = [(name, partial(self._read, name)) for name in (*self.folder.complete, *self.folder.names)]
-        maps = self.folder.pairs("all") if self.description.pairs == "maps" else ()
+        """The names of what is to be read, and functions that read it."""
+        steps = [(name, partial(self._read, name)) for name in (*self.folder.full, *self.folder.names)]
+        pairs = self._pairs()
+        maps = pairs if self.description.pairs == "maps" else ()
         steps += [(f"map of {pair[0]} - {pair[1]}", partial(self._compare, *pair)) for pair in maps]
         clouds = [name for name in self.folder.names if self.folder.has_cloud(name)]
-        partners = {target: source for source, target in self.folder.pairs("all")} if clouds else {}
+        partners = {target: source for source, target in pairs}
         return [*steps, *((f"cloud of {name}", partial(self._read_cloud, partners.get(name), name)) for name in clouds)]
+
+    def _pairs(self) -> tuple[Pair, ...]:
+        """All pairs, if the check needs them; none if their list is not valid."""
+        if self.description.pairs != "maps" and not self.description.clouds:
+            return ()
+        try:
+            return self.folder.pairs("all")
+        except DataError:
+            return ()
 
     def _read(self, name: str) -> None:
         shape = self.folder.shape(name)
         self.n_points.append(shape.n_points)
         if shape.faces is None and self.description.holds == "meshes":
-            raise DataError(f"{self.folder.file(name)} has no faces, but the set is of meshes; get it again")
+            raise DataError(f"{self.folder.file(name)} has no faces, but the dataset is of meshes; get it again")
         self._shapes[name] = shape
-        if name not in self.folder.complete and self.description.truth != "pair-maps":
+        if name not in self.folder.full and self.description.truth != "pair-maps":
             self._read_truth(name)
 
     def _read_truth(self, name: str) -> None:
-        """Compare with the shape's complete one, or with the first of its class whose truth is as it should be."""
+        """Compare with the full shape, or with the first shape of the class whose ground truth is valid."""
         kind = class_of(name) if self.description.pairs == "same-class" else ""
         try:
             if self.description.truth != "none" and name not in self._missing:
-                apart = self.folder.complete
-                self._compare(partner(name, apart) if apart else self._first.get(kind, name), name)
+                full = self.folder.full
+                self._compare(partner(name, full) if full else self._first.get(kind, name), name)
                 self._first.setdefault(kind, name)
         finally:
             if name not in self._first.values():
                 del self._shapes[name]
 
     def _read_cloud(self, source: str | None, name: str) -> None:
-        """Read a cloud with points of its own, and its truth, if it is in a pair."""
+        """Read a cloud with its own points, and its ground truth if it is in a pair."""
         cloud = self.folder.cloud(name)
         if source is not None:
             if source not in self._shapes:
@@ -255,7 +274,7 @@ class _Reader:
 
 
 def _data_file(header: Path) -> Path | None:
-    """Where a MetaImage header says that its voxels lie; None where it does not say."""
+    """The voxel file that a MetaImage header names; None if it names none."""
     for line in header.read_text(encoding="utf-8", errors="replace").splitlines():
         key, _, value = line.partition("=")
         if key.strip() == "ElementDataFile":
@@ -268,7 +287,12 @@ def _range(counts: Sequence[int]) -> tuple[int, int] | None:
 
 
 def counted(counts: tuple[int, int] | None) -> str:
-    """A range of counts for people; nothing if there is none."""
+    """Format a range of counts; empty if there is none.
+
+    Example:
+        >>> counted((1000, 5000)), counted((20, 20))
+        ('1,000 to 5,000', '20')
+    """
     if counts is None:
         return ""
     return f"{counts[0]:,}" if counts[0] == counts[1] else f"{counts[0]:,} to {counts[1]:,}"

@@ -1,4 +1,4 @@
-"""What is known of a set of shapes: where to get it, what lies where, its splits, pairs and ground truth."""
+"""Descriptions of datasets: source, file layout, splits, pairs and kind of ground truth."""
 
 from __future__ import annotations
 
@@ -9,72 +9,74 @@ from typing import Any, Literal, get_args
 
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded
-from homolog.core.tables import read_table, read_toml
+from homolog.core.settings import read_settings, read_toml
 from homolog.shapes import Up
 
 Holds = Literal["meshes", "clouds", "volumes"]
-TruthKind = Literal["common-points", "barycentric", "same-numbering", "pair-maps", "none"]
+TruthKind = Literal["template-correspondence", "barycentric", "same-numbering", "pair-maps", "none"]
 SplitRule = Literal["found", "listed", "last", "test", "train", "either"]
-PairRule = Literal["found", "every", "same-class", "listed", "parts", "maps"]
+PairRule = Literal["found", "every", "same-class", "listed", "partial", "maps"]
 
-_SHIPPED = Path(__file__).parent / "descriptions"
+_BUILTIN = Path(__file__).parent / "descriptions"
 _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\}")
 
 
 @dataclass(frozen=True)
 class DatasetDescription:
-    """A set of shapes. The defaults describe a folder of one's own.
+    """The description of a dataset. The defaults describe a folder with ``off/NAME.off`` and ``corres/NAME.vts``.
 
-    Places are relative to the set's folder; a star in one stands for a shape's name. Counts are 0 where they are not
-    known, or differ.
+    File patterns are relative to the dataset's folder and have one star, for the shape's name. Counts are 0 if unknown
+    or if they differ.
 
     Args:
-        name: by which commands know the set.
+        name: by which commands know the dataset.
         title: for people.
         citation: the paper to cite.
         source: where to get it, with the address.
-        terms: on which it may be used.
-        notes: what else one should know.
-        holds: ``"meshes"``; ``"clouds"`` without faces, where errors are straight distances in the files' ``unit``; or
-            ``"volumes"``, of which surfaces are to be made first.
-        unit: of the files' coordinates, where that is known.
-        up: which axis of the files points up.
-        shapes: the files of the shapes or, where parts lie apart, of the parts.
-        complete: where parts lie apart, the files of the complete shapes, each with parts whose names contain its own.
-        clouds: the files of clouds with points of their own, of those shapes that have one: what a depth camera saw of
-            a view, say. Where shapes are used as clouds, these are, and their truth is in ``cloud_truth``.
-        partial: whether the second shape of each pair is a part of one like the first.
-        pre_aligned: whether parts lie in the coordinates of their complete shapes, about where they belong.
-        shuffled: whether the rows of every file are put in an order of its own before anything sees them, since the
-            numbering would give the truth away.
-        truth: what the ground truth is. ``"common-points"``: line i of each file holds the shape's vertex at the i-th
-            common point, counted from 1, or -1 where a part lacks it. ``"barycentric"``: a row for each vertex of a
-            part, its triangle of the complete shape, counted from 1, and three weights. ``"same-numbering"``: row i is
-            the same point in every shape. ``"pair-maps"``: a file ``SOURCE_TARGET`` for a pair, with a line for each
-            vertex of the source, the vertex of the target there, counted from 1, or -1 for none. Or ``"none"``.
-        truth_files: where it lies.
-        cloud_truth: for each shape that has such a cloud an NPZ file, where ``cloud_to_complete`` holds for each point
-            of the cloud the point of the complete shape that it is paired with, counted from 0, or -1 if not known.
-        split: ``"found"``: as ``train.txt`` and ``test.txt`` say, else the last 20 shapes in the order of names are for
-            testing, or all of them where ``pairs.txt`` lists the pairs. ``"listed"``: as these two files say.
-            ``"last"``: the last ``n_test`` in the order of names are for testing. ``"test"``, ``"train"``: all shapes
-            are for that. ``"either"``: the set has no split; all shapes are for both.
-        pairs: ``"found"``: as ``pairs.txt`` says if it is there, else every two shapes. ``"every"``: every two shapes
-            of a split in both orders, and each with itself. ``"same-class"``: likewise, of shapes whose names differ in
-            their last number alone. ``"listed"``: as ``pairs_file`` says. ``"parts"``: each part with its complete
-            shape. ``"maps"``: those that have a map.
+        terms: of use.
+        notes: further remarks.
+        holds: ``"meshes"``; ``"clouds"`` without faces, whose errors are Euclidean distances in the files' ``unit``; or
+            ``"volumes"``, of which surfaces have to be extracted first.
+        unit: of the files' coordinates, if known.
+        up: the axis of the files that points up.
+        shapes: pattern of the shapes or, where ``full`` is given, of the partial shapes.
+        full: pattern of the full shapes, where these are separate files; the name of a partial shape contains that of
+            its full shape.
+        clouds: pattern of point clouds that have their own points, such as those of a depth camera. They are used in
+            place of the mesh's points where shapes are matched as clouds; their ground truth is in ``cloud_truth``.
+        partial: whether the second shape of each pair is partial.
+        pre_aligned: whether partial shapes are aligned with their full shapes.
+        shuffled: whether the rows of every file are permuted when it is read, since equal numbering would reveal the
+            ground truth.
+        truth: the kind of ground truth. ``"template-correspondence"``: line i of each file is the shape's vertex at
+            template point i, counted from 1, or -1 where a partial shape lacks it. ``"barycentric"``: a row for each
+            vertex of a partial shape, with the triangle of the full shape, counted from 1, and three barycentric
+            coordinates. ``"same-numbering"``: row i is the same point in every shape. ``"pair-maps"``: a file
+            ``SOURCE_TARGET`` for each pair, with the target vertex of each source vertex, counted from 1, or -1 for
+            none. Or ``"none"``.
+        truth_files: pattern of the ground truth.
+        cloud_truth: pattern of NPZ files, one for each cloud, in which ``cloud_to_full`` holds for each point of the
+            cloud the point of the full shape that it is paired with, counted from 0, or -1 if unknown.
+        split: ``"found"``: by ``train.txt`` and ``test.txt``; without these the last 20 shapes by name are for testing,
+            or all of them if ``pairs.txt`` lists the pairs. ``"listed"``: by these two files. ``"last"``: the last
+            ``n_test`` by name are for testing. ``"test"``, ``"train"``: all shapes are for that. ``"either"``: there is
+            no split; all shapes are for both.
+        pairs: ``"found"``: by ``pairs.txt`` if it exists, else as ``"every"``. ``"every"``: all ordered pairs of the
+            shapes of a split, each with itself too. ``"same-class"``: likewise, within shapes whose names differ only
+            in their last number. ``"listed"``: by ``pairs_file``. ``"partial"``: each partial shape with its full
+            shape. ``"maps"``: the pairs that have a map.
         pairs_file: two names a line.
         separator: between them.
-        left_out: names that no pair of the test has.
-        names: of all shapes, or parts, if they are known; ``{00..19}`` stands for a range of numbers.
-        complete_names: of the complete shapes, likewise.
-        n_shapes: how many shapes or parts there are.
-        n_train: how many of them are for training.
-        n_test: for testing.
-        n_pairs: how many pairs the test has.
-        n_points: the fewest and the most points of a shape.
-        n_truth: lines of each file of ground truth.
-        sha256: of what ``sha256sum`` says of all files of shapes and truth, in the order of their places.
+        left_out: names that occur in no test pair.
+        names: of all shapes, or partial shapes, if known; ``{00..19}`` stands for a range of numbers.
+        full_names: of the full shapes, likewise.
+        n_shapes: number of shapes or partial shapes.
+        n_train: number of them for training.
+        n_test: number of them for testing.
+        n_pairs: number of test pairs.
+        n_points: least and largest number of points of a shape.
+        n_truth: number of lines of each ground truth file.
+        sha256: hash of the output of ``sha256sum`` for all files of shapes and truth, sorted by path.
     """
 
     name: str = ""
@@ -87,12 +89,12 @@ class DatasetDescription:
     unit: str = ""
     up: Up = "y"
     shapes: str = "off/*.off"
-    complete: str = ""
+    full: str = ""
     clouds: str = ""
     partial: bool = False
     pre_aligned: bool = False
     shuffled: bool = False
-    truth: TruthKind = "common-points"
+    truth: TruthKind = "template-correspondence"
     truth_files: str = "corres/*.vts"
     cloud_truth: str = ""
     split: SplitRule = "found"
@@ -101,7 +103,7 @@ class DatasetDescription:
     separator: str = ","
     left_out: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
-    complete_names: tuple[str, ...] = ()
+    full_names: tuple[str, ...] = ()
     n_shapes: int = 0
     n_train: int = 0
     n_test: int = 0
@@ -114,39 +116,39 @@ class DatasetDescription:
         for name, words in _WORDS.items():
             if getattr(self, name) not in get_args(words):
                 raise bad_choice(name, getattr(self, name), get_args(words))
-        for name in ("shapes", "truth_files", "complete", "clouds", "cloud_truth"):
+        for name in ("shapes", "truth_files", "full", "clouds", "cloud_truth"):
             needed = name in ("shapes", "truth_files")
             if (needed or getattr(self, name)) and getattr(self, name).count("*") != 1:
                 raise ArgumentError(f"{name} is {getattr(self, name)!r}, but must have one star, for a shape's name")
         for key, value in _NEEDS.items():
-            if getattr(self, key[0]) == key[1] and getattr(self, value[0]) not in value[1]:
-                raise ArgumentError(f"{key[0]} is {_toml(key[1])}, which needs {value[0]} to be {_either(value[1])}")
+            if getattr(self, key[0]) == key[1] and getattr(self, value[0]) != value[1]:
+                raise ArgumentError(f"{key[0]} is {_toml(key[1])}, which needs {value[0]} to be {_toml(value[1])}")
         if self.split == "last" and self.n_test < 1:
             raise ArgumentError(f"n_test is {self.n_test}, but split = 'last' needs at least 1")
-        if bool(self.complete) != (self.pairs == "parts"):
-            raise ArgumentError("complete and pairs = 'parts' belong together; give both, or neither")
+        if bool(self.full) != (self.pairs == "partial"):
+            raise ArgumentError("full and pairs = 'partial' belong together; give both, or neither")
         if bool(self.clouds) != bool(self.cloud_truth):
             raise ArgumentError("clouds and cloud_truth belong together; give both, or neither")
 
     @property
     def expected_names(self) -> tuple[str, ...]:
-        """The names of all shapes, or parts; none if they are not known."""
-        return _spread(self.names)
+        """The names of all shapes, or partial shapes; empty if unknown."""
+        return _expanded_names(self.names)
 
     @property
-    def expected_complete_names(self) -> tuple[str, ...]:
-        """The names of all complete shapes, where they lie apart; none if they are not known."""
-        return _spread(self.complete_names)
+    def expected_full_names(self) -> tuple[str, ...]:
+        """The names of all full shapes, where these are separate files; empty if unknown."""
+        return _expanded_names(self.full_names)
 
     @property
     def expected_shapes(self) -> int:
-        """How many shapes, or parts, the set has; 0 if that is not known."""
+        """The number of shapes, or partial shapes; 0 if unknown."""
         return self.n_shapes or len(self.expected_names)
 
     @property
     def folders(self) -> tuple[str, str]:
-        """Where complete shapes and parts lie that lie apart."""
-        return str(PurePosixPath(self.complete).parent), str(PurePosixPath(self.shapes).parent)
+        """The folders of full and of partial shapes, where these are separate files."""
+        return str(PurePosixPath(self.full).parent), str(PurePosixPath(self.shapes).parent)
 
 
 _WORDS: dict[str, Any] = {
@@ -156,14 +158,14 @@ _WORDS: dict[str, Any] = {
     "split": SplitRule,
     "pairs": PairRule,
 }
-# What a value of one key asks of another.
-_NEEDS: dict[tuple[str, Any], tuple[str, tuple[Any, ...]]] = {
-    ("pre_aligned", True): ("partial", (True,)),
-    ("pairs", "parts"): ("partial", (True,)),
-    ("shuffled", True): ("truth", ("same-numbering",)),
-    ("truth", "barycentric"): ("pairs", ("parts",)),
-    ("pairs", "maps"): ("truth", ("pair-maps",)),
-    ("holds", "volumes"): ("truth", ("none",)),
+# A value of one key that requires a value of another.
+_NEEDS: dict[tuple[str, Any], tuple[str, Any]] = {
+    ("pre_aligned", True): ("partial", True),
+    ("pairs", "partial"): ("partial", True),
+    ("shuffled", True): ("truth", "same-numbering"),
+    ("truth", "barycentric"): ("pairs", "partial"),
+    ("pairs", "maps"): ("truth", "pair-maps"),
+    ("holds", "volumes"): ("truth", "none"),
 }
 
 
@@ -171,12 +173,8 @@ def _toml(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
-def _either(values: tuple[Any, ...]) -> str:
-    return " or ".join(map(_toml, values))
-
-
-def _spread(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names with each range of numbers written out."""
+def _expanded_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Expand the ranges of numbers in names."""
     return tuple(name for given in names for name in _written_out(given))
 
 
@@ -189,29 +187,33 @@ def _written_out(name: str) -> list[str]:
 
 
 def read_description(given: str | Path) -> DatasetDescription:
-    """The description that ships under this name, in capitals or not, or the one in a TOML file of one's own.
+    """Read a built-in description by its name, in any case, or a TOML file.
 
     Raises:
-        ArgumentError: if there is neither, or it is not as it should be; one line with file and key.
+        ArgumentError: if there is neither, or the file is not valid; one line with file and key.
+
+    Example:
+        >>> read_description("faust_r").expected_shapes
+        100
     """
-    shipped = _shipped()
+    builtin = _builtin_files()
     name = str(given).lower()
-    if name in shipped:
-        return _read(shipped[name])
+    if name in builtin:
+        return _read(builtin[name])
     path = expanded(given)
     if path.suffix != ".toml":
-        raise bad_choice("set", str(given), list(shipped), "or give the path of a TOML file")
+        raise bad_choice("dataset", str(given), list(builtin), "or give the path of a TOML file")
     return _read(path)
 
 
 def builtin_descriptions() -> tuple[DatasetDescription, ...]:
-    """All descriptions that ship with the package, in the order of their names."""
-    return tuple(_read(path) for path in _shipped().values())
+    """All built-in descriptions, sorted by name."""
+    return tuple(_read(path) for path in _builtin_files().values())
 
 
-def _shipped() -> dict[str, Path]:
-    return {path.stem: path for path in sorted(_SHIPPED.glob("*.toml"))}
+def _builtin_files() -> dict[str, Path]:
+    return {path.stem: path for path in sorted(_BUILTIN.glob("*.toml"))}
 
 
 def _read(path: Path) -> DatasetDescription:
-    return read_table(DatasetDescription, {"name": path.stem, **read_toml(path)}, f"{path}:")
+    return read_settings(DatasetDescription, {"name": path.stem, **read_toml(path)}, f"{path}:")

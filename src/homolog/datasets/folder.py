@@ -1,4 +1,4 @@
-"""A folder of shapes as a description has it: names, files, splits, pairs and ground truth."""
+"""Access to a dataset on disk by its description: names, files, splits, pairs and ground truth."""
 
 from __future__ import annotations
 
@@ -24,53 +24,58 @@ from homolog.shapes import Shape, Up, read_shape, stand_upright
 _log = logging.getLogger(__name__)
 
 Split = Literal["train", "test", "all"]
-"""Which shapes of a set."""
+"""Which shapes of a dataset."""
 Pair = tuple[str, str]
 """Names of source and target."""
 
-# Without a list of its own, a set keeps its last shapes in name order for testing, as FAUST_r and SCAPE_r do.
+# Without lists, this many last shapes by name are for testing, as in FAUST_r and SCAPE_r.
 _TEST_SHAPES = 20
 
 
 @dataclass(frozen=True)
 class ShapeFolder:
-    """Shapes in correspondence on disk, in whatever layout its description says.
+    """A dataset of shapes in correspondence, in the layout of its description.
 
-    Without a description a folder is one's own: see ``DatasetDescription``'s defaults, and docs/conventions.md.
+    Without a description the layout is that of ``DatasetDescription``'s defaults; see docs/conventions.md.
 
     Args:
         root: the folder.
-        names: of all its shapes or, where parts lie apart, of the parts, in order.
-        up: which axis of the files points up.
-        description: of the set.
-        complete: where parts lie apart, the names of the complete shapes.
-        seed: of the order that the rows of files are put in, where the description wants that.
+        names: of all shapes or, where full shapes are separate files, of the partial shapes, sorted.
+        up: the axis of the files that points up.
+        description: of the dataset.
+        full: the names of the full shapes, where these are separate files.
+        seed: of the permutation of the rows of files, where the description demands one.
+
+    Example:
+        >>> folder = ShapeFolder.open("FAUST_r", "faust_r")  # doctest: +SKIP
+        >>> folder.split("test"), folder.pairs("test")  # doctest: +SKIP
+        >>> folder.shape("tr_reg_080"), folder.template_correspondence("tr_reg_080")  # doctest: +SKIP
     """
 
     root: Path
     names: tuple[str, ...]
     up: Up = "y"
     description: DatasetDescription = field(default_factory=DatasetDescription)
-    complete: tuple[str, ...] = ()
+    full: tuple[str, ...] = ()
     seed: int = 0
 
     @classmethod
     def open(
         cls, root: str | Path, description: DatasetDescription | str | Path | None = None, *, up: Up | None = None
     ) -> ShapeFolder:
-        """Look into a folder with shapes and ground truth.
+        """Open a folder with shapes and ground truth.
 
         Args:
             root: the folder.
-            description: of the set, its name, or a TOML file of one's own; by default the folder is one's own.
-            up: which axis of the files points up; by default the description's.
+            description: of the dataset, its name, or a TOML file; by default ``DatasetDescription()``.
+            up: the axis of the files that points up; by default the description's.
 
         Raises:
             ArgumentError: if ``up`` is not x, y or z, or there is no such description.
             DataError: if the folder has no shapes, or shapes without ground truth.
         """
         found = cls.without_truth(root, description, up=up)
-        found._warn_of_others()
+        found._warn_of_other_count()
         if missing := found.missing_truth():
             raise DataError(
                 f"{found.root}: {len(missing)} of {len(found.names)} shapes have no ground truth; "
@@ -82,7 +87,7 @@ class ShapeFolder:
     def without_truth(
         cls, root: str | Path, description: DatasetDescription | str | Path | None = None, *, up: Up | None = None
     ) -> ShapeFolder:
-        """Look into a folder with shapes, whether they have ground truth or not; see ``open``.
+        """Open a folder with shapes, with or without ground truth; see ``open``.
 
         Raises:
             ArgumentError: as with ``open``.
@@ -97,65 +102,69 @@ class ShapeFolder:
             raise DataError(f"{root} holds volumes; make surfaces of them with homolog volume surface, and give these")
         if up is not None and up not in get_args(Up):
             raise bad_choice("up", up, get_args(Up))
-        names, complete = names_at(root, description.shapes), names_at(root, description.complete)
-        for found, pattern in ((names, description.shapes), (complete, description.complete)):
+        names, full = names_at(root, description.shapes), names_at(root, description.full)
+        for found, pattern in ((names, description.shapes), (full, description.full)):
             if pattern and not found:
-                raise DataError(f"{root}: no shapes; put them at {place(root, pattern, 'NAME')}")
-        if shared := sorted({*names} & {*complete}):
-            raise DataError(f"{root}: {shared[0]!r} names a complete shape and a part; rename the partial one")
-        return cls(root, names, up or description.up, description, complete)
+                raise DataError(f"{root}: no shapes; put them at {path_of(root, pattern, 'NAME')}")
+        if shared := sorted({*names} & {*full}):
+            raise DataError(f"{root}: {shared[0]!r} names a full shape and a partial one; rename the partial one")
+        return cls(root, names, up or description.up, description, full)
 
-    def _warn_of_others(self) -> None:
-        """Say so where these are not all the shapes of the set, or others: their scores are not the set's."""
-        wanted = self.description.expected_shapes
-        if wanted and len(self.names) != wanted:
+    def _warn_of_other_count(self) -> None:
+        """Warn if the number of shapes is not the dataset's: scores are then not comparable with others'."""
+        expected = self.description.expected_shapes
+        if expected and len(self.names) != expected:
             _log.warning(
                 "%s has %d shapes, but %s has %d; homolog data check %s says which differ.",
-                *(self.root, len(self.names), self.description.name, wanted, self.description.name),
+                *(self.root, len(self.names), self.description.name, expected, self.description.name),
             )
 
     def file(self, name: str) -> Path:
-        """Where a shape lies."""
-        pattern = self.description.complete if name in self.complete else self.description.shapes
-        return place(self.root, pattern, name)
+        """The file of a shape."""
+        pattern = self.description.full if name in self.full else self.description.shapes
+        return path_of(self.root, pattern, name)
 
     def shape(self, name: str) -> Shape:
-        """Read one shape, and stand it upright: +y up. Its points are shuffled if the set asks for it."""
+        """Read one shape and turn it +y up; its points are permuted if the description demands it."""
         shape = stand_upright(read_shape(self.file(name)), self.up)
-        return _reordered(shape, self._order(name, shape.n_points)) if self.description.shuffled else shape
+        if not self.description.shuffled:
+            return shape
+        order = self._order(name, shape.n_points)
+        faces = None if shape.faces is None else np.argsort(order)[shape.faces]
+        return replace(shape, points=shape.points[order], faces=faces)
 
     def has_cloud(self, name: str) -> bool:
-        """Whether there is a cloud of this shape with points of its own."""
+        """Whether this shape has a point cloud with its own points."""
         return bool(self.description.clouds) and self._cloud_file(name).is_file()
 
     def cloud(self, name: str) -> Shape:
-        """Read the cloud of a shape that has points of its own, and stand it upright."""
+        """Read the point cloud of a shape that has its own points, and turn it +y up."""
         return stand_upright(read_shape(self._cloud_file(name)), self.up)
 
     def _cloud_file(self, name: str) -> Path:
-        return place(self.root, self.description.clouds, name)
+        return path_of(self.root, self.description.clouds, name)
 
     def missing_truth(self) -> dict[str, Path]:
-        """The files of ground truth that are not there, by the shape or part that each belongs to."""
-        if self.description.truth not in ("common-points", "barycentric"):
+        """The missing ground truth files, by the name of their shape."""
+        if self.description.truth not in ("template-correspondence", "barycentric"):
             return {}
-        files = {name: place(self.root, self.description.truth_files, name) for name in self.names}
+        files = {name: path_of(self.root, self.description.truth_files, name) for name in self.names}
         return {name: file for name, file in files.items() if not file.is_file()}
 
-    def common_points(self, name: str) -> Int[np.ndarray, " p"]:
-        """0-based vertex index of each common point; -1 for those that the shape does not have.
+    def template_correspondence(self, name: str) -> Int[np.ndarray, " p"]:
+        """The shape's vertex at each template point, counted from 0; -1 where a partial shape lacks it.
 
         Raises:
             DataError: if the file does not hold positive whole numbers, one a line.
         """
-        return read_vertices(place(self.root, self.description.truth_files, name))
+        return read_vertices(path_of(self.root, self.description.truth_files, name))
 
     def ground_truth(self, shape_of: Callable[[str], Shape] | None = None) -> GroundTruth:
-        """The truth of its pairs, of whatever kind; ``shape_of`` gives shapes that are read already by their names."""
+        """The ground truth of the dataset's pairs; ``shape_of`` gives shapes by name if they were read already."""
         return GroundTruth(self.root, self.description, shape_of or self.shape, self._order)
 
     def split(self, split: Split) -> tuple[str, ...]:
-        """The names of the shapes, or parts, in a split.
+        """The names of the shapes, or partial shapes, of a split.
 
         Raises:
             ArgumentError: if ``split`` is not one.
@@ -173,14 +182,14 @@ class ShapeFolder:
         return names
 
     def pairs(self, split: Split, *, listed: str | Path | None = None) -> tuple[Pair, ...]:
-        """Source and target of each pair to match: those that the description wants of a split.
+        """Source and target of each pair of a split, by the description's rule.
 
         Args:
-            split: where the shapes come from; a pair has both of its shapes, or its part, in it.
-            listed: a file of ``source,target`` lines to use instead, whatever the split.
+            split: that both shapes, or the partial shape, belong to.
+            listed: a file of ``source,target`` lines to use instead, independent of the split.
 
         Raises:
-            DataError: if there are none, or a list of them is not as it should be.
+            DataError: if there are none, or their list is not valid.
         """
         if listed is not None:
             return self._read_pairs(expanded(listed), ",")
@@ -196,7 +205,7 @@ class ShapeFolder:
         return pairs
 
     def _order(self, name: str, n_points: int) -> Int[np.ndarray, " n"]:
-        """Which row of a shape's file each of its points is."""
+        """For each point of a shape its row in the file."""
         if not self.description.shuffled:
             return np.arange(n_points)
         return np.random.default_rng(zlib.crc32(f"{self.seed} {name}".encode())).permutation(n_points)
@@ -216,66 +225,96 @@ class ShapeFolder:
         return self.names[-n_test:] if split == "test" else self.names[:-n_test]
 
     def _listed_names(self, listed: Path) -> tuple[str, ...]:
-        try:
-            names = tuple(listed.read_text(encoding="utf-8").split())
-        except (OSError, UnicodeDecodeError):
-            raise DataError(f"{listed} cannot be read as text; it must hold a name a line") from None
-        return self._known(names, listed)
+        return self._known(_listed_words(listed), listed)
 
     def _pairs_of(self, names: tuple[str, ...]) -> Iterable[Pair]:
-        rule, own = self.description.pairs, self.root / self.description.pairs_file
-        if rule == "parts":
-            return tuple((partner(name, self.complete), name) for name in names)
+        rule, listed = self.description.pairs, self.root / self.description.pairs_file
+        if rule == "partial":
+            return tuple((partner(name, self.full), name) for name in names)
         if rule == "maps":
             return (pair for pair in self._pairs_with_maps() if set(pair) <= set(names))
-        if rule == "listed" or (rule == "found" and own.is_file()):
-            return (pair for pair in self._read_pairs(own, self.description.separator) if set(pair) <= set(names))
+        if rule == "listed" or (rule == "found" and listed.is_file()):
+            return (pair for pair in self._read_pairs(listed, self.description.separator) if set(pair) <= set(names))
         every = ((source, target) for source in names for target in names)
         return every if rule != "same-class" else (pair for pair in every if class_of(pair[0]) == class_of(pair[1]))
 
     def _pairs_with_maps(self) -> Iterable[Pair]:
-        """The pairs that have a map, by its name; those of shapes that are not there do not count."""
+        """The pairs that have a map, by its file name; maps of missing shapes are skipped."""
         for name in names_at(self.root, self.description.truth_files):
             words = name.split("_")
-            ways = (("_".join(words[:i]), "_".join(words[i:])) for i in range(1, len(words)))
-            yield from (pair for pair in ways if set(pair) <= set(self.names))
+            # Names may hold underscores: every one may be the one between source and target.
+            pairs = (("_".join(words[:i]), "_".join(words[i:])) for i in range(1, len(words)))
+            yield from (pair for pair in pairs if set(pair) <= set(self.names))
 
     def _read_pairs(self, path: Path, separator: str) -> tuple[Pair, ...]:
-        wanted = f"SOURCE{separator}TARGET"
-        try:
-            lines = path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError):
-            raise DataError(f"{path}: there is no such list of pairs; it must hold {wanted} a line") from None
-        pairs = []
-        for number, line in enumerate(lines, 1):
-            words = tuple(word.strip() for word in line.strip().split(separator))
-            if words == ("",):
-                continue
-            if len(words) != 2:
-                raise DataError(f"{path}, line {number}: {line.strip()[:60]!r} must be {wanted}")
-            pairs.append((words[0], words[1]))
-        if not pairs:
-            raise DataError(f"{path} lists no pairs; it must hold {wanted} a line")
+        pairs = _listed_pairs(path, separator)
         self._known(tuple(itertools.chain.from_iterable(pairs)), path)
-        return tuple(pairs)
+        return pairs
 
     def _known(self, names: tuple[str, ...], listed: Path) -> tuple[str, ...]:
-        unknown = sorted(set(names) - set(self.names) - set(self.complete))
+        unknown = self._missing_names(names, listed)
         if unknown:
-            file = PurePosixPath(self.description.shapes.replace("*", unknown[0]))
-            raise DataError(
-                f"{listed} names {unknown[0]!r}, but {self.root / file.parent} has no {file.name}; put it there"
-            )
+            raise DataError(unknown[0])
         return names
 
+    def _missing_names(self, names: Iterable[str], listed: Path) -> list[str]:
+        """A message for each name of a list that has no file."""
+        folder = self.root / PurePosixPath(self.description.shapes).parent
+        files = {name: PurePosixPath(self.description.shapes.replace("*", name)).name for name in names}
+        unknown = sorted(set(files) - set(self.names) - set(self.full))
+        return [f"{listed} names {name!r}, but {folder} has no {files[name]}; put it there" for name in unknown]
 
-def place(root: Path, pattern: str, name: str) -> Path:
-    """Where the file of a name lies, by a pattern with one star."""
+    def missing_shapes(self) -> list[str]:
+        """A message for each name in the dataset's lists of splits and pairs that has no file."""
+        found = list[str]()
+        if self.description.split in ("found", "listed"):
+            for split in (self._list("train"), self._list("test")):
+                found += self._missing_names(_listed_words(split), split) if split.is_file() else []
+        pairs = self.root / self.description.pairs_file
+        if self.description.pairs in ("found", "listed") and pairs.is_file():
+            names = itertools.chain.from_iterable(_listed_pairs(pairs, self.description.separator))
+            found += self._missing_names(names, pairs)
+        return found
+
+
+def _listed_words(path: Path) -> tuple[str, ...]:
+    try:
+        return tuple(path.read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError):
+        raise DataError(f"{path} cannot be read as text; it must hold a name a line") from None
+
+
+def _listed_pairs(path: Path, separator: str) -> tuple[Pair, ...]:
+    expected = f"SOURCE{separator}TARGET"
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        raise DataError(f"{path}: there is no such list of pairs; it must hold {expected} a line") from None
+    pairs = []
+    for number, line in enumerate(lines, 1):
+        words = tuple(word.strip() for word in line.strip().split(separator))
+        if words == ("",):
+            continue
+        if len(words) != 2:
+            raise DataError(f"{path}, line {number}: {line.strip()[:60]!r} must be {expected}")
+        pairs.append((words[0], words[1]))
+    if not pairs:
+        raise DataError(f"{path} lists no pairs; it must hold {expected} a line")
+    return tuple(pairs)
+
+
+def path_of(root: Path, pattern: str, name: str) -> Path:
+    """The file of a shape by its name and a pattern with one star.
+
+    Example:
+        >>> path_of(Path("data"), "off/*.off", "cat1").as_posix()
+        'data/off/cat1.off'
+    """
     return root / pattern.replace("*", name)
 
 
 def names_at(root: Path, pattern: str) -> tuple[str, ...]:
-    """What the star of a pattern stands for in each file that is there, in order; hidden files do not count."""
+    """The names of the existing files of a pattern, sorted; hidden files are skipped."""
     if not pattern:
         return ()
     head, tail = (len(part) for part in PurePosixPath(pattern).name.split("*"))
@@ -283,40 +322,48 @@ def names_at(root: Path, pattern: str) -> tuple[str, ...]:
     return tuple(sorted(name[head : len(name) - tail] for name in found))
 
 
-def partner(part: str, complete: Iterable[str]) -> str:
-    """The complete shape whose name is a word, or several, of the part's.
+def partner(name: str, full: Iterable[str]) -> str:
+    """The full shape of a partial one: the longest name that is a word, or several, of the partial shape's.
 
     Raises:
         DataError: if there is none.
+
+    Example:
+        >>> partner("cuts_cat_shape_1", ["cat", "dog"])
+        'cat'
     """
-    found = [name for name in complete if f"_{name}_" in f"_{part}_"]
+    found = [other for other in full if f"_{other}_" in f"_{name}_"]
     if not found:
-        raise DataError(f"{part}: no complete shape has a word of its name, as cat has of cuts_cat_shape_1; rename it")
+        raise DataError(f"{name}: no full shape has a word of its name, as cat has of cuts_cat_shape_1; rename it")
     return max(found, key=len)
 
 
 def class_of(name: str) -> str:
-    """A name without its last number: cat of cat10."""
+    """The class of a shape: its name without the last number.
+
+    Example:
+        >>> class_of("cat10")
+        'cat'
+    """
     return re.sub(r"[\W_]*\d+$", "", name)
 
 
-def _reordered(shape: Shape, order: Int[np.ndarray, " n"]) -> Shape:
-    faces = None if shape.faces is None else np.argsort(order)[shape.faces]
-    return replace(shape, points=shape.points[order], faces=faces)
-
-
 def drawn_pairs(pairs: Iterable[Pair], count: int, *, seed: int) -> tuple[Pair, ...]:
-    """Draw so many of the pairs of two different shapes at random, and give them in their order.
+    """Sample pairs of two different shapes at random, without replacement; the sample keeps the given order.
 
-    Those are drawn whose names and seed have the smallest SHA-256: the same on every machine and with every version of
-    any library, and among those of a larger draw with the same seed.
+    The pairs with the smallest SHA-256 of seed and names are taken: the sample is the same on every machine and with
+    every version of any library, and is part of every larger sample with the same seed. New here.
 
     Raises:
-        ArgumentError: if there are not so many pairs.
+        ArgumentError: if there are fewer pairs.
+
+    Example:
+        >>> drawn_pairs([("a", "b"), ("b", "a"), ("a", "a")], 1, seed=0)
+        (('b', 'a'),)
     """
     different = [pair for pair in dict.fromkeys(pairs) if pair[0] != pair[1]]
     if not 1 <= count <= len(different):
         raise bad_value("n_pairs", count, f"from 1 to the number of pairs of different shapes, {len(different)}")
-    places = {pair: hashlib.sha256(f"{seed} {pair[0]},{pair[1]}".encode()).digest() for pair in different}
-    drawn = set(sorted(different, key=places.__getitem__)[:count])
+    keys = {pair: hashlib.sha256(f"{seed} {pair[0]},{pair[1]}".encode()).digest() for pair in different}
+    drawn = set(sorted(different, key=keys.__getitem__)[:count])
     return tuple(pair for pair in different if pair in drawn)

@@ -1,4 +1,4 @@
-"""Ground truth of every kind, brought to one form: which point of a source shape a point of a target truly is."""
+"""Ground truth of all kinds in one form: for points of the target the corresponding point of the source."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from homolog.core.files import expanded
 from homolog.datasets.description import DatasetDescription
 from homolog.shapes import Shape
 
-# How far the sum of a point's three weights may be from one, and each weight below zero.
+# How far the sum of three barycentric coordinates may be from one, and each of them below zero.
 _TOLERANCE = 1e-2
-_CLOUD_MAP = "cloud_to_complete"
+_CLOUD_MAP = "cloud_to_full"
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What is known of a pair: the points of the target that are asked for, and where each truly is on the source.
+    """The ground truth of a pair: points of the target, and the corresponding point of the source for each.
 
     Args:
         target: points of the target (q,).
-        source: for each of them the point of the source (q,); of a place within a triangle, the nearest corner.
+        source: for each of them the point of the source (q,); within a triangle, the corner with the largest weight.
     """
 
     target: Int[np.ndarray, " q"]
@@ -38,11 +38,11 @@ class Truth:
 
 @dataclass(frozen=True, eq=False)
 class Counterparts:
-    """Of which points of a complete shape it is known whether a part has them.
+    """For points of a full shape, whether they have a counterpart on a partial one.
 
     Args:
-        points: of the complete shape (k,).
-        present: whether the part has them (k,).
+        points: of the full shape for which this is known (k,).
+        present: whether they have a counterpart (k,).
     """
 
     points: Int[np.ndarray, " k"]
@@ -50,21 +50,21 @@ class Counterparts:
 
 
 @dataclass(frozen=True, eq=False)
-class _Places:
-    """Where each point of a part lies on its complete shape: in a triangle, with three weights."""
+class _Barycentric:
+    """The points of a partial shape in barycentric coordinates of the full one: triangles and weights."""
 
     triangles: Int[np.ndarray, " n"]
     weights: Float[np.ndarray, "n 3"]
 
 
 class GroundTruth:
-    """The ground truth of a set's pairs, each file of it read once.
+    """The ground truth of a dataset's pairs; each of its files is read once.
 
     Args:
-        root: the set's folder.
-        description: what kind of truth lies where.
+        root: the dataset's folder.
+        description: of the kind and files of the truth.
         shape_of: gives a shape by its name, as it is matched.
-        order_of: by a shape's name and number of points, which row of its file each point is.
+        order_of: gives for each point of a shape its row in the file, by the shape's name and number of points.
     """
 
     def __init__(
@@ -76,28 +76,30 @@ class GroundTruth:
     ) -> None:
         self._root, self._description = root, description
         self._shape_of, self._order_of = shape_of, order_of
-        self._common: dict[str, Int[np.ndarray, " p"]] = {}
-        self._placed: dict[str, _Places] = {}
+        self._vertices: dict[str, Int[np.ndarray, " p"]] = {}
+        self._barycentric: dict[str, _Barycentric] = {}
 
     def between(self, source: str, target: str) -> Truth:
-        """What is known of a pair.
+        """The ground truth of a pair.
 
         Raises:
-            DataError: if a file is missing or malformed, does not fit its shape, or the set has no ground truth.
+            DataError: if a file is missing or malformed, does not fit its shape, or the dataset has no ground truth.
         """
         ways: dict[str, Callable[[str, str], Truth]] = {
-            "common-points": self._by_common_points,
-            "barycentric": self._by_places,
+            "template-correspondence": lambda *names: _shared(*self._both_vertices(*names)),
+            "barycentric": self._by_triangles,
             "same-numbering": self._by_numbering,
             "pair-maps": self._by_map,
         }
         kind = self._description.truth
         if kind not in ways:
-            raise DataError(f"{self._root}: this set has no ground truth, so that nothing can be scored; use another")
+            raise DataError(
+                f"{self._root}: this dataset has no ground truth, so that nothing can be scored; use another"
+            )
         return ways[kind](source, target)
 
     def of_cloud(self, source: str, target: str, cloud: Shape) -> Truth:
-        """What is known of a pair whose target is used as a cloud with points of its own.
+        """The ground truth of a pair whose target is a cloud with its own points.
 
         Raises:
             DataError: if the file of its truth is missing or malformed, or does not fit the shapes.
@@ -108,62 +110,59 @@ class GroundTruth:
             raise DataError(f"{path}: {len(found)} numbers, but the cloud of {target} has {cloud.n_points} points")
         if found.max() >= self._shape_of(source).n_points:
             raise DataError(f"{path} names point {found.max()}, but {source} has {self._shape_of(source).n_points}")
-        there = np.flatnonzero(found >= 0)
-        return Truth(there, found[there])
+        known = np.flatnonzero(found >= 0)
+        return Truth(known, found[known])
 
     def counterparts(self, source: str, target: str) -> Counterparts | None:
-        """Which points of a complete shape a part has, or None where the truth does not tell.
+        """Which points of a full shape have a counterpart on a partial one; None if the truth does not tell.
 
-        Of places in triangles, a point of the complete shape has a counterpart if that of some point of the part
-        lies within a mean edge of it.
+        With barycentric truth, a point of the full shape has a counterpart if some point of the partial shape lies
+        within one mean edge length of it. New here.
 
         Raises:
             DataError: as with ``between``.
         """
-        if self._description.truth == "common-points":
-            ours, theirs = self._both_common_points(source, target)
+        if self._description.truth == "template-correspondence":
+            ours, theirs = self._both_vertices(source, target)
             return Counterparts(ours[ours >= 0], theirs[ours >= 0] >= 0)
         if self._description.truth == "barycentric":
-            complete = self._shape_of(source)
-            near = _near(complete, _positions(complete, self._places(source, target)))
-            return Counterparts(np.arange(complete.n_points), near)
+            full, points = self._shape_of(source), self._triangles(source, target)
+            positions = np.einsum("ij,ijk->ik", points.weights, full.points[_corners(full, points)])
+            return Counterparts(np.arange(full.n_points), _near(full, positions))
         return None
 
-    # ---- common points
+    # ---- template correspondence
 
-    def _by_common_points(self, source: str, target: str) -> Truth:
-        return _shared(*self._both_common_points(source, target))
-
-    def _both_common_points(self, source: str, target: str) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-        ours, theirs = self._common_points(source), self._common_points(target)
+    def _both_vertices(self, source: str, target: str) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
+        ours, theirs = self._template_vertices(source), self._template_vertices(target)
         if len(ours) != len(theirs):
             raise DataError(
-                f"{source} has {len(ours)} common points and {target} {len(theirs)}; "
-                "every .vts file of a set must have the same number of lines"
+                f"{source} has {len(ours)} template points and {target} {len(theirs)}; "
+                "every .vts file of a dataset must have the same number of lines"
             )
         return ours, theirs
 
-    def _common_points(self, name: str) -> Int[np.ndarray, " p"]:
-        if name not in self._common:
+    def _template_vertices(self, name: str) -> Int[np.ndarray, " p"]:
+        if name not in self._vertices:
             path = self._file(name)
             points = read_vertices(path)
             _check_vertices(path, points, self._shape_of(name), "leave that line out of every .vts file")
-            self._common[name] = points
-        return self._common[name]
+            self._vertices[name] = points
+        return self._vertices[name]
 
     # ---- the same numbering
 
     def _by_numbering(self, source: str, target: str) -> Truth:
-        ours, theirs = self._place_of_rows(source), self._place_of_rows(target)
+        ours, theirs = self._points_of_rows(source), self._points_of_rows(target)
         if len(ours) != len(theirs):
             raise DataError(
                 f"{source} has {len(ours)} points and {target} {len(theirs)}; "
-                "row i must be the same point in every file of this set"
+                "row i must be the same point in every file of this dataset"
             )
         return Truth(theirs, ours)
 
-    def _place_of_rows(self, name: str) -> Int[np.ndarray, " n"]:
-        """Which point each row of a file has become."""
+    def _points_of_rows(self, name: str) -> Int[np.ndarray, " n"]:
+        """For each row of a file the point that it has become."""
         shape = self._shape_of(name)
         if not np.isfinite(shape.points).all():
             raise DataError(f"{shape.name} has points that are NaN or infinite; leave that row out of every file")
@@ -177,39 +176,37 @@ class GroundTruth:
         if len(found) != shape.n_points:
             raise DataError(f"{path} has {len(found)} lines, but {source} has {shape.n_points} points; get it again")
         _check_vertices(path, found, self._shape_of(target), "write -1 there")
-        there = np.flatnonzero(found >= 0)
-        return Truth(found[there], there)
+        known = np.flatnonzero(found >= 0)
+        return Truth(found[known], known)
 
-    # ---- places in triangles
+    # ---- barycentric coordinates
 
-    def _by_places(self, source: str, target: str) -> Truth:
-        places = self._places(source, target)
-        corners = _corners(self._shape_of(source), places)
-        nearest = np.take_along_axis(corners, places.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    def _by_triangles(self, source: str, target: str) -> Truth:
+        points = self._triangles(source, target)
+        corners = _corners(self._shape_of(source), points)
+        nearest = np.take_along_axis(corners, points.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
         return Truth(np.arange(len(nearest)), nearest)
 
-    def _places(self, source: str, target: str) -> _Places:
-        if target not in self._placed:
-            self._placed[target] = self._checked_places(self._shape_of(source), target)
-        return self._placed[target]
+    def _triangles(self, source: str, target: str) -> _Barycentric:
+        if target not in self._barycentric:
+            self._barycentric[target] = self._read_triangles(self._shape_of(source), target)
+        return self._barycentric[target]
 
-    def _checked_places(self, complete: Shape, target: str) -> _Places:
+    def _read_triangles(self, full: Shape, target: str) -> _Barycentric:
         path, n_points = self._file(target), self._shape_of(target).n_points
-        places = _read_places(path)
-        if len(places.triangles) != n_points:
-            raise DataError(f"{path} has {len(places.triangles)} lines, but {target} has {n_points} points")
-        if places.triangles.max() >= complete.n_faces:
-            raise DataError(
-                f"{path} names triangle {places.triangles.max() + 1}, but {complete.name} has {complete.n_faces}"
-            )
-        return places
+        points = _read_barycentric(path)
+        if len(points.triangles) != n_points:
+            raise DataError(f"{path} has {len(points.triangles)} lines, but {target} has {n_points} points")
+        if points.triangles.max() >= full.n_faces:
+            raise DataError(f"{path} names triangle {points.triangles.max() + 1}, but {full.name} has {full.n_faces}")
+        return points
 
     def _file(self, name: str, pattern: str = "") -> Path:
         return self._root / (pattern or self._description.truth_files).replace("*", name)
 
 
 def read_vertices(path: Path) -> Int[np.ndarray, " p"]:
-    """Vertices counted from 1 in a file, one a line, as indices from 0; -1 stays, for none.
+    """Read a file of vertices, one a line, counted from 1, as indices from 0; -1 stays, for none.
 
     Raises:
         DataError: if the file does not hold positive whole numbers, one a line.
@@ -221,10 +218,10 @@ def read_vertices(path: Path) -> Int[np.ndarray, " p"]:
 
 
 def read_truth(files: tuple[Path, Path], shapes: tuple[Shape, Shape]) -> Truth:
-    """What two files of common points, as a set has them in ``corres/``, say of a source and a target.
+    """Read the ground truth of a pair from two ``.vts`` files, the template correspondences of source and target.
 
     Args:
-        files: of the source and of the target; line i is the vertex of the i-th common point, from 1, or -1.
+        files: of the source and of the target; line i is the vertex at template point i, counted from 1, or -1.
         shapes: the two.
 
     Raises:
@@ -247,7 +244,7 @@ def read_truth(files: tuple[Path, Path], shapes: tuple[Shape, Shape]) -> Truth:
 
 
 def _shared(source: Int[np.ndarray, " p"], target: Int[np.ndarray, " p"]) -> Truth:
-    """The common points that both shapes have."""
+    """The template points that both shapes have."""
     both = (source >= 0) & (target >= 0)
     return Truth(target[both], source[both])
 
@@ -257,7 +254,9 @@ def _read_cloud_map(path: Path) -> Int[np.ndarray, " n"]:
         with np.load(path, allow_pickle=False) as arrays:
             found: np.ndarray = arrays[_CLOUD_MAP]
     except KeyError:
-        raise DataError(f"{path} has no {_CLOUD_MAP}: its set was made of shapes without common points") from None
+        raise DataError(
+            f"{path} has no {_CLOUD_MAP}: its dataset was made of shapes without template correspondence"
+        ) from None
     except (OSError, ValueError, BadZipFile) as error:
         raise DataError(f"{path} must hold {_CLOUD_MAP} ({error})") from None
     if found.ndim != 1 or found.dtype.kind != "i" or found.size == 0 or found.min() < -1:
@@ -265,7 +264,7 @@ def _read_cloud_map(path: Path) -> Int[np.ndarray, " n"]:
     return found
 
 
-def _read_places(path: Path) -> _Places:
+def _read_barycentric(path: Path) -> _Barycentric:
     what = "a triangle and three weights a line"
     rows = _read_numbers(path, np.float64, what, dimensions=2)
     if rows.shape[1] != 4 or not np.isfinite(rows).all():
@@ -275,7 +274,7 @@ def _read_places(path: Path) -> _Places:
         raise DataError(f"{path} must hold {what}, the triangles counted from 1")
     if weights.min() < -_TOLERANCE or np.abs(weights.sum(axis=1) - 1).max() > _TOLERANCE:
         raise DataError(f"{path} must hold {what}, the weights not negative and of sum one")
-    return _Places(triangles - 1, weights)
+    return _Barycentric(triangles - 1, weights)
 
 
 def _read_numbers(path: Path, kind: type[Any], what: str, *, dimensions: Literal[1, 2] = 1) -> np.ndarray:
@@ -291,30 +290,25 @@ def _read_numbers(path: Path, kind: type[Any], what: str, *, dimensions: Literal
 def _check_vertices(path: Path, vertices: Int[np.ndarray, " p"], shape: Shape, way_out: str) -> None:
     if vertices.max() >= shape.n_points:
         raise DataError(f"{path} names vertex {vertices.max() + 1}, but the shape has {shape.n_points}")
-    there = vertices[vertices >= 0]
-    nowhere = there[~np.isfinite(shape.points[there]).all(axis=1)]
-    if len(nowhere):
+    known = vertices[vertices >= 0]
+    undefined = known[~np.isfinite(shape.points[known]).all(axis=1)]
+    if len(undefined):
         raise DataError(
-            f"{path} names vertex {nowhere[0] + 1}, which is NaN or infinite; correct the shape, or {way_out}"
+            f"{path} names vertex {undefined[0] + 1}, which is NaN or infinite; correct the shape, or {way_out}"
         )
 
 
-def _corners(complete: Shape, places: _Places) -> Int[np.ndarray, "n 3"]:
-    assert complete.faces is not None  # there are none only where every triangle is beyond them
-    corners: np.ndarray = complete.faces[places.triangles]
+def _corners(full: Shape, points: _Barycentric) -> Int[np.ndarray, "n 3"]:
+    assert full.faces is not None  # a shape without faces has no triangle that could be named
+    corners: np.ndarray = full.faces[points.triangles]
     return corners
 
 
-def _positions(complete: Shape, places: _Places) -> Float[np.ndarray, "n 3"]:
-    found: np.ndarray = np.einsum("ij,ijk->ik", places.weights, complete.points[_corners(complete, places)])
-    return found
-
-
-def _near(complete: Shape, positions: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " m"]:
-    """Which points have one of these positions within a mean edge."""
-    assert complete.faces is not None
-    corners = complete.points[complete.faces]
+def _near(full: Shape, positions: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " m"]:
+    """Which points have one of these positions within one mean edge length."""
+    assert full.faces is not None
+    corners = full.points[full.faces]
     edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean()
-    distances, _ = KDTree(positions).query(complete.points)
+    distances, _ = KDTree(positions).query(full.points)
     near: np.ndarray = distances <= edge
     return near

@@ -1,6 +1,5 @@
 """Features per point: the extractor that computes them, DiffusionNet, and its weights on disk."""
 
-from homolog.features.augmentation import AugmentationSettings, augmented
 from homolog.features.diffusion_net import DiffusionNet, GradientProduct, NetworkSettings, heat_decay
 from homolog.features.extractor import (
     FeatureExtractor,
@@ -15,7 +14,6 @@ from homolog.features.weights import DEFAULT_WEIGHTS, load_weights, pretrained_w
 
 __all__ = [
     "DEFAULT_WEIGHTS",
-    "AugmentationSettings",
     "DiffusionNet",
     "FeatureExtractor",
     "FeatureInfo",
@@ -25,7 +23,6 @@ __all__ = [
     "NetworkInput",
     "NetworkSettings",
     "as_extractor",
-    "augmented",
     "check_features",
     "heat_decay",
     "load_weights",

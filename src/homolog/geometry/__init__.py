@@ -1,26 +1,35 @@
-"""Laplacian, gradient, spectrum, geodesics, and Operators: all of a shape's operators, computed once, cached."""
+"""Discrete differential geometry of one shape: Laplacian, gradient, spectrum, geodesics, and Operators of it all."""
 
 from homolog.geometry.basis import Basis
 from homolog.geometry.cache import OperatorCache, cache_folder
-from homolog.geometry.geodesics import edge_graph, pair_distances
+from homolog.geometry.geodesics import Geodesics, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
 from homolog.geometry.spectrum import Spectrum, lowest_eigenpairs
-from homolog.geometry.surface import Ground, Pieces, Places, Surface, closest_weights, split_long, unit
+from homolog.geometry.surface import (
+    BarycentricPoints,
+    ReferenceSurface,
+    SplitSurface,
+    Surface,
+    closest_weights,
+    split_long,
+    unit,
+)
 
 __all__ = [
     "CLOUD_NEIGHBOURS",
+    "BarycentricPoints",
     "Basis",
     "Frame",
-    "Ground",
+    "Geodesics",
     "LaplacianKind",
     "OperatorCache",
     "OperatorSettings",
     "Operators",
-    "Pieces",
-    "Places",
+    "ReferenceSurface",
     "Spectrum",
+    "SplitSurface",
     "Surface",
     "cache_folder",
     "closest_weights",
@@ -28,6 +37,7 @@ __all__ = [
     "cloud_laplacian",
     "compute_operators",
     "edge_graph",
+    "geodesic_distances",
     "lowest_eigenpairs",
     "mesh_laplacian",
     "pair_distances",

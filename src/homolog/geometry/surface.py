@@ -1,4 +1,4 @@
-"""Triangle surfaces: normals, and the places on a surface where points of another mesh lie."""
+"""Triangle surfaces: normals, barycentric coordinates and projection onto a surface."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from homolog.core.memory import row_tiles
 from homolog.geometry.grouping import FacesAround
 from homolog.shapes import face_vectors
 
-# A point's place is looked for among so many vertices nearest to it, on the side that faces its way.
+# Projection tries this many nearest vertices for one whose normal agrees with the point's: a cosine above _SAME_SIDE.
 _NEAR = 16
 _SAME_SIDE = 0.3
-# What looking for a place takes of memory, for each triangle that is looked at.
+# Working memory of a projection, per candidate triangle.
 _BYTES_PER_TRIANGLE = 1000
-_PLACE_PARTS = ("triangles", "weights")
 
 
 @dataclass(frozen=True)
@@ -52,35 +51,35 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class Places:
-    """Where points lie on a surface.
+class BarycentricPoints:
+    """Points on a triangle mesh in barycentric coordinates.
 
     Args:
-        triangles: the triangle that each point lies on.
-        weights: its barycentric weights there, which sum to one.
+        triangles: the triangle that each point lies on (p,).
+        weights: its barycentric coordinates there, which sum to one (p, 3).
     """
 
     triangles: Int[np.ndarray, " p"]
     weights: Float[np.ndarray, "p 3"]
 
-    def on(self, surface: Surface) -> Float[np.ndarray, "p 3"]:
-        """Positions of the places on a surface with the same triangles."""
+    def positions(self, surface: Surface) -> Float[np.ndarray, "p 3"]:
+        """Positions of the points on a surface with the same triangles."""
         corners = surface.vertices[surface.faces[self.triangles]]
         return np.asarray(np.einsum("pck,pc->pk", corners, self.weights))
 
 
 def unit(vectors: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    """Vectors scaled to length one; zero stays zero."""
+    """Normalise vectors to length one; zero vectors stay zero."""
     scales = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.where(scales > 0, scales, 1.0))
 
 
 def subdivided(surface: Surface) -> tuple[Surface, Int[np.ndarray, "v 2"]]:
-    """Split each triangle in four.
+    """Split each triangle in four at the midpoints of its edges.
 
     Returns:
-        The finer surface, whose triangles 4i to 4i + 3 are those of triangle i, and for each of its vertices the two of
-        the coarser one that it lies amid: one twice, if it is that one.
+        The finer surface, whose triangles 4i to 4i + 3 cover triangle i, and for each of its vertices the two coarse
+        vertices that it is the midpoint of: the same one twice if it is a coarse vertex.
     """
     half_edges = surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     edges, edge_of = np.unique(np.sort(half_edges, axis=1), axis=0, return_inverse=True)
@@ -93,46 +92,56 @@ def subdivided(surface: Surface) -> tuple[Surface, Int[np.ndarray, "v 2"]]:
 
 
 @dataclass(frozen=True)
-class Pieces:
-    """A surface with its long triangles split, which need not meet at corners any more.
+class SplitSurface:
+    """A surface with its long triangles subdivided; it may have T-junctions.
 
     Args:
-        surface: the triangles that are left whole, and the pieces of the others.
-        of: the triangle that each is a piece of.
-        corners: the barycentric weights of its corners in that triangle, a row a corner.
+        surface: the short triangles, and the pieces of the long ones.
+        parents: for each triangle of ``surface`` the original triangle that it is a piece of.
+        corners: the barycentric coordinates of its corners in that original triangle, a row a corner.
     """
 
     surface: Surface
-    of: Int[np.ndarray, " k"]
+    parents: Int[np.ndarray, " k"]
     corners: Float[np.ndarray, "k 3 3"]
 
-    def whole(self, places: Places) -> Places:
-        """Places on the pieces, as places on the surface that was split."""
-        weights = np.einsum("pc,pcw->pw", places.weights, self.corners[places.triangles])
-        return Places(self.of[places.triangles], weights)
+    def to_original(self, points: BarycentricPoints) -> BarycentricPoints:
+        """Points on ``surface`` in the barycentric coordinates of the original surface."""
+        weights = np.einsum("pc,pcw->pw", points.weights, self.corners[points.triangles])
+        return BarycentricPoints(self.parents[points.triangles], weights)
 
 
-def split_long(surface: Surface, longest: float, *, most: int) -> Pieces:
-    """Split triangles with sides longer than ``longest`` in four, and again, while there are fewer than ``most``."""
-    of, corners = np.arange(len(surface.faces)), np.tile(np.eye(3), (len(surface.faces), 1, 1))
+def split_long(surface: Surface, longest: float, *, most: int) -> SplitSurface:
+    """Subdivide triangles with a side longer than ``longest``, repeatedly, as long as there are at most ``most``."""
+    parents, corners = np.arange(len(surface.faces)), np.tile(np.eye(3), (len(surface.faces), 1, 1))
     vertices, faces = surface.vertices, surface.faces
     while True:
         sides = vertices[faces] - vertices[faces[:, [1, 2, 0]]]
         long = np.linalg.norm(sides, axis=2).max(axis=1) > longest
         if not long.any() or len(faces) + 3 * long.sum() > most:
-            return Pieces(Surface(vertices, faces), of, corners)
-        finer, parents = subdivided(Surface(vertices, faces[long]))
-        vertices = vertices[parents].mean(axis=1)
+            return SplitSurface(Surface(vertices, faces), parents, corners)
+        finer, ends = subdivided(Surface(vertices, faces[long]))
+        vertices = vertices[ends].mean(axis=1)
         middles = (corners[long] + corners[long][:, [1, 2, 0]]) / 2
         (p, q, r), (pq, qr, rp) = np.moveaxis(corners[long], 1, 0), np.moveaxis(middles, 1, 0)
         quarters = np.stack([p, pq, rp, q, qr, pq, r, rp, qr, pq, qr, rp], axis=1).reshape(-1, 3, 3)
         faces = np.concatenate([faces[~long], finer.faces])
-        of = np.concatenate([of[~long], np.repeat(of[long], 4)])
+        parents = np.concatenate([parents[~long], np.repeat(parents[long], 4)])
         corners = np.concatenate([corners[~long], quarters])
 
 
-class Ground:
-    """A surface to put points on: finds the nearest part that faces their way, never the other side of a thin one."""
+class ReferenceSurface:
+    """A surface to project points onto: the nearest point whose normal agrees, never the far side of a thin part.
+
+    Args:
+        surface: a mesh whose triangles have sides of similar lengths; see ``split_long``.
+
+    Example:
+        >>> square = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), np.array([[0, 1, 2], [1, 3, 2]]))
+        >>> projected = ReferenceSurface(square).project(np.array([[0.25, 0.25, 2.0]]))
+        >>> projected.positions(square).tolist()
+        [[0.25, 0.25, 0.0]]
+    """
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
@@ -141,16 +150,18 @@ class Ground:
         # The triangles of the surface itself around each vertex of the subdivided one, of which each has four.
         self._around = FacesAround.of(self._fine.faces, len(self._fine.vertices)).joined(4)
 
-    def nearest(self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]) -> Int[np.ndarray, " p"]:
-        """For each point the nearest vertex of the subdivided surface whose normal agrees with the one given."""
+    def nearest_vertices(
+        self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]
+    ) -> Int[np.ndarray, " p"]:
+        """For each point the nearest vertex of the subdivided surface whose normal agrees with the given one."""
         return np.asarray(self._nearest_facing(points, normals, 1)[:, 0], dtype=np.int64)
 
     def _nearest_facing(self, points: np.ndarray, normals: np.ndarray | None, count: int) -> Int[np.ndarray, "p count"]:
-        """For each point so many vertices that face its way, nearest first; the first again where there are fewer."""
+        """The nearest vertices whose normals agree, nearest first; the first is repeated where there are fewer."""
         _, near = self._tree.query(points, k=[*range(1, count + 1)])
         if normals is None:
             return np.asarray(near)
-        # Mostly the nearest ones face the right way, and no others need to be looked for.
+        # For most points all of the nearest vertices agree; only the others are queried again.
         (astray,) = np.nonzero(~self._facing(near, normals).all(axis=1))
         _, more = self._tree.query(points[astray], k=_NEAR)
         facing = self._facing(more, normals[astray])
@@ -163,46 +174,51 @@ class Ground:
         return np.asarray(np.einsum("pjk,pk->pj", self._fine.vertex_normals[near], normals) > _SAME_SIDE)
 
     def values_at(self, nearest: Int[np.ndarray, " p"], values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " p"]:
-        """Values given at the surface's vertices, at vertices of the subdivided one."""
+        """Interpolate values of the surface's vertices at vertices of the subdivided surface."""
         return np.asarray(values[self._parents[nearest]].mean(axis=1))
 
-    def slid(self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, "p 3"]:
-        """Points moved to the tangent plane at the nearest vertex, which is close to the surface."""
-        near = self.nearest(points, normals)
+    def onto_tangent_planes(
+        self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"]
+    ) -> Float[np.ndarray, "p 3"]:
+        """Project points onto the tangent plane at the nearest vertex: a cheap approximation of ``project``."""
+        near = self.nearest_vertices(points, normals)
         away = self._fine.vertex_normals[near]
         height = np.einsum("pk,pk->p", points - self._fine.vertices[near], away)
         return np.asarray(points - height[:, None] * away)
 
-    def places(
+    def project(
         self, points: Float[np.ndarray, "p 3"], normals: Float[np.ndarray, "p 3"] | None = None, *, around: int = 1
-    ) -> Places:
-        """The nearest places on the surface itself, among the triangles around the nearest vertices.
+    ) -> BarycentricPoints:
+        """Project points onto the surface, among the triangles around the nearest vertices.
 
         Args:
             points: positions.
-            normals: which way the surface is to face there; any way if there are none.
-            around: how many of the subdivided surface's vertices count; more where triangles are long.
+            normals: the normal that the surface must agree with there; by default any.
+            around: how many vertices of the subdivided surface are searched around; more where triangles are long.
         """
         found = [
-            self._places(points[rows], None if normals is None else normals[rows], around)
+            self._project(points[rows], None if normals is None else normals[rows], around)
             for rows in row_tiles(len(points), float(self._around.degrees.mean()) * around * _BYTES_PER_TRIANGLE)
         ]
-        none = Places(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-        return Places(*(np.concatenate([getattr(part, name) for part in [none, *found]]) for name in _PLACE_PARTS))
+        none = BarycentricPoints(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
+        tiles = [none, *found]
+        return BarycentricPoints(
+            np.concatenate([tile.triangles for tile in tiles]), np.concatenate([tile.weights for tile in tiles])
+        )
 
-    def _places(self, points: np.ndarray, normals: np.ndarray | None, around: int) -> Places:
+    def _project(self, points: np.ndarray, normals: np.ndarray | None, around: int) -> BarycentricPoints:
         near = self._nearest_facing(points, normals, around)
-        place, triangles = self._around.of_each(near.ravel())
-        point = place // around
+        owner, triangles = self._around.of_each(near.ravel())
+        point = owner // around
         corners = self.surface.vertices[self.surface.faces[triangles]]
         weights = closest_weights(corners, points[point])
         offset = np.einsum("tck,tc->tk", corners, weights) - points[point]
         best = _first_least(np.einsum("tk,tk->t", offset, offset), point)
-        return Places(triangles[best], weights[best])
+        return BarycentricPoints(triangles[best], weights[best])
 
 
 def _first_least(values: Float[np.ndarray, " t"], run: Int[np.ndarray, " t"]) -> Int[np.ndarray, " p"]:
-    """Where the least value of each run is, the first of equal ones; the runs count up from 0."""
+    """The index of the smallest value of each run, the first of equal ones; run numbers ascend from 0."""
     starts = np.flatnonzero(np.diff(run, prepend=-1))
     (least,) = np.nonzero(values == np.minimum.reduceat(values, starts)[run])
     return np.asarray(least[np.flatnonzero(np.diff(run[least], prepend=-1))])
@@ -211,9 +227,18 @@ def _first_least(values: Float[np.ndarray, " t"], run: Int[np.ndarray, " t"]) ->
 def closest_weights(
     triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarray, "p 3"]
 ) -> Float[np.ndarray, "p 3"]:
-    """Barycentric weights of the point of each triangle that is closest to a point, one point a triangle.
+    """Barycentric coordinates of the closest point on a triangle, for one point per triangle.
 
-    Where the foot of the perpendicular lies outside, the closest of the three sides is taken.
+    The point is projected onto the triangle's plane; where that falls outside, onto the closest of the three sides.
+
+    Args:
+        triangles: corners of each triangle (p, 3, 3).
+        points: one point for each triangle (p, 3).
+
+    Example:
+        >>> triangle = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
+        >>> closest_weights(triangle, np.array([[0.5, -1.0, 3.0]])).tolist()
+        [[0.5, 0.5, 0.0]]
     """
     inside = _plane_weights(triangles, points)
     outside = np.flatnonzero((inside < 0).any(axis=1))
@@ -222,7 +247,7 @@ def closest_weights(
 
 
 def _plane_weights(triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarray, "p 3"]) -> np.ndarray:
-    """Weights of the foot of the perpendicular; negative outside, and all -1 where the triangle has no area."""
+    """Barycentric coordinates in the plane; negative outside, and all -1 where the triangle has no area."""
     normals = face_vectors(triangles)
     squares = np.einsum("pk,pk->p", normals, normals)
     spans = triangles - points[:, None]
@@ -232,7 +257,7 @@ def _plane_weights(triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarr
 
 
 def _side_weights(triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarray, "p 3"]) -> np.ndarray:
-    """Weights of the closest point on the triangle's sides."""
+    """Barycentric coordinates of the closest point on the triangle's sides."""
     starts, sides = triangles, triangles[:, [1, 2, 0]] - triangles
     squares = np.einsum("pck,pck->pc", sides, sides)
     along = np.einsum("pck,pck->pc", points[:, None] - starts, sides) / np.where(squares > 0, squares, 1.0)

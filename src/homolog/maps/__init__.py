@@ -1,4 +1,9 @@
-"""Correspondence as mathematics: pure functions of tensors."""
+"""Correspondence as mathematics: functional maps, soft maps, refinement, confidence, as pure functions of tensors.
+
+Functions take torch tensors or numpy arrays, and return what they were given. ``homolog.maps.reference`` has short,
+readable twins of the fast ones. Words and directions: a point map ``y_to_x`` holds for each point of y the index of its
+point of x; a functional map ``C_xy`` takes spectral coefficients on x to those on y.
+"""
 
 from homolog.maps.confidence import ConfidenceSettings, confidence, coverage_density, local_stretch, overlap
 from homolog.maps.descriptors import heat_kernel_signature, smoothed_positions, wave_kernel_signature

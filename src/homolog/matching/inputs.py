@@ -12,7 +12,7 @@ from homolog.core.errors import ArgumentError
 from homolog.core.progress import Steps
 from homolog.matching.result import Match
 from homolog.pairs import PairOptions, Side
-from homolog.shapes import Shape, read_hashed_shape
+from homolog.shapes import Shape, as_shape, read_hashed_shape
 
 
 def options_of(options: PairOptions | None, words: dict[str, Any]) -> PairOptions:
@@ -43,9 +43,15 @@ def read_inputs(source: Any, target: Any, steps: Steps) -> tuple[tuple[Shape, Sh
             with steps.step(f"read {side}"):
                 shape, digest = read_hashed_shape(Path(shape))
             files[side] = {"file": str(given[side]), "sha256": digest}
-        check_kind(side, shape, Shape)
-        shapes.append(shape)
+        shapes.append(_shape(side, shape))
     return (shapes[0], shapes[1]), files
+
+
+def _shape(side: Side, given: Any) -> Shape:
+    try:
+        return as_shape(given)
+    except ArgumentError as error:
+        raise ArgumentError(f"{side}: {error}") from None
 
 
 def with_inputs(match: Match, files: dict[Side, dict[str, str]], steps: Steps, *, adapt: int = 0) -> Match:

@@ -246,13 +246,15 @@ class Match:
         """
         from homolog import viewing  # the one way up: what shows a match stands above it
 
-        return viewing.plot(self, path)
+        return viewing.plot(viewing.scene_of(self), path)
 
     def _repr_html_(self) -> str:
         """Picture and figures, for notebooks."""
         from homolog import viewing
 
-        return viewing.notebook_html(self)
+        figures = {} if self.quality is None else asdict(self.quality.mean)
+        shown = {name: f"{value:.3g}" for name, value in figures.items() if value is not None}
+        return viewing.notebook_html(viewing.scene_of(self), {**shown, "warnings": len(self.warnings)})
 
     def matched(self, side: Side) -> dict[str, int | float]:
         """What became of the points of a shape."""

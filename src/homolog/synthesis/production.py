@@ -1,4 +1,4 @@
-"""Making a set of people, each body on its own."""
+"""Making a dataset of synthetic people, each body independently of the others."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from functools import cache, partial
 from pathlib import Path
 
 from homolog.core.arguments import check_count
-from homolog.core.progress import Progress, no_progress
-from homolog.core.tasks import work_off
-from homolog.geometry.surface import Places
+from homolog.core.progress import Progress, ignore
+from homolog.core.tasks import run_tasks
+from homolog.geometry.surface import BarycentricPoints
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.people import PeopleSettings, make_person
 from homolog.synthesis.people_folder import PeopleFolder
 from homolog.synthesis.template import sample_evenly
 
 TEMPLATE_POINTS = 5000
-"""How many points of the template carry the ground truth."""
+"""The number of template points that carry the ground truth."""
 
 
 def synthesize_people(
@@ -25,19 +25,19 @@ def synthesize_people(
     settings: PeopleSettings | None = None,
     *,
     processes: int = 1,
-    progress: Progress = no_progress,
+    progress: Progress = ignore,
 ) -> PeopleFolder:
-    """Make the first ``n`` bodies of an endless set, or those of them that are not there yet.
+    """Write a dataset of synthetic people: the first ``n`` bodies of an endless sequence, as far as they are missing.
 
     Several processes begin by importing the program that calls this: a script must call it below
     ``if __name__ == "__main__":``.
 
     Args:
         output: the folder; it may hold bodies made with the same settings, which are kept.
-        n: how many bodies.
+        n: number of bodies.
         settings: seed and meshing.
-        processes: how many work at once; the bodies are the same for any number.
-        progress: told of each body.
+        processes: number of worker processes; the bodies do not depend on it.
+        progress: called with the number of finished bodies, their total and the current body's name.
 
     Returns:
         The folder, which ``ShapeFolder`` reads.
@@ -45,6 +45,9 @@ def synthesize_people(
     Raises:
         ArgumentError: if an argument is out of range, or the folder holds something else or cannot be written to.
         MissingExtraError: if the package anny is not installed.
+
+    Example:
+        >>> synthesize_people("people", 500, PeopleSettings(seed=1), processes=4)  # doctest: +SKIP
     """
     check_count("n", n)
     check_count("processes", processes)
@@ -52,20 +55,21 @@ def synthesize_people(
     template = _body_model().template
     folder = PeopleFolder.prepare(output, settings)
     names = [folder.name(index) for index in range(n)]
-    progress(0, n, "looking at what is there")
-    missing = [index for index, name in enumerate(names) if not folder.is_whole(name)]
-    points = sample_evenly(template.rest, TEMPLATE_POINTS)
-    folder.write_template(template.rest, points)
+    progress(0, n, "checking the existing files")
+    missing = [index for index, name in enumerate(names) if not folder.has_all_files(name)]
+    if missing or not folder.has_template():
+        points = sample_evenly(template.rest, TEMPLATE_POINTS)
+        folder.write_template(template.rest, points)
     if missing:
         make = _Making(points, settings, folder)
         tasks = [(names[index], partial(make, index)) for index in missing]
         there = n - len(missing)
-        work_off(
+        run_tasks(
             [tasks],
             processes=min(processes, len(missing)),
             progress=lambda done, _, what: progress(there + done, n, what),
         )
-    while folder.is_whole(folder.name(len(names))):  # of a larger set that was made before
+    while folder.has_all_files(folder.name(len(names))):  # of a larger dataset that was made before
         names.append(folder.name(len(names)))
     folder.write_manifest(settings, names)
     return folder
@@ -73,9 +77,9 @@ def synthesize_people(
 
 @dataclass(frozen=True)
 class _Making:
-    """What all bodies of a set have in common; called with a body's number, it makes and writes that body."""
+    """Makes and writes the body with a given number; picklable, for worker processes."""
 
-    points: Places
+    points: BarycentricPoints
     settings: PeopleSettings
     folder: PeopleFolder
 
@@ -86,5 +90,5 @@ class _Making:
 
 @cache
 def _body_model() -> BodyModel:
-    """The one of this process, which takes seconds to open."""
+    """The body model of this process; loading it takes seconds."""
     return BodyModel()

@@ -1,8 +1,8 @@
-"""Rays from one centre through an image: which triangle each meets first, and what they see.
+"""Ray casting from one centre: the first triangle that each ray hits, and the visibility of points.
 
-Triangles and rays meet in the image, where a triangle is a triangle again and a ray a point. A grid of cells tells
-which rays may lie in a triangle's bounding box; three signs tell which meet it. There is no tree and no tolerance: a
-ray that runs through an edge meets both of the triangles there.
+Triangles are projected to the image, where a ray is a point. A grid of cells finds the rays in a triangle's bounding
+box; the signs of three volumes tell which of them hit it. There is no tree and no tolerance: a ray through an edge hits
+both of its triangles.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ _SAME_DEPTH = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What rays meet first.
+    """The first hits of rays.
 
     Args:
-        triangles: index of the triangle that each ray meets (r,), the lowest of several at one depth; -1 for none.
-        weights: barycentric weights of the place in it (r, 3); zero for none.
-        depths: how deep it lies along the viewing direction (r,); infinite for none.
+        triangles: index of the triangle that each ray hits first (r,), the lowest of several at one depth; -1 for none.
+        weights: barycentric coordinates of the hit (r, 3); zero for none.
+        depths: along the viewing direction (r,); infinite for none.
     """
 
     triangles: Int[np.ndarray, " r"]
@@ -36,13 +36,19 @@ class Hits:
 
 
 def first_hits(corners: Float[np.ndarray, "m 3 3"], image: Float[np.ndarray, "r 2"]) -> Hits:
-    """What the rays from the origin through (u, v, 1) meet first, from either side.
+    """The first triangle that each ray from the origin through (u, v, 1) hits, from either side.
 
-    Triangles that the origin sees from the edge, or that have no area, are met by no ray.
+    Triangles seen edge-on, and triangles without area, are not hit.
 
     Args:
-        corners: of each triangle, in coordinates of the viewer, whose third is the depth; all depths are positive.
+        corners: of each triangle, in camera coordinates, of which the third is the depth; all depths are positive.
         image: u and v of each ray.
+
+    Example:
+        >>> triangle = np.array([[[-1.0, -1, 2], [1, -1, 2], [0, 1, 2]]])
+        >>> hits = first_hits(triangle, np.array([[0.0, 0.0], [5.0, 5.0]]))
+        >>> hits.triangles.tolist(), hits.depths.tolist()
+        ([0, -1], [2.0, inf])
     """
     rays, triangles = _candidates(image, corners[:, :, :2] / corners[:, :, 2:])
     volumes = _volumes(corners, image, rays, triangles)
@@ -50,29 +56,34 @@ def first_hits(corners: Float[np.ndarray, "m 3 3"], image: Float[np.ndarray, "r 
     rays, triangles, volumes = rays[met], triangles[met], volumes[met]
     weights = volumes / volumes.sum(axis=1, keepdims=True)
     depths = np.einsum("hk,hk->h", weights, corners[triangles, :, 2])
-    first = _first(rays, depths)
-    return _filled(len(image), rays[first], triangles[first], weights[first], depths[first])
+    # The first hit of each ray; the earliest of those at one depth.
+    order = np.lexsort((depths, rays))
+    first = order[np.flatnonzero(np.diff(rays[order], prepend=-1))]
+    hits = Hits(np.full(len(image), -1), np.zeros((len(image), 3)), np.full(len(image), np.inf))
+    of = rays[first]
+    hits.triangles[of], hits.weights[of], hits.depths[of] = triangles[first], weights[first], depths[first]
+    return hits
 
 
 def visible(corners: Float[np.ndarray, "m 3 3"], points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Which points the origin sees: no triangle lies before them. Points may lie on triangles, in the same frame."""
+    """Which points are visible from the origin: no triangle lies in front of them. Points may lie on triangles."""
     hits = first_hits(corners, points[:, :2] / points[:, 2:])
-    seen: np.ndarray = points[:, 2] <= hits.depths * (1 + _SAME_DEPTH)
-    return seen
+    found: np.ndarray = points[:, 2] <= hits.depths * (1 + _SAME_DEPTH)
+    return found
 
 
 def _candidates(
     image: Float[np.ndarray, "r 2"], outlines: Float[np.ndarray, "m 3 2"]
 ) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, " c"]]:
-    """Pairs of a ray and a triangle near whose bounding box it lies, ordered by triangle."""
+    """Pairs of a ray and a triangle whose bounding box is near it, ordered by triangle."""
     low, high = outlines.min(axis=1), outlines.max(axis=1)
     origin, corner = low.min(axis=0), high.max(axis=0)
     n = min(int(_CELLS * np.sqrt(len(outlines))) + 1, _MOST_CELLS)
     scale = n / np.maximum(corner - origin, np.finfo(float).tiny)
 
     def cell(at: Float[np.ndarray, "k 2"]) -> Int[np.ndarray, "k 2"]:
-        places: np.ndarray = np.clip((at - origin) * scale, 0, n - 1).astype(np.int64)
-        return places
+        cells: np.ndarray = np.clip((at - origin) * scale, 0, n - 1).astype(np.int64)
+        return cells
 
     (inside,) = np.nonzero(((image >= origin) & (image <= corner)).all(axis=1))
     number = cell(image[inside]) @ [1, n]
@@ -83,8 +94,8 @@ def _candidates(
     triangle, row = runs(last[:, 1] - first[:, 1] + 1)
     row = n * (row + first[triangle, 1])
     begin, end = starts[row + first[triangle, 0]], starts[row + last[triangle, 0] + 1]
-    run, place = runs(end - begin)
-    return by_cell[begin[run] + place], triangle[run]
+    run, offset = runs(end - begin)
+    return by_cell[begin[run] + offset], triangle[run]
 
 
 def _volumes(
@@ -105,21 +116,3 @@ def _volumes(
         begin, end = corner - 2, corner - 1
         volumes[:, corner] = x[:, begin] * y[:, end] - y[:, begin] * x[:, end]
     return volumes
-
-
-def _first(rays: Int[np.ndarray, " h"], depths: Float[np.ndarray, " h"]) -> Int[np.ndarray, " f"]:
-    """Index of the first hit of each ray that has any; the earliest of those at one depth."""
-    order = np.lexsort((depths, rays))
-    return order[np.flatnonzero(np.diff(rays[order], prepend=-1))]
-
-
-def _filled(
-    n_rays: int,
-    rays: Int[np.ndarray, " f"],
-    triangles: Int[np.ndarray, " f"],
-    weights: Float[np.ndarray, "f 3"],
-    depths: Float[np.ndarray, " f"],
-) -> Hits:
-    hits = Hits(np.full(n_rays, -1), np.zeros((n_rays, 3)), np.full(n_rays, np.inf))
-    hits.triangles[rays], hits.weights[rays], hits.depths[rays] = triangles, weights, depths
-    return hits

@@ -1,4 +1,4 @@
-"""Meshes of their own for surfaces: near-equilateral triangles, or ones that are stretched in some direction."""
+"""Isotropic and anisotropic remeshing: near-equilateral triangles, or triangles stretched in one direction."""
 
 from __future__ import annotations
 
@@ -9,27 +9,26 @@ import numpy as np
 import trimesh
 from jaxtyping import Float
 
-from homolog.geometry.surface import Ground, Surface, unit
+from homolog.geometry.surface import ReferenceSurface, Surface, unit
 from homolog.shapes import face_areas
-from homolog.synthesis.mesh_editing import Draft, collapse_short, edges_of, flip_to_delaunay, split_long
+from homolog.synthesis.mesh_editing import WorkingMesh, collapse_short, edges_of, flip_to_delaunay, split_long
 
 _ROUNDS = 12
-# After so many rounds the edge length is settled; until then it follows the number of vertices.
-_SETTLING = 9
-# Vertices stay where moving them would turn a triangle further than this, as a cosine.
+# The edge length is adapted to the number of vertices in this many first rounds, and then fixed.
+_ADAPTING_ROUNDS = 9
+# Vertices do not move where that would rotate a triangle's normal further than this, as a cosine.
 _RELAX_COSINE = 0.4
-# Random changes to the wanted lengths in the first rounds, so that no mesh inherits the connectivity it comes from.
+# Random changes to the target lengths in the first rounds, so that no mesh inherits the template's connectivity.
 _JITTER, _JITTERED_ROUNDS = 0.15, 3
 
 
 @dataclass(frozen=True)
 class MeshSettings:
-    """How a surface is meshed.
+    """Settings of remeshing.
 
     Args:
-        vertices: about how many vertices the mesh shall have.
-        stretch: how much longer than wide triangles are, in a direction drawn for each surface; 1 for near-equilateral
-            ones.
+        vertices: the approximate number of vertices.
+        stretch: the aspect ratio of triangles, in a direction sampled for each surface; 1 for near-equilateral ones.
     """
 
     vertices: int = 5000
@@ -37,65 +36,64 @@ class MeshSettings:
 
 
 def remesh(
-    ground: Ground, detail: Float[np.ndarray, " n"], settings: MeshSettings, generator: np.random.Generator
+    reference: ReferenceSurface, detail: Float[np.ndarray, " n"], settings: MeshSettings, generator: np.random.Generator
 ) -> Surface:
-    """Mesh a closed surface anew, in rounds of splits, collapses, flips and relaxation.
+    """Remesh a closed surface, in rounds of edge splits, collapses, flips and tangential relaxation.
 
-    Stretched triangles are near-equilateral ones of a space that is squeezed in one direction.
+    M. Botsch and L. Kobbelt, "A remeshing approach to multiresolution modeling" (SGP 2004). Stretched triangles are
+    near-equilateral ones in a space that is compressed in one direction.
 
     Args:
-        ground: the surface.
-        detail: the edge length wanted at each of its vertices, relative to the others.
-        settings: how many vertices, and how stretched the triangles are.
-        generator: the surface's own source of random numbers.
+        reference: the surface.
+        detail: the target edge length at each of its vertices, relative to the others.
+        settings: number of vertices and aspect ratio.
+        generator: of random numbers.
 
     Returns:
-        A closed mesh whose vertices lie near the surface; ``Ground.places`` says where.
+        A closed mesh whose vertices lie near the surface; ``ReferenceSurface.project`` gives their exact positions.
+
+    Example:
+        >>> reference = ReferenceSurface(surface)  # doctest: +SKIP
+        >>> even = np.ones(len(surface.vertices))  # doctest: +SKIP
+        >>> mesh = remesh(reference, even, MeshSettings(vertices=2000), np.random.default_rng(0))  # doctest: +SKIP
     """
-    squeeze = _squeeze(settings.stretch, generator)
-    mesh, base = ground.surface, _first_length(ground.surface, detail, settings.vertices)
+    direction = unit(generator.normal(size=(1, 3)))
+    compression = np.eye(3) - (1.0 - 1.0 / settings.stretch) * direction.T @ direction
+    mesh, surface = reference.surface, reference.surface
+    # The edge length of equilateral triangles around that many vertices, where detail is 1.
+    areas = face_areas(surface.vertices, surface.faces)
+    area = float((areas / detail[surface.faces].mean(axis=1) ** 2).sum())
+    base = math.sqrt(area * 2.0 / math.sqrt(3.0) / settings.vertices)
     for round_ in range(_ROUNDS):
         jitter = _JITTER if round_ < _JITTERED_ROUNDS else 0.0
-        mesh = _improved(mesh, ground, base * detail, squeeze, generator, jitter)
-        if round_ < _SETTLING:
+        mesh = _improved(mesh, reference, base * detail, compression, generator, jitter)
+        if round_ < _ADAPTING_ROUNDS:
             base *= math.sqrt(len(mesh.vertices) / settings.vertices)
     return mesh
 
 
-def _first_length(surface: Surface, detail: Float[np.ndarray, " n"], count: int) -> float:
-    """The edge length that equilateral triangles around so many vertices would have, where detail is 1."""
-    areas = face_areas(surface.vertices, surface.faces)
-    return math.sqrt(float((areas / detail[surface.faces].mean(axis=1) ** 2).sum()) * 2.0 / math.sqrt(3.0) / count)
-
-
 def _improved(
     mesh: Surface,
-    ground: Ground,
-    wanted: Float[np.ndarray, " n"],
-    squeeze: Float[np.ndarray, "3 3"],
+    reference: ReferenceSurface,
+    target_lengths: Float[np.ndarray, " n"],
+    compression: Float[np.ndarray, "3 3"],
     generator: np.random.Generator,
     jitter: float,
 ) -> Surface:
     """One round."""
-    lengths = ground.values_at(ground.nearest(mesh.vertices, mesh.vertex_normals), wanted)
+    lengths = reference.values_at(reference.nearest_vertices(mesh.vertices, mesh.vertex_normals), target_lengths)
     lengths *= 1.0 + jitter * generator.uniform(-1.0, 1.0, len(lengths))
-    draft = Draft(mesh.vertices, mesh.vertices @ squeeze, lengths, mesh.faces)
-    draft = flip_to_delaunay(collapse_short(split_long(draft)))
-    return relaxed(Surface(draft.points, draft.faces), ground)
+    working = WorkingMesh(mesh.vertices, mesh.vertices @ compression, lengths, mesh.faces)
+    working = flip_to_delaunay(collapse_short(split_long(working)))
+    return relax(Surface(working.points, working.faces), reference)
 
 
-def _squeeze(stretch: float, generator: np.random.Generator) -> Float[np.ndarray, "3 3"]:
-    """The map that makes lengths in a random direction shorter by the stretch."""
-    direction = unit(generator.normal(size=(1, 3)))
-    return np.asarray(np.eye(3) - (1.0 - 1.0 / stretch) * direction.T @ direction)
-
-
-def relaxed(mesh: Surface, ground: Ground) -> Surface:
-    """Move vertices along the surface, halfway to the middle of their neighbours, where that folds nothing."""
+def relax(mesh: Surface, reference: ReferenceSurface) -> Surface:
+    """Tangential Laplacian smoothing: move vertices halfway to their neighbours' mean, where that folds nothing."""
     old, normals = mesh.vertices, mesh.vertex_normals
     step = 0.5 * (_neighbours_middle(mesh) - old)
     step -= np.einsum("nk,nk->n", step, normals)[:, None] * normals
-    new = ground.slid(old + step, normals)
+    new = reference.onto_tangent_planes(old + step, normals)
     has_area = mesh.face_normals.any(axis=1)
     for _ in range(20):
         moved = Surface(new, mesh.faces)
@@ -116,7 +114,7 @@ def _neighbours_middle(mesh: Surface) -> Float[np.ndarray, "n 3"]:
 
 
 def is_one_closed_surface(mesh: Surface) -> bool:
-    """Whether a mesh is one closed manifold of the sphere's topology without loose vertices, its inside within."""
+    """Whether a mesh is one closed, outward oriented manifold of genus 0 without unused vertices."""
     checked = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     sound = (
         checked.is_watertight

@@ -1,4 +1,4 @@
-"""The surface that all bodies share, and the points on it that carry the ground truth."""
+"""The template: the closed surface that all synthetic bodies share, and its points that carry the ground truth."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import numpy as np
 import trimesh
 from jaxtyping import Float, Int
 
-from homolog.geometry.surface import Places, Surface, closest_weights
+from homolog.geometry.surface import BarycentricPoints, Surface, closest_weights
 from homolog.shapes import farthest_points
 
-# The points are always the same ones, whatever set they are for.
+# The template points are the same in all datasets.
 _SEED = 7
-_DRAWN_PER_POINT = 5
+_CANDIDATES_PER_POINT = 5
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class Template:
 
     Args:
         kept: the model's vertices that lie on the outer surface.
-        rims: vertex loops of openings, in the numbering of ``kept``. Each gets one more vertex, at its centre, after
+        rims: boundary loops, in the numbering of ``kept``. Each is closed with one vertex at its centre, appended to
             the kept ones.
         faces: triangles over the kept vertices and the centres.
-        detail: for each of these the edge length wanted there, relative to that of the trunk.
-        rest: the mean body at rest, on which places are compared.
+        detail: the target edge length at each vertex, relative to the trunk's.
+        rest: the mean body in the rest pose.
     """
 
     kept: Int[np.ndarray, " k"]
@@ -39,17 +39,20 @@ class Template:
     def of_outer_faces(
         cls, faces: Int[np.ndarray, "m 3"], vertices: Float[np.ndarray, "v 3"], detail: Float[np.ndarray, " v"]
     ) -> Template:
-        """Close the openings of a model's outer triangles.
+        """Close the holes of a model's outer surface.
 
         Args:
             faces: triangles of the model's vertices.
-            vertices: all the model's vertices, of the mean body at rest.
-            detail: the relative edge length wanted at each of them.
+            vertices: all the model's vertices, of the mean body in the rest pose.
+            detail: the relative target edge length at each of them.
         """
         kept, renumbered = np.unique(faces, return_inverse=True)
         open_faces = renumbered.reshape(-1, 3)
         rims = tuple(boundary_loops(open_faces))
-        closed = np.concatenate([open_faces, *_fans(rims, len(kept))])
+        fans = [
+            np.stack([np.roll(rim, -1), rim, np.full(len(rim), len(kept) + i)], axis=1) for i, rim in enumerate(rims)
+        ]
+        closed = np.concatenate([open_faces, *fans])
         rest = Surface(_with_centres(vertices[kept], rims), closed)
         return cls(kept, rims, closed, _with_centres(detail[kept], rims), rest)
 
@@ -63,13 +66,8 @@ def _with_centres(values: np.ndarray, rims: tuple[np.ndarray, ...]) -> np.ndarra
     return np.concatenate([values, *(values[rim].mean(axis=0, keepdims=True) for rim in rims)])
 
 
-def _fans(rims: tuple[np.ndarray, ...], n_kept: int) -> list[np.ndarray]:
-    """For each rim the triangles that join it to its centre."""
-    return [np.stack([np.roll(rim, -1), rim, np.full(len(rim), n_kept + i)], axis=1) for i, rim in enumerate(rims)]
-
-
 def boundary_loops(faces: Int[np.ndarray, "m 3"]) -> list[Int[np.ndarray, " r"]]:
-    """The closed vertex loops along the open edges of a triangle mesh, in the direction of its triangles."""
+    """The boundary loops of a triangle mesh, oriented as its triangles."""
     half_edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     known = {(a, b) for a, b in half_edges.tolist()}
     follows = {a: b for a, b in sorted(known) if (b, a) not in known}
@@ -84,11 +82,11 @@ def boundary_loops(faces: Int[np.ndarray, "m 3"]) -> list[Int[np.ndarray, " r"]]
     return loops
 
 
-def sample_evenly(surface: Surface, count: int) -> Places:
-    """Places spread over a surface, each far from all before it."""
+def sample_evenly(surface: Surface, count: int) -> BarycentricPoints:
+    """Sample a surface evenly: farthest point sampling (Y. Eldar et al., 1997) of uniform random points."""
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    points, on = trimesh.sample.sample_surface(mesh, _DRAWN_PER_POINT * count, seed=_SEED)
+    points, triangle_of = trimesh.sample.sample_surface(mesh, _CANDIDATES_PER_POINT * count, seed=_SEED)
     chosen = farthest_points(np.asarray(points), count, seed=_SEED)
-    triangles = np.asarray(on)[chosen].astype(np.int64)
+    triangles = np.asarray(triangle_of)[chosen].astype(np.int64)
     corners = surface.vertices[surface.faces[triangles]]
-    return Places(triangles, closest_weights(corners, np.asarray(points)[chosen]))
+    return BarycentricPoints(triangles, closest_weights(corners, np.asarray(points)[chosen]))

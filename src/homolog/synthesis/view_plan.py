@@ -1,4 +1,4 @@
-"""What a set of views is to have: which bodies are trained on and tested with, and which view shows which of them."""
+"""The plan of a dataset of views: which full shapes are for training and testing, and which view shows which."""
 
 from __future__ import annotations
 
@@ -15,51 +15,51 @@ from homolog.core.errors import DataError
 from homolog.core.files import expanded, sha256
 from homolog.datasets import ShapeFolder, mesh_files
 
-SetSplit = Literal["train", "test"]
+DatasetSplit = Literal["train", "test"]
 
-# Every so many-th view is for testing, seen on bodies that are in no view for training.
+# One in this many views is for testing; its full shapes are in no view for training.
 TEST_EVERY = 5
 
-# What tells the choices at random from one another that are made with one seed.
+# Streams of random numbers with one seed.
 _SPLIT, _ORDER, _PARTNER = 0, 1, 2
 
 
 @dataclass(frozen=True)
 class PlannedView:
-    """One view that a set is to have.
+    """One view of the dataset.
 
     Args:
         name: of its files.
-        split: whether it is trained on or tested with.
-        own: the complete shape that is looked at.
-        complete: the complete shape that the view is paired with, of the same split; perhaps its own.
-        seed: of its camera and its noise.
+        split: for training or testing.
+        viewed: the full shape that the camera sees.
+        full: the full shape that the view is paired with, of the same split; possibly the viewed one.
+        seed: of its camera and noise.
     """
 
     name: str
-    split: SetSplit
-    own: str
-    complete: str
+    split: DatasetSplit
+    viewed: str
+    full: str
     seed: int
 
 
 @dataclass(frozen=True)
-class Bodies:
-    """The complete shapes in a folder.
+class FullShapes:
+    """The full shapes of a folder.
 
     Args:
         files: by name.
-        splits: names of those that are trained on and tested with.
-        truth_root: the folder whose ``corres/`` has the common points of all of them, if it does.
+        splits: their names by split.
+        truth_root: the folder with ``corres/``, if it has the template correspondence of all shapes.
     """
 
     files: dict[str, Path]
-    splits: dict[SetSplit, tuple[str, ...]]
+    splits: dict[DatasetSplit, tuple[str, ...]]
     truth_root: Path | None
 
     @classmethod
-    def open(cls, source: str | Path, *, seed: int) -> Bodies:
-        """Look into a folder with ``off/`` and perhaps ``corres/``, or any folder of meshes; the seed is the split's.
+    def open(cls, source: str | Path, *, seed: int) -> FullShapes:
+        """Open a folder with ``off/`` and perhaps ``corres/``, or any folder of meshes; the seed is that of the split.
 
         Raises:
             DataError: if it has fewer than two meshes, names that lists cannot hold, or splits that share a shape.
@@ -90,23 +90,23 @@ def _check_names(root: Path, names: Sequence[str]) -> None:
             raise DataError(f"{root}: the name {name!r} has a blank or a comma, or is a view's; rename the file")
 
 
-def _splits(folder: ShapeFolder, seed: int) -> dict[SetSplit, tuple[str, ...]]:
+def _splits(folder: ShapeFolder, seed: int) -> dict[DatasetSplit, tuple[str, ...]]:
     if (folder.root / "train.txt").is_file() and (folder.root / "test.txt").is_file():
         train, test = folder.split("train"), folder.split("test")
         if shared := sorted({*train} & {*test}):
             raise DataError(f"{folder.root}: {shared[0]!r} is in train.txt and in test.txt; take it out of one")
         return {"train": train, "test": test}
-    names = [folder.names[place] for place in np.random.default_rng([seed, _SPLIT]).permutation(len(folder.names))]
+    names = [folder.names[index] for index in np.random.default_rng([seed, _SPLIT]).permutation(len(folder.names))]
     n_test = max(round(len(names) / TEST_EVERY), 1)
     return {"train": tuple(names[n_test:]), "test": tuple(names[:n_test])}
 
 
-def planned_view(bodies: Bodies, number: int, *, seed: int) -> PlannedView:
-    """The view with this number, whatever others there are. The bodies of a split take turns, in a drawn order."""
-    split: SetSplit = "test" if number % TEST_EVERY == TEST_EVERY - 1 else "train"
-    names = bodies.splits[split]
-    turn = number // TEST_EVERY if split == "test" else number - number // TEST_EVERY
-    own = np.random.default_rng([seed, _ORDER]).permutation(len(names))[turn % len(names)]
-    complete = np.random.default_rng([seed, _PARTNER, number]).integers(len(names))
+def planned_view(shapes: FullShapes, number: int, *, seed: int) -> PlannedView:
+    """The view with a given number, independent of the total; the shapes of a split alternate in a random order."""
+    split: DatasetSplit = "test" if number % TEST_EVERY == TEST_EVERY - 1 else "train"
+    names = shapes.splits[split]
+    position = number // TEST_EVERY if split == "test" else number - number // TEST_EVERY
+    viewed = np.random.default_rng([seed, _ORDER]).permutation(len(names))[position % len(names)]
+    full = np.random.default_rng([seed, _PARTNER, number]).integers(len(names))
     name = f"view_{number:06d}"
-    return PlannedView(name, split, names[own], names[complete], zlib.crc32(f"{seed} {name}".encode()))
+    return PlannedView(name, split, names[viewed], names[full], zlib.crc32(f"{seed} {name}".encode()))

@@ -1,4 +1,4 @@
-"""What a camera sees of a mesh: the visible triangles, and a cloud such as a depth camera would take."""
+"""Partial views: the triangles that a camera sees of a mesh, and the cloud that a depth camera would record."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from jaxtyping import Bool, Float, Int
 from homolog.core.arguments import is_count, is_real
 from homolog.core.errors import ShapeError, bad_value
 from homolog.shapes import FEWEST_POINTS, Shape, face_areas
-from homolog.synthesis.drawing import Range, check_number, check_range, drawn
-from homolog.synthesis.part import Part, mesh_faces, part_of_faces
+from homolog.synthesis.partial_shape import PartialShape, keep_faces, mesh_faces
 from homolog.synthesis.rays import first_hits, visible
+from homolog.synthesis.sampling import Range, check_number, check_range, sample
 
 Vector = tuple[float, float, float]
 
-# What tells the numbers apart that are drawn with one seed.
+# Streams of random numbers with one seed.
 _CAMERA, _NOISE = 0, 1
 
 _ADVICE = "move the camera, or take a finer mesh"
@@ -25,12 +25,12 @@ _ADVICE = "move the camera, or take a finer mesh"
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera that holds its image upright: +y of the shape points up in it.
+    """An upright pinhole camera: the shape's +y points up in the image.
 
     Args:
-        position: of the pinhole, in the shape's units.
-        target: the place in the middle of the image.
-        opening: half the extent of the image's shorter side at depth 1.
+        position: of the centre of projection, in the shape's units.
+        target: the point in the middle of the image.
+        opening: half the shorter side of the image at depth 1 (the tangent of half the field of view).
         pixels: width and height of the image.
     """
 
@@ -52,7 +52,7 @@ class Camera:
 
     @property
     def axes(self) -> Float[np.ndarray, "3 3"]:
-        """Unit vectors to the right, downwards, and forwards, as rows."""
+        """The camera's axes as rows: right, down, forward."""
         forwards = self._sight / np.linalg.norm(self._sight)
         right = np.cross(forwards, (0, 1, 0))
         right /= np.linalg.norm(right)
@@ -60,37 +60,37 @@ class Camera:
 
     @property
     def edges(self) -> Float[np.ndarray, " 2"]:
-        """Half the extents of the image at depth 1, its width first."""
+        """Half the width and half the height of the image at depth 1."""
         extents: np.ndarray = self.opening * np.array(self.pixels) / min(self.pixels)
         return extents
 
-    def seen_from(self, points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
-        """Points in the camera's coordinates: right, down, depth."""
+    def to_camera(self, points: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+        """Camera coordinates of points: right, down, depth."""
         coordinates: np.ndarray = (points - np.array(self.position)) @ self.axes.T
         return coordinates
 
     def rays(self) -> Float[np.ndarray, "r 2"]:
-        """Where the rays through the middles of the pixels meet the image at depth 1, row by row from the top."""
+        """Image coordinates at depth 1 of the rays through the pixels' centres, row by row from the top."""
         u, v = ((2 * np.arange(n) + 1 - n) / n * edge for n, edge in zip(self.pixels, self.edges, strict=True))
         return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
 
     def frames(self, coordinates: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which points, in the camera's coordinates, lie within the image, whatever hides them."""
+        """Which points, in camera coordinates, lie within the image, occluded or not."""
         within: np.ndarray = (np.abs(coordinates[:, :2]) <= self.edges * coordinates[:, 2:]).all(axis=1)
         return within
 
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """From where a shape is looked at, and how finely. The image just holds the sphere around the shape.
+    """The distribution of cameras, and the image's resolution. The image just contains the shape's bounding sphere.
 
     Args:
-        distance: from the middle of the shape to the camera, in radii of the sphere around it, or the range from which
-            it is drawn.
-        elevation: how high the camera stands above the middle, in degrees, or the range from which it is drawn, so
-            that equal areas of the sphere of directions are as likely. Azimuths are as likely all around.
-        pixels: width and height of the image that the cloud is taken with.
-        noise: standard deviation of the cloud's depths, along the rays, in units of sqrt(area) of the complete shape.
+        distance: from the shape's centre to the camera, in radii of the bounding sphere, or the range from which it is
+            sampled uniformly.
+        elevation: of the camera above the shape's centre, in degrees, or the range from which it is sampled, uniformly
+            by area on the sphere. Azimuths are uniform.
+        pixels: width and height of the depth image.
+        noise: standard deviation of the cloud's depths along the rays, in units of sqrt(area) of the full shape.
     """
 
     distance: Range = (2.0, 4.0)
@@ -107,39 +107,43 @@ class ViewSettings:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a camera sees of a complete shape.
+    """A partial view of a full shape.
 
     Args:
-        mesh: the faces whose corners and middle are all visible, in as many pieces as occlusion leaves.
-        cloud: the first places that the rays through the pixels meet, from the top left on.
-        camera: from where.
-        visible_share: of the complete shape's area.
+        mesh: the faces whose corners and centroid are visible; occlusion may split it into several components.
+        cloud: the first hits of the rays through the pixels, row by row from the top left.
+        camera: that it was seen with.
+        visible_share: share of the full shape's area that is visible.
     """
 
-    mesh: Part
-    cloud: Part
+    mesh: PartialShape
+    cloud: PartialShape
     camera: Camera
     visible_share: float
 
 
 def view(shape: Shape, settings: ViewSettings | None = None, *, seed: int) -> View:
-    """Look at a mesh from a random place around it.
+    """View a mesh from a random position around it.
 
     Args:
         shape: a clean mesh, +y up; not changed.
-        settings: where the camera may be, its pixels and its noise.
-        seed: of the camera and of the noise.
+        settings: distribution of cameras, resolution and noise.
+        seed: of the camera and the noise.
 
     Raises:
-        ShapeError: if the shape is a cloud or needs repair, or next to nothing of it is seen.
+        ShapeError: if the shape is a cloud or needs repair, or next to nothing of it is visible.
+
+    Example:
+        >>> seen = view(shape, ViewSettings(distance=3.0), seed=0)  # doctest: +SKIP
+        >>> seen.mesh.shape.n_points, seen.visible_share  # doctest: +SKIP
     """
     settings = settings or ViewSettings()
-    camera = drawn_camera(shape, settings, seed=seed)
+    camera = sample_camera(shape, settings, seed=seed)
     return view_from(shape, camera, noise=settings.noise, seed=seed)
 
 
-def drawn_camera(shape: Shape, settings: ViewSettings, *, seed: int) -> Camera:
-    """A camera somewhere around a mesh; see ``ViewSettings``.
+def sample_camera(shape: Shape, settings: ViewSettings, *, seed: int) -> Camera:
+    """Sample a camera around a mesh; see ``ViewSettings``.
 
     Raises:
         ShapeError: if the shape is a cloud or needs repair.
@@ -148,48 +152,48 @@ def drawn_camera(shape: Shape, settings: ViewSettings, *, seed: int) -> Camera:
     middle = (used.min(axis=0) + used.max(axis=0)) / 2
     radius = np.linalg.norm(used - middle, axis=1).max()
     random = np.random.default_rng([seed, _CAMERA])
-    distance = drawn(settings.distance, random)
-    position = middle + radius * distance * _drawn_place(settings.elevation, random)
-    # The cone that touches the sphere around the shape.
+    distance = sample(settings.distance, random)
+    position = middle + radius * distance * _sample_direction(settings.elevation, random)
+    # The cone that touches the bounding sphere.
     opening = 1 / np.sqrt(distance**2 - 1)
     return Camera(_vector(position), _vector(middle), float(opening), settings.pixels)
 
 
 def view_from(shape: Shape, camera: Camera, *, noise: float = 0.0, seed: int = 0) -> View:
-    """Look at a mesh with a camera.
+    """View a mesh with a given camera.
 
-    A face counts as visible if its corners and its middle are, from either side; what lies outside the image is not.
-    Visibility is exact and knows nothing of pixels, but a face that something hides only in between counts as visible.
+    A face is visible if its corners and its centroid are, from either side, and lie within the image. Visibility is
+    computed exactly, not from pixels, but a face that is occluded only between these four points counts as visible.
 
     Args:
         shape: a clean mesh; not changed.
-        camera: from where; the whole shape must lie before it.
+        camera: the whole shape must lie in front of it.
         noise: standard deviation of the cloud's depths, along the rays, in units of the square root of the area.
         seed: of the noise.
 
     Raises:
-        ShapeError: if the shape is a cloud or needs repair, lies behind the camera, or next to nothing of it is seen.
+        ShapeError: if the shape is a cloud, needs repair, lies behind the camera, or is hardly visible.
     """
     check_number("noise", noise, 0)
     faces = mesh_faces(shape)
-    points = camera.seen_from(shape.points)
+    points = camera.to_camera(shape.points)
     corners = points[faces]
     if not (corners[:, :, 2] > 0).all():
         raise ShapeError(f"{shape.name} lies partly behind the camera at {camera.position}; move the camera away")
-    seen = _visible_faces(camera, points, faces)
+    visible_faces = _visible_faces(camera, points, faces)
     areas = face_areas(shape.points, faces)
     return View(
-        mesh=part_of_faces(shape, seen, advice=_ADVICE),
+        mesh=keep_faces(shape, visible_faces, advice=_ADVICE),
         cloud=_cloud(shape, camera, corners, noise * np.sqrt(areas.sum()), seed),
         camera=camera,
-        visible_share=float(areas[seen].sum() / areas.sum()),
+        visible_share=float(areas[visible_faces].sum() / areas.sum()),
     )
 
 
-def _drawn_place(elevation: Range, random: np.random.Generator) -> Float[np.ndarray, " 3"]:
-    """A unit vector; bands of equal height on a sphere have equal areas."""
+def _sample_direction(elevation: Range, random: np.random.Generator) -> Float[np.ndarray, " 3"]:
+    """A unit vector, uniform by area: zones of equal height on a sphere have equal areas (Archimedes)."""
     ends = np.sin(np.radians(elevation))
-    height = drawn(tuple(ends) if isinstance(elevation, tuple) else float(ends), random)
+    height = sample(tuple(ends) if isinstance(elevation, tuple) else float(ends), random)
     azimuth = random.uniform(0, 2 * np.pi)
     across = np.sqrt(1 - height**2)
     return np.array([across * np.sin(azimuth), height, across * np.cos(azimuth)])
@@ -201,15 +205,15 @@ def _visible_faces(
     corners = points[faces]
     # Points that no face uses may lie anywhere, behind the camera even.
     used = np.unique(faces)
-    asked = np.concatenate([points[used], corners.mean(axis=1)])
-    seen = visible(corners, asked) & camera.frames(asked)
+    queried = np.concatenate([points[used], corners.mean(axis=1)])
+    seen = visible(corners, queried) & camera.frames(queried)
     point_seen = np.zeros(len(points), dtype=bool)
     point_seen[used] = seen[: len(used)]
     both: np.ndarray = point_seen[faces].all(axis=1) & seen[len(used) :]
     return both
 
 
-def _cloud(shape: Shape, camera: Camera, corners: Float[np.ndarray, "m 3 3"], sigma: float, seed: int) -> Part:
+def _cloud(shape: Shape, camera: Camera, corners: Float[np.ndarray, "m 3 3"], sigma: float, seed: int) -> PartialShape:
     rays = camera.rays()
     hits = first_hits(corners, rays)
     (met,) = np.nonzero(hits.triangles >= 0)
@@ -221,7 +225,7 @@ def _cloud(shape: Shape, camera: Camera, corners: Float[np.ndarray, "m 3 3"], si
     points = np.einsum("rk,rkd->rd", weights, shape.points[faces])
     noise = sigma * np.random.default_rng([seed, _NOISE]).standard_normal(len(met))
     points += noise[:, None] * _directions(camera, rays[met])
-    return Part(Shape(points, name=shape.name), nearest, triangles, weights)
+    return PartialShape(Shape(points, name=shape.name), nearest, triangles, weights)
 
 
 def _directions(camera: Camera, rays: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r 3"]:

@@ -7,42 +7,41 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
-from homolog.core.errors import ArgumentError, TrainingError, bad_value
+from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.progress import Listener
-from homolog.features import AugmentationSettings, DiffusionNet, NetworkFeatures
+from homolog.core.settings import Count, Settings
+from homolog.features import DiffusionNet, NetworkFeatures
 from homolog.geometry import Basis
 from homolog.matching import Matcher, align_partial
 from homolog.pairs import Pair, PreprocessedShape
-from homolog.training.objective import LossSettings, TrainingShape, pair_losses
-from homolog.training.recipe import OptimiserSettings, SampleSettings
+from homolog.training.losses import TOTAL
+from homolog.training.objective import pair_losses
+from homolog.training.quantities import TrainingShape
 from homolog.training.samples import at_points, subsets
+from homolog.training.settings import AugmentationSettings, LossSettings, OptimiserSettings, SampleSettings
 from homolog.training.state import TrainingState
 
 
-@dataclass(frozen=True)
-class AdaptationSettings:
+@dataclass(frozen=True, kw_only=True)
+class AdaptationSettings(Settings):
     """How a network is adapted to a pair.
 
     Args:
-        steps: changes of the weights.
-        optimiser: how weights follow gradients; the learning rate stays the same, and is low, as Adam's first steps are
-            of that size for every weight, whatever the gradient.
+        steps: updates of the weights.
+        optimiser: how weights follow gradients. The learning rate is constant, and low: Adam's first steps are of that
+            size for every weight, whatever the gradient.
         samples: on which points of the shapes.
-        loss: weights and sizes of the losses; functional maps have the matcher's size.
+        loss: the losses; functional maps have the matcher's size.
         augmentation: of the network's input.
         seed: of everything random.
     """
 
-    steps: int = 15
+    steps: Count = 15
     optimiser: OptimiserSettings = field(default_factory=lambda: OptimiserSettings(learning_rate=1e-4))
     samples: SampleSettings = field(default_factory=SampleSettings)
     loss: LossSettings = field(default_factory=LossSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise bad_value("steps", self.steps, "at least 1")
 
 
 def adapt_to_pair(
@@ -68,7 +67,7 @@ def adapt_to_pair(
     extractor = pair.extractor
     if not isinstance(extractor, NetworkFeatures):
         raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
-    if settings.loss.orthogonality and not extractor.info.near_isometric:
+    if settings.loss.weights["orthogonality"] and not extractor.info.near_isometric:
         raise ArgumentError(
             f"the weights {extractor.info.name!r} are for shapes that keep no areas, but pairs are adapted to by "
             "losses for those that do; leave --adapt out, or in Python give other losses"
@@ -120,8 +119,8 @@ def _train(
             partial=partial,
         )
         network.zero_grad()
-        torch.autograd.backward(losses.total)
+        torch.autograd.backward(losses[TOTAL])
         norm = torch.nn.utils.clip_grad_norm_(network.parameters(), settings.optimiser.gradient_clip or float("inf"))
-        if not torch.isfinite(losses.total + norm):
+        if not torch.isfinite(losses[TOTAL] + norm):
             raise TrainingError(f"adapting to {x.name} and {y.name}: the loss of step {step + 1} is not finite")
         state.take_step(settings.optimiser.learning_rate, 0.0)

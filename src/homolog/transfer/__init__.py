@@ -1,39 +1,39 @@
-"""Carrying things from one shape to another along a match: smooth maps between surfaces, and what goes along them."""
+"""Transfer along a match: smooth maps between surfaces; arrays, labels, landmarks, colours, textures and skins."""
 
 from homolog.transfer.appearance import NO_COLOUR, Appearance, Checkerboard, Texture, read_appearance
-from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, painted, unwrapped
-from homolog.transfer.carrier import Carrier
-from homolog.transfer.delivery import OWN_NAMES, Delivery, Kind, check_names
+from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, bake_texture, unwrap
+from homolog.transfer.delivery import OUTPUT_NAMES, Delivery, Kind, check_output_names
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels, read_original
 from homolog.transfer.landmarks import LANDMARK_SUFFIXES, Landmarks, System, read_landmarks
 from homolog.transfer.obj import write_obj
-from homolog.transfer.places import PlaceFinder, ShapePlaces
+from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 from homolog.transfer.skin import Skin, read_skin
 from homolog.transfer.smooth_map import SurfaceMap, surface_map
+from homolog.transfer.transfer import Transfer
 from homolog.transfer.untangling import untangled
 
 __all__ = [
     "LANDMARK_SUFFIXES",
     "NO_COLOUR",
-    "OWN_NAMES",
+    "OUTPUT_NAMES",
     "TEXTURE_SIZE",
     "Appearance",
     "Atlas",
-    "Carrier",
     "Checkerboard",
     "Delivery",
     "Kind",
     "Landmarks",
     "Original",
-    "PlaceFinder",
-    "ShapePlaces",
     "Skin",
     "SurfaceMap",
+    "SurfacePoints",
+    "SurfaceProjector",
     "System",
     "Texture",
-    "check_names",
-    "painted",
+    "Transfer",
+    "bake_texture",
+    "check_output_names",
     "png",
     "read_appearance",
     "read_array",
@@ -43,7 +43,7 @@ __all__ = [
     "read_skin",
     "surface_map",
     "untangled",
-    "unwrapped",
+    "unwrap",
     "write_glb",
     "write_obj",
 ]

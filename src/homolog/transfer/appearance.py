@@ -1,4 +1,4 @@
-"""What a shape looks like: the texture or the colours that its file holds, and its colour at any place."""
+"""What a shape looks like: the texture or vertex colours of its file, sampled at any point of the surface."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from homolog.shapes.gltf_format import quiet_trimesh
 from homolog.shapes.parsing import UnreadableError
 from homolog.shapes.ply_format import read_ply_colours
 from homolog.transfer.obj import read_obj_colours, read_obj_texture
-from homolog.transfer.places import PlaceFinder, ShapePlaces
+from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 
 NO_COLOUR = (160, 160, 160)
-"""What has no counterpart is grey."""
+"""The colour of what has no counterpart: grey."""
 
 _WHITE = np.full((1, 1, 3), 255, dtype=np.uint8)
 
@@ -33,7 +33,7 @@ class Texture:
     """Images on a mesh.
 
     Args:
-        coordinates: for each corner of each face, a place in its image (m, 3, 2): (0, 0) is the upper left corner of
+        coordinates: texture coordinates of each corner of each face (m, 3, 2): (0, 0) is the upper left corner of
             the upper left texel and (1, 1) the lower right corner of the lower right one; images repeat beyond.
         image_of: the image of each face (m,).
         images: red, green and blue of each texel, from 0 to 255.
@@ -43,15 +43,15 @@ class Texture:
     image_of: Int[np.ndarray, " m"]
     images: tuple[Image, ...]
 
-    def colours(self, places: ShapePlaces) -> UInt8[np.ndarray, "p 3"]:
-        """The colour at each place, between texels by bilinear interpolation; grey where there is none.
+    def colours(self, points: SurfacePoints) -> UInt8[np.ndarray, "p 3"]:
+        """Sample the texture at points of the surface, bilinearly; grey at invalid points.
 
-        A place lies in one face, and so in one piece of the atlas: nothing is interpolated across its seams.
+        A point lies in one face, and so in one chart of the atlas: nothing is interpolated across seams.
         """
-        assert places.faces is not None
-        colours = np.full((len(places.faces), 3), NO_COLOUR, dtype=np.uint8)
-        where = np.einsum("pck,pc->pk", self.coordinates[places.faces], places.weights)
-        image_of = np.where(places.exist, self.image_of[places.faces], -1)
+        assert points.faces is not None
+        colours = np.full((len(points.faces), 3), NO_COLOUR, dtype=np.uint8)
+        where = np.einsum("pck,pc->pk", self.coordinates[points.faces], points.weights)
+        image_of = np.where(points.valid, self.image_of[points.faces], -1)
         for number, image in enumerate(self.images):
             of_image = image_of == number
             colours[of_image] = _sampled(image, where[of_image])
@@ -80,38 +80,38 @@ class Appearance:
     texture: Texture | None = None
     point_colours: Float[np.ndarray, "n 3"] | None = None
 
-    def colours(self, places: ShapePlaces) -> UInt8[np.ndarray, "p 3"]:
-        """The colour at each place, by the texture if there is one; grey where there is no place, or no colour."""
+    def colours(self, points: SurfacePoints) -> UInt8[np.ndarray, "p 3"]:
+        """The colour at points of the surface, from the texture if there is one; grey where there is none."""
         if self.texture is not None:
-            return self.texture.colours(places)
+            return self.texture.colours(points)
         if self.point_colours is None:
-            return np.full((len(places.corners), 3), NO_COLOUR, dtype=np.uint8)
-        values = np.where(places.exist[:, None], 255 * places.values(self.point_colours), NO_COLOUR)
+            return np.full((len(points.corners), 3), NO_COLOUR, dtype=np.uint8)
+        values = np.where(points.valid[:, None], 255 * points.interpolate(self.point_colours), NO_COLOUR)
         return np.round(np.nan_to_num(values, nan=NO_COLOUR[0]).clip(0, 255)).astype(np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
 class Checkerboard:
-    """Squares painted on a shape from the front, to look at a map with: white ones, and ones coloured by position.
+    """A checkerboard on a shape, projected from the front, to inspect a map; squares are white or coloured by position.
 
     Args:
-        finder: the shape.
+        projector: the shape.
         squares: how many make the square root of its area.
     """
 
-    finder: PlaceFinder
+    projector: SurfaceProjector
     squares: int = 25
 
-    def colours(self, places: ShapePlaces) -> UInt8[np.ndarray, "p 3"]:
-        """The colour at each place; grey where there is none."""
-        points = np.where(places.exist[:, None], self.finder.positions(places), self.finder.shape.points[0])
-        across, up = np.floor(self.squares * points[:, :2].T / self.finder.unit).astype(int)
-        low, high = self.finder.shape.points.min(axis=0), self.finder.shape.points.max(axis=0)
-        share = ((points - low) / np.where(high > low, high - low, 1.0)).clip(0, 1)
-        # Of depth little is seen from the front.
+    def colours(self, points: SurfacePoints) -> UInt8[np.ndarray, "p 3"]:
+        """The colour at points of the surface; grey at invalid points."""
+        positions = np.where(points.valid[:, None], self.projector.positions(points), self.projector.shape.points[0])
+        across, up = np.floor(self.squares * positions[:, :2].T / self.projector.unit).astype(int)
+        low, high = self.projector.shape.points.min(axis=0), self.projector.shape.points.max(axis=0)
+        share = ((positions - low) / np.where(high > low, high - low, 1.0)).clip(0, 1)
+        # Depth is hardly visible from the front.
         share[:, 2] = 1.0 - share[:, 1]
         squares = np.where(((across + up) % 2 == 0)[:, None], 255.0, 20 + 200 * share)
-        return np.asarray(np.where(places.exist[:, None], squares, NO_COLOUR).round(), dtype=np.uint8)
+        return np.asarray(np.where(points.valid[:, None], squares, NO_COLOUR).round(), dtype=np.uint8)
 
 
 def read_appearance(path: Path, shape: Shape) -> Appearance:

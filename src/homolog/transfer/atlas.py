@@ -1,8 +1,8 @@
-"""A texture of its own for a mesh: unwrapping it, and what its texels show.
+"""UV unwrapping of a mesh, and baking colours into its texture.
 
-Copying the source's texture coordinates to the target's vertices would smear: where the corners of a triangle lie in
-different pieces of the source's atlas, everything between these would be drawn in it. So the target gets an atlas of
-its own, and each of its texels the colour of its place on the source.
+Texture coordinates cannot be copied from the source's vertices to the target's: where the corners of a triangle lie in
+different charts of the source's atlas, everything between these charts would be drawn in it. So the target is unwrapped
+anew, and each texel gets the colour of its counterpart on the source.
 """
 
 from __future__ import annotations
@@ -17,41 +17,42 @@ from scipy.ndimage import distance_transform_edt
 from homolog.core.errors import needs_extra
 from homolog.geometry.grouping import runs
 from homolog.transfer.appearance import NO_COLOUR
-from homolog.transfer.places import PlaceFinder, ShapePlaces
+from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 
 TEXTURE_SIZE = 1024
 """Texels along an image's width, by default."""
 
-# Texels between pieces, so that filtering does not mix them.
+# Texels between charts, so that filtering does not mix them.
 _PADDING = 4
-# Texels are coloured so many at a time.
+# How many texels are baked at a time.
 _AT_ONCE = 200_000
 
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """A mesh cut into flat pieces, side by side in an image.
+    """A UV atlas: a mesh cut into flat charts, side by side in an image.
 
     Args:
         point_of: the mesh's point that each vertex of the cut mesh is (v,), as an index of the shape as given.
         faces: triangles of the cut mesh (m, 3).
         face_of: the face of the shape as given that each of them is (m,).
-        places: of each vertex in the image, (0, 0) its upper left corner and (1, 1) its lower right one (v, 2).
+        uv: texture coordinates of each vertex; (0, 0) is the upper left corner of the image, (1, 1) the lower right
+            one (v, 2).
         shape: rows and columns of texels that the image is to have.
     """
 
     point_of: Int[np.ndarray, " v"]
     faces: Int[np.ndarray, "m 3"]
     face_of: Int[np.ndarray, " m"]
-    places: Float[np.ndarray, "v 2"]
+    uv: Float[np.ndarray, "v 2"]
     shape: tuple[int, int]
 
 
-def unwrapped(finder: PlaceFinder, *, size: int = TEXTURE_SIZE) -> Atlas:
-    """Cut a mesh into pieces and lay them out in an image.
+def unwrap(projector: SurfaceProjector, *, size: int = TEXTURE_SIZE) -> Atlas:
+    """UV-unwrap a mesh: cut it into charts and pack these into an image, by xatlas.
 
     Args:
-        finder: a mesh; of its faces, those that repair keeps.
+        projector: a mesh; of its faces, those that repair keeps.
         size: the image's width in texels; its height follows.
 
     Raises:
@@ -59,22 +60,22 @@ def unwrapped(finder: PlaceFinder, *, size: int = TEXTURE_SIZE) -> Atlas:
     """
     with needs_extra("making a texture", "transfer"):
         import xatlas
-    shape = finder.shape
+    shape = projector.shape
     assert shape.faces is not None
     atlas = xatlas.Atlas()
     # Around the origin and of one size, as it works in single precision.
-    points = (shape.points - shape.points.mean(axis=0)) / finder.unit
+    points = (shape.points - shape.points.mean(axis=0)) / projector.unit
     atlas.add_mesh(points.astype(np.float32), shape.faces.astype(np.uint32))
     packing = xatlas.PackOptions()
     packing.resolution, packing.padding, packing.bilinear = size, _PADDING, True
     atlas.generate(pack_options=packing)
-    point_of, faces, places = atlas[0]
+    point_of, faces, uv = atlas[0]
     height = max(1, round(size * atlas.height / max(atlas.width, 1)))
     return Atlas(
-        finder.repaired.kept[point_of.astype(np.int64)],
+        projector.repaired.kept[point_of.astype(np.int64)],
         faces.astype(np.int64),
-        finder.given_faces,
-        places.astype(np.float64),
+        projector.given_faces,
+        uv.astype(np.float64),
         (height, size),
     )
 
@@ -99,7 +100,7 @@ class Texels:
 def texels(atlas: Atlas) -> Texels:
     """All texels whose middles lie in a triangle of the atlas."""
     height, width = atlas.shape
-    corners = atlas.places[atlas.faces] * [width, height] - 0.5
+    corners = atlas.uv[atlas.faces] * [width, height] - 0.5
     low, high = np.ceil(corners.min(axis=1)).astype(int), np.floor(corners.max(axis=1)).astype(int)
     low, high = np.maximum(low, 0), np.minimum(high, [width - 1, height - 1])
     spans = np.maximum(high - low + 1, 0)
@@ -125,27 +126,27 @@ def _cross(a: Float[np.ndarray, "t 2"], b: Float[np.ndarray, "t 2"]) -> Float[np
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def painted(
-    atlas: Atlas, finder: PlaceFinder, colours: Callable[[ShapePlaces], UInt8[np.ndarray, "p 3"]]
+def bake_texture(
+    atlas: Atlas, projector: SurfaceProjector, colours: Callable[[SurfacePoints], UInt8[np.ndarray, "p 3"]]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The image of an atlas in which every place has its colour.
+    """Bake colours of a mesh into the image of its atlas.
 
-    Texels outside all pieces have the colour of the nearest one inside, so that what a viewer averages at the rims
-    is of the same colour.
+    Texels outside all charts get the colour of the nearest texel inside one, so that filtering at the borders of charts
+    mixes no other colour.
 
     Args:
-        atlas: of the finder's mesh.
-        finder: the mesh.
-        colours: the colour at each of some places on it.
+        atlas: of the projector's mesh.
+        projector: the mesh.
+        colours: gives the colour at points of the mesh.
     """
     image = np.full((*atlas.shape, 3), NO_COLOUR, dtype=np.uint8)
     inside = texels(atlas)
-    assert finder.given.faces is not None
+    assert projector.given.faces is not None
     for start in range(0, len(inside.rows), _AT_ONCE):
         some = slice(start, start + _AT_ONCE)
         of_shape = atlas.face_of[inside.triangles[some]]
-        places = ShapePlaces(finder.given.faces[of_shape], inside.weights[some], of_shape)
-        image[inside.rows[some], inside.columns[some]] = colours(places)
+        points = SurfacePoints(projector.given.faces[of_shape], inside.weights[some], of_shape)
+        image[inside.rows[some], inside.columns[some]] = colours(points)
     return _spread(image, inside)
 
 

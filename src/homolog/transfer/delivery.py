@@ -1,4 +1,4 @@
-"""The files that a transfer leaves in a folder."""
+"""The files that a transfer writes to a folder."""
 
 from __future__ import annotations
 
@@ -9,16 +9,23 @@ from typing import Any, Literal
 import numpy as np
 
 from homolog.core.errors import ArgumentError, DataError
-from homolog.core.files import all_or_nothing, atomic_path, made_folder, write_json, write_npy
+from homolog.core.files import (
+    all_or_nothing,
+    atomic_path,
+    expanded,
+    made_folder,
+    refuse_overwriting_inputs,
+    write_json,
+    write_npy,
+)
 from homolog.shapes import drawable, write_shape
 from homolog.transfer.appearance import Appearance, Checkerboard
-from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, painted, unwrapped
-from homolog.transfer.carrier import Carrier
+from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, bake_texture, unwrap
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels
 from homolog.transfer.landmarks import System, read_landmarks
 from homolog.transfer.obj import write_obj
-from homolog.transfer.skin import Skin
+from homolog.transfer.transfer import Transfer, no_counterpart_label
 
 Kind = Literal["texture", "colours", "skin"]
 """What a shape's file can hold beside points and faces."""
@@ -26,184 +33,203 @@ Kind = Literal["texture", "colours", "skin"]
 _OBJ, _MTL, _PNG = "textured.obj", "textured.mtl", "textured.png"
 _PLY, _GLB, _REPORT = "coloured.ply", "carried.glb", "transfer.json"
 _CHECKERED = "checkered.glb"
-OWN_NAMES = (_OBJ, _MTL, _PNG, _PLY, _GLB, _CHECKERED, _REPORT)
-"""The names of the files that a delivery may write, beside those of arrays and landmarks."""
+OUTPUT_NAMES = (_OBJ, _MTL, _PNG, _PLY, _GLB, _CHECKERED, _REPORT)
+"""Names of the files that a transfer may write, beside those of arrays, labels and landmarks."""
 
-# Landmarks that are so many point spacings away from the surface are told of.
+# A landmark farther from the surface than this many point spacings gets a warning.
 _FAR = 3.0
 
-# Writes files into a folder; gives what the report says of each, by its name.
+# Writes files into a folder, and returns their entries in the report by file name.
 _Writer = Callable[[Path], dict[str, Any]]
 
 
 class Delivery:
-    """Files to be written, in an order: what they need is read at once, and carried when they are written.
+    """Collects what is to be transferred, and writes it to a folder.
+
+    Files are read when they are added, and transferred in ``write``.
 
     Args:
-        carrier: what carries.
-        axes: the coordinates of both shapes, for landmarks that say theirs.
+        transfer: along which match.
+        axes: the anatomical axes of both shapes, for landmark files that state theirs.
         texture_size: texels along the width of a new texture.
+
+    Example:
+        >>> delivery = Delivery(Transfer(homolog.Match.load("result")))  # doctest: +SKIP
+        >>> delivery.add_labels(Path("organs.npy"))  # doctest: +SKIP
+        >>> delivery.write(Path("transferred"), {})  # doctest: +SKIP
     """
 
-    def __init__(self, carrier: Carrier, *, axes: System = "LPS", texture_size: int = TEXTURE_SIZE) -> None:
-        self.carrier, self.axes, self.texture_size = carrier, axes, texture_size
+    def __init__(self, transfer: Transfer, *, axes: System = "LPS", texture_size: int = TEXTURE_SIZE) -> None:
+        self.transfer, self.axes, self.texture_size = transfer, axes, texture_size
         self.notes: list[str] = []
-        """What the user should know, a line each, once all is written."""
+        """Messages for the user, a line each, complete after ``write``."""
+        self._inputs: list[Path] = []
         self._writers: list[_Writer] = []
 
     def add_array(self, path: Path) -> None:
-        """An NPY file of numbers, a row per source point; see ``read_array``."""
-        values = read_array(path, self.carrier.source.given)
+        """Add an NPY file of numbers, a row per source point; see ``read_array``."""
+        self._inputs.append(path)
+        values = read_array(path, self.transfer.source.given)
 
         def write(folder: Path) -> dict[str, Any]:
-            carried = self.carrier.array(values)
-            write_npy(folder / path.name, carried)
+            write_npy(folder / path.name, self.transfer.array(values))
             return {path.name: {"kind": "array", "file": str(path)}}
 
         self._writers.append(write)
 
     def add_labels(self, path: Path) -> None:
-        """An NPY file of whole numbers, one per source point; see ``read_labels``."""
-        labels = read_labels(path, self.carrier.source.given)
+        """Add an NPY file of whole numbers, one per source point; see ``read_labels``."""
+        self._inputs.append(path)
+        labels = read_labels(path, self.transfer.source.given)
+        none = no_counterpart_label(labels)
 
         def write(folder: Path) -> dict[str, Any]:
-            write_npy(folder / path.name, self.carrier.labels(labels))
-            return {path.name: {"kind": "labels", "file": str(path)}}
+            write_npy(folder / path.name, self.transfer.labels(labels))
+            if none != -1:
+                self.notes.append(f"{path.name}: -1 is one of its labels; points without a counterpart have {none}")
+            return {path.name: {"kind": "labels", "file": str(path), "without_counterpart": none}}
 
         self._writers.append(write)
 
     def add_landmarks(self, path: Path) -> None:
-        """A file of points on the source; see ``read_landmarks``."""
+        """Add a file of landmarks on the source; see ``read_landmarks``."""
+        self._inputs.append(path)
         landmarks = read_landmarks(path)
 
         def write(folder: Path) -> dict[str, Any]:
-            carried, away = self.carrier.landmarks(landmarks.points_in(self.axes))
-            landmarks.write_from(folder / path.name, carried, self.axes)
-            lost = int((np.isfinite(away) & np.isnan(carried[:, 0])).sum())
-            farthest = float(np.nanmax(away)) if np.isfinite(away).any() else None
-            self._tell_of_landmarks(path, lost, farthest)
-            told = {"without_counterpart": lost, "largest_distance_from_source": farthest}
-            return {path.name: {"kind": "landmarks", "file": str(path), **told}}
+            images, distances = self.transfer.landmarks(landmarks.points_in(self.axes))
+            landmarks.write_from(folder / path.name, images, self.axes)
+            unmatched = int((np.isfinite(distances) & np.isnan(images[:, 0])).sum())
+            farthest = float(np.nanmax(distances)) if np.isfinite(distances).any() else None
+            self._note_landmarks(path, unmatched, farthest)
+            figures = {"without_counterpart": unmatched, "largest_distance_from_source": farthest}
+            return {path.name: {"kind": "landmarks", "file": str(path), **figures}}
 
         self._writers.append(write)
 
     def add_contents(self, original: Original, kinds: Collection[Kind]) -> None:
-        """What the source's own file holds of texture, colours and skin.
+        """Add the texture, vertex colours and skin of the source's own file.
+
+        Args:
+            original: the source's file.
+            kinds: which of these; empty for all that the file holds.
 
         Raises:
-            DataError: if it does not hold one of these, or holds it damaged.
+            DataError: if the file does not hold one of them, or is damaged.
             ArgumentError: if the target has no faces, but needs them.
         """
+        self._inputs += original.files
         kinds = self._checked(original, kinds)
 
         def write(folder: Path) -> dict[str, Any]:
-            drawn = drawable(self.carrier.target.given)
+            drawn = drawable(self.transfer.target.given)
             texture = self._texture(folder, original.appearance) if "texture" in kinds else None
-            colours = self.carrier.colours(original.appearance) if "colours" in kinds else None
-            skin = self._skin(original) if "skin" in kinds else None
+            colours = self.transfer.colours(original.appearance) if "colours" in kinds else None
+            skin = self.transfer.skin(original.skin) if "skin" in kinds and original.skin is not None else None
             written = [_OBJ, _MTL, _PNG] if texture is not None else []
             if colours is not None:
                 write_shape(folder / _PLY, drawn, colours=colours)
                 written.append(_PLY)
             if drawn.faces is not None:
-                write_glb(folder / _GLB, self.carrier.target, texture=texture, colours=colours, skin=skin)
+                write_glb(folder / _GLB, self.transfer.target, texture=texture, colours=colours, skin=skin)
                 written.append(_GLB)
             return {name: {"kind": "contents", "file": str(original.path), "holds": sorted(kinds)} for name in written}
 
         self._writers.append(write)
 
     def add_checkerboard(self) -> None:
-        """Squares painted on both shapes, to look at the map with.
+        """Add a checkerboard that is painted on both shapes, to inspect the map.
 
         Raises:
             ArgumentError: if one of the shapes has no faces.
         """
-        for finder in (self.carrier.source, self.carrier.target):
-            if finder.surface is None:
-                raise ArgumentError(f"{finder.given.name} has no faces to paint squares on; carry --colours instead")
+        for projector in (self.transfer.source, self.transfer.target):
+            if projector.surface is None:
+                raise ArgumentError(
+                    f"{projector.given.name} has no faces to paint squares on; transfer --colours instead"
+                )
 
         def write(folder: Path) -> dict[str, Any]:
-            source, board = self.carrier.source, Checkerboard(self.carrier.source)
-            atlas = unwrapped(source, size=self.texture_size)
-            image = png(painted(atlas, source, board.colours))
+            source, board = self.transfer.source, Checkerboard(self.transfer.source)
+            atlas = unwrap(source, size=self.texture_size)
+            image = png(bake_texture(atlas, source, board.colours))
             write_glb(folder / _CHECKERED, source, texture=(atlas, image))
-            write_glb(folder / _GLB, self.carrier.target, texture=self._texture(folder, board))
+            write_glb(folder / _GLB, self.transfer.target, texture=self._texture(folder, board))
             return {name: {"kind": "checkerboard"} for name in (_CHECKERED, _OBJ, _MTL, _PNG, _GLB)}
 
         self._writers.append(write)
 
     def write(self, folder: Path, report: dict[str, Any]) -> list[Path]:
-        """Carry and write everything, all of it or nothing, and a report.
+        """Transfer and write everything with a report; all files land together or none does.
 
         Args:
-            folder: made if need be.
-            report: what ``transfer.json`` is to say besides.
+            folder: created if needed.
+            report: further entries of ``transfer.json``.
 
         Returns:
             The files.
 
         Raises:
-            HomologError: as carrying and writing do.
+            ArgumentError: if a file that was added would be overwritten.
+            HomologError: as transferring and writing do.
         """
+        names = (*OUTPUT_NAMES, *(path.name for path in self._inputs))
+        refuse_overwriting_inputs([expanded(folder) / name for name in names], self._inputs)
         with all_or_nothing():
             files = dict[str, Any]()
-            place = made_folder(folder)
+            root = made_folder(folder)
             for writer in self._writers:
-                files |= writer(place)
-            points = {"points": self.carrier.target.given.n_points, "without_counterpart": self._lost()}
-            write_json(place / _REPORT, report | {"target": points, "files": files})
-        return [place / name for name in (*files, _REPORT)]
+                files |= writer(root)
+            target = {
+                "points": self.transfer.target.given.n_points,
+                "without_counterpart": int((self.transfer.found.target_to_source < 0).sum()),
+            }
+            write_json(root / _REPORT, report | {"target": target, "files": files})
+        return [root / name for name in (*files, _REPORT)]
 
-    def _lost(self) -> int:
-        return int((self.carrier.found.target_to_source < 0).sum())
-
-    def _tell_of_landmarks(self, path: Path, lost: int, farthest: float | None) -> None:
-        if lost:
-            self.notes.append(f"{path.name}: no counterpart for {lost} of its landmarks")
-        if farthest is not None and farthest > _FAR * self.carrier.source.spacing:
+    def _note_landmarks(self, path: Path, unmatched: int, farthest: float | None) -> None:
+        if unmatched:
+            self.notes.append(f"{path.name}: no counterpart for {unmatched} of its landmarks")
+        if farthest is not None and farthest > _FAR * self.transfer.source.spacing:
             self.notes.append(
                 f"Warning: a landmark of {path.name} is {farthest:.3g} away from the source's surface; "
                 "look at its units and at --axes"
             )
 
     def _checked(self, original: Original, kinds: Collection[Kind]) -> set[Kind]:
-        """The kinds that were asked for, if they can be carried; all that can, if none was."""
-        mesh = self.carrier.target.surface is not None
+        """The kinds that were asked for, or all that can be transferred if none was."""
+        mesh = self.transfer.target.surface is not None
         held = _held(original)
         if not kinds:
-            # A cloud has the texture's colours.
+            # A target without faces gets the texture's colours at its points.
             possible: set[Kind] = held
             if not mesh:
                 possible = {"colours"} if held & {"texture", "colours"} else set()
             if not possible:
                 raise DataError(
-                    f"{original.path} holds nothing that could be carried; give --array, --labels or --landmarks"
+                    f"{original.path} holds nothing that could be transferred; give --array, --labels or --landmarks"
                 )
             return set(possible)
         for kind in kinds:
             if kind not in held and not (kind == "colours" and "texture" in held):
                 raise DataError(f"{original.path} holds no {kind}; leave --{kind} out, or give the file that does")
             if kind != "colours" and not mesh:
-                raise ArgumentError(
-                    f"{self.carrier.target.given.name} has no faces, but --{kind} needs them; carry --colours instead"
-                )
+                name = self.transfer.target.given.name
+                raise ArgumentError(f"{name} has no faces, but --{kind} needs them; transfer --colours instead")
         return set(kinds)
 
     def _texture(self, folder: Path, appearance: Appearance | Checkerboard) -> tuple[Atlas, bytes]:
-        atlas, image = self.carrier.texture(appearance, size=self.texture_size)
+        atlas, image = self.transfer.texture(appearance, size=self.texture_size)
         content = png(image)
         with atomic_path(folder / _PNG) as temporary:
             temporary.write_bytes(content)
-        drawn, corners = drawable(self.carrier.target.given), atlas.places[atlas.faces]
+        drawn, corners = drawable(self.transfer.target.given), atlas.uv[atlas.faces]
         write_obj(folder / _OBJ, drawn, corners, materials=_MTL, image=_PNG)
         return atlas, content
 
-    def _skin(self, original: Original) -> Skin:
-        assert original.skin is not None
-        return self.carrier.skin(original.skin)
-
 
 def _held(original: Original) -> set[Kind]:
+    """What the source's file holds."""
     appearance = original.appearance
     found: dict[Kind, object] = {
         "texture": appearance.texture,
@@ -213,15 +239,15 @@ def _held(original: Original) -> set[Kind]:
     return {kind for kind, held in found.items() if held is not None}
 
 
-def check_names(paths: Sequence[Path]) -> None:
-    """Refuse files of which two would be written to one place, and one that is given twice.
+def check_output_names(paths: Sequence[Path]) -> None:
+    """Refuse two inputs whose outputs would have the same name, and an input that is given twice.
 
     Raises:
         ArgumentError: if there are any.
     """
-    names = list[str](OWN_NAMES)
-    for place, path in enumerate(paths):
-        if path in paths[:place]:
+    names = list[str](OUTPUT_NAMES)
+    for number, path in enumerate(paths):
+        if path in paths[:number]:
             raise ArgumentError(f"{path} is given twice; say once what it is")
         if path.name in names:
             raise ArgumentError(f"{path}: another file named {path.name} is written as well; rename this one")

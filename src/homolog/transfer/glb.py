@@ -1,4 +1,4 @@
-"""Writing a mesh with its texture or colours and its skin as one GLB file."""
+"""Writing a mesh with its texture or vertex colours and its skin as one GLB file."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from homolog.geometry import unit
 from homolog.shapes import drawable
 from homolog.transfer.atlas import Atlas
 from homolog.transfer.gltf import GlbWriter
-from homolog.transfer.places import PlaceFinder
-from homolog.transfer.skin import Skin, strongest
+from homolog.transfer.projection import SurfaceProjector
+from homolog.transfer.skin import Skin, strongest_influences
 
 Image = UInt8[np.ndarray, "h w 3"]
 
@@ -40,33 +40,32 @@ def png(image: Image) -> bytes:
 
 def write_glb(
     path: Path,
-    finder: PlaceFinder,
+    projector: SurfaceProjector,
     *,
     texture: tuple[Atlas, bytes] | None = None,
     colours: UInt8[np.ndarray, "n 3"] | None = None,
     skin: Skin | None = None,
 ) -> None:
-    """Write a mesh and what it looks like and is moved by, whole or not at all.
+    """Write a mesh with normals, texture or vertex colours, and a skin as GLB; the whole file or none.
 
-    Points keep their numbers, unless there is a texture: then those at its seams are repeated. What points are in
-    front of, their normals, is written as well.
+    Points keep their indices, unless there is a texture: then the points at its seams are repeated.
 
     Args:
         path: the file; its folder exists.
-        finder: the mesh.
+        projector: the mesh.
         texture: its atlas, and the image as a PNG file.
         colours: of its points; passed over where there is a texture, which programs would multiply with them.
-        skin: what moves its points.
+        skin: skeleton and skinning weights.
     """
     glb = GlbWriter()
-    shape = drawable(finder.given)
+    shape = drawable(projector.given)
     assert shape.faces is not None
     point_of = np.arange(shape.n_points) if texture is None else texture[0].point_of
     faces = shape.faces if texture is None else texture[0].faces
     attributes = {"POSITION": glb.accessor(shape.points[point_of].astype("<f4"), bounds=True)}
-    attributes["NORMAL"] = glb.accessor(_normals(finder)[point_of].astype("<f4"))
+    attributes["NORMAL"] = glb.accessor(_normals(projector)[point_of].astype("<f4"))
     if texture is not None:
-        attributes["TEXCOORD_0"] = glb.accessor(texture[0].places.astype("<f4"))
+        attributes["TEXCOORD_0"] = glb.accessor(texture[0].uv.astype("<f4"))
     elif colours is not None:
         attributes["COLOR_0"] = _colours(glb, colours)
     if skin is not None:
@@ -81,10 +80,10 @@ def write_glb(
         temporary.write_bytes(glb.content())
 
 
-def _normals(finder: PlaceFinder) -> Float[np.ndarray, "n 3"]:
-    """Unit normals of all points; straight up where a point has none, as they must have length one."""
-    assert finder.surface is not None
-    normals = unit(finder.repaired.to_original(finder.surface.vertex_normals, fill=0.0))
+def _normals(projector: SurfaceProjector) -> Float[np.ndarray, "n 3"]:
+    """Unit normals of all points; +y where a point has none, as glTF demands length one."""
+    assert projector.surface is not None
+    normals = unit(projector.repaired.to_original(projector.surface.vertex_normals, fill=0.0))
     return np.where(normals.any(axis=1, keepdims=True), normals, np.array([0.0, 1.0, 0.0]))
 
 
@@ -100,7 +99,7 @@ def _colours(glb: GlbWriter, colours: UInt8[np.ndarray, "n 3"]) -> int:
 
 
 def _influences(glb: GlbWriter, skin: Skin, point_of: Int[np.ndarray, " v"]) -> dict[str, int]:
-    joints, weights = strongest(skin.weights[point_of])
+    joints, weights = strongest_influences(skin.weights[point_of])
     return {"JOINTS_0": glb.accessor(joints.astype("<u2")), "WEIGHTS_0": glb.accessor(weights.astype("<f4"))}
 
 
@@ -120,8 +119,8 @@ def _skeleton(glb: GlbWriter, skin: Skin, node: dict[str, Any]) -> list[int]:
     for number, (name, parent) in enumerate(zip(skin.names, skin.parents.tolist(), strict=True)):
         local = skin.frames[number] if parent < 0 else inverse[parent] @ skin.frames[number]
         children = np.flatnonzero(skin.parents == number).tolist()
-        turn = Rotation.from_matrix(local[:3, :3]).as_quat().tolist()
-        joint = {"name": name, "translation": local[:3, 3].tolist(), "rotation": turn}
+        rotation = Rotation.from_matrix(local[:3, :3]).as_quat().tolist()
+        joint = {"name": name, "translation": local[:3, 3].tolist(), "rotation": rotation}
         glb.add("nodes", joint | ({"children": children} if children else {}))
     # In columns, as glTF has its matrices.
     matrices = glb.accessor(inverse.transpose(0, 2, 1).reshape(-1, 16).astype("<f4"), vertices=False)

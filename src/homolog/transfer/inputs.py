@@ -1,4 +1,4 @@
-"""What a transfer reads beside the match: the file that is carried from, and arrays."""
+"""What a transfer reads beside the match: the original file of the source, and arrays."""
 
 from __future__ import annotations
 
@@ -58,20 +58,21 @@ def read_original(result: Match, side: Side, path: Path | None = None) -> Origin
         DataError: if it is not there, or is not what it was.
         ShapeError: if it cannot be read.
     """
-    told = result.report.get("inputs", {}).get(side, {})
-    if path is None and "file" not in told:
+    recorded = result.report.get("inputs", {}).get(side, {})
+    if path is None and "file" not in recorded:
         raise DataError(f"the report of this match does not name its {side}; give the file with --from")
-    place = expanded(told["file"] if path is None else path)
-    if not place.is_file():
-        raise DataError(f"{place}, the {side} of this match, is not there; say with --from FILE where it is now")
-    shape = read_shape(place)
-    if told.get("sha256", (digest := sha256(*files_of_shape(place)))) != digest or not _alike(shape, result.source):
-        raise DataError(f"{place} is not the file that was matched, or was changed since; match it again")
-    return Original(place, shape)
+    file = expanded(recorded["file"] if path is None else path)
+    if not file.is_file():
+        raise DataError(f"{file}, the {side} of this match, is not there; say with --from FILE where it is now")
+    shape = read_shape(file)
+    digest = sha256(*files_of_shape(file))
+    if recorded.get("sha256", digest) != digest or not _same_points(shape, result.source):
+        raise DataError(f"{file} is not the file that was matched, or was changed since; match it again")
+    return Original(file, shape)
 
 
-def _alike(shape: Shape, drawn: Shape) -> bool:
-    """Whether a shape is the one of which a result holds a drawable form."""
+def _same_points(shape: Shape, drawn: Shape) -> bool:
+    """Whether a shape has the points of a result's shape, whose points that are no numbers were replaced."""
     finite = np.isfinite(shape.points).all(axis=1)
     return shape.n_points == drawn.n_points and np.array_equal(shape.points[finite], drawn.points[finite])
 
@@ -113,5 +114,5 @@ def read_labels(path: Path, shape: Shape) -> Int[np.ndarray, " n"]:
     with np.errstate(invalid="ignore"):
         labels = array.astype(np.int64)
     if not np.array_equal(labels, array):
-        raise DataError(f"{path} holds numbers that are not whole, but labels must be; carry them with --array")
+        raise DataError(f"{path} holds numbers that are not whole, but labels must be; transfer them with --array")
     return labels

