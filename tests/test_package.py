@@ -29,13 +29,15 @@ CORE = {
     "core": set(),
 }
 GROUND = set(CORE)
-BENEATH_EVALUATION = {"shapes", "geometry", "features", "maps", "matching", "datasets"}
+BENEATH_EVALUATION = {"shapes", "geometry", "features", "maps", "pairs", "methods", "matching", "datasets"}
 FLOORS = CORE | {
     "shapes": GROUND,
     "geometry": GROUND | {"shapes"},
-    "features": GROUND | {"shapes", "geometry"},
     "maps": GROUND | {"shapes", "geometry"},
-    "matching": GROUND | {"shapes", "geometry", "features", "maps"},
+    "features": GROUND | {"shapes", "geometry", "maps"},
+    "pairs": GROUND | {"shapes", "geometry", "features", "maps"},
+    "methods": GROUND | {"shapes", "geometry", "features", "maps", "pairs"},
+    "matching": GROUND | {"shapes", "geometry", "features", "maps", "pairs", "methods"},
     "transfer": GROUND | {"shapes", "geometry", "maps", "matching"},
     "datasets": GROUND | {"shapes"},
     "volumes": GROUND | {"shapes"},

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from homolog.matching.checks import doubts
 
 from homolog.core.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.core.progress import Steps
@@ -401,9 +400,9 @@ def test_weights_by_name(weights, tmp_path, monkeypatch):
 KINDS = {
     "number": (
         lambda m, s: m.match(3, s),
-        "source is an int, but must be a Shape; read files with homolog.read_shape",
+        "source: a shape is needed, but int was given; give a Shape, a path, points (n, 3)",
     ),
-    "bytes": (lambda m, s: m.match(s, b"b.ply"), "target is a bytes, but must be a Shape"),
+    "bytes": (lambda m, s: m.match(s, b"b.ply"), "target: a shape is needed, but bytes was given"),
     "array": (lambda m, s: m.preprocess(s.points), "shape is a ndarray, but must be a Shape"),
     "operators": (lambda m, s: m.preprocess.operators("a.ply"), "shape is a str, but must be a Shape"),
     "shape": (lambda m, s: m.preprocess.features(s), "operators is a Shape, but must be Operators; compute them"),

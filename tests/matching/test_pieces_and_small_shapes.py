@@ -1,4 +1,4 @@
-"""Shapes with small components beside them match as they do without it; tiny and symmetric ones give a result or a true error."""
+"""Shapes match alike with small components beside them; tiny and symmetric ones give a result or a true error."""
 
 import numpy as np
 import pytest

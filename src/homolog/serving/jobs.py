@@ -116,7 +116,7 @@ class Jobs:
         async with self._turn(job):
             await run_match(job, self._command, self._limits)
             await to_thread.run_sync(pack_result, job.folder)
-        report = read_json(job.folder / "result" / "report.json", needs="route") or {}
+        report = read_json(job.folder / "result" / "report.json", needs="method") or {}
         stems = [PurePath(job.upload.names[side]).stem for side in SIDES]
         job.publish("done", archive=f"{' to '.join(stems)}.zip", warnings=report.get("warnings", []))
 
