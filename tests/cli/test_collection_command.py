@@ -62,7 +62,7 @@ def test_files_to_a_folder_and_on(homolog, shapes, tmp_path):
     ended = homolog("collection", *shapes, "-o", out, *OPTIONS)
     assert ended.code == 0, ended.err
     assert ended.out.splitlines() == [str(out / name) for name in LOOKED_AT]
-    assert ended.err == "Placed 2 of 2 shapes: 0 failed, 0 doubtful.\n"
+    assert ended.err == "Registered 2 of 2 shapes: 0 failed, 0 with warnings.\n"
     points = np.load(out / "points.npy")
     np.testing.assert_array_equal(read_shape(out / "shapes" / "2.ply").points, points[1])
     report = json.loads((out / "report.json").read_text())
@@ -82,14 +82,14 @@ def test_a_bad_shape_is_a_line_and_the_exit_code(homolog, shapes, files, tmp_pat
     assert ended.code == 2
     first, last = ended.err.splitlines()
     assert first.startswith("Error: ") and str(files.rubbish) in first
-    assert last == "Placed 2 of 3 shapes: 1 failed, 0 doubtful."
+    assert last == "Registered 2 of 3 shapes: 1 failed, 0 with warnings."
     assert len(ended.out.splitlines()) == len(LOOKED_AT)
-    assert list(json.loads((out / "report.json").read_text())["not_placed"]) == ["rubbish"]
+    assert list(json.loads((out / "report.json").read_text())["not_registered"]) == ["rubbish"]
     again = homolog("collection", *shapes, files.rubbish, tmp_path / "none.ply", "-o", out, *OPTIONS)
     assert again.code == 2 and f"Error: {tmp_path / 'none.ply'} does not exist" in again.err
-    assert again.err.endswith("Placed 2 of 4 shapes: 2 failed, 0 doubtful.\n")
+    assert again.err.endswith("Registered 2 of 4 shapes: 2 failed, 0 with warnings.\n")
     only = homolog("collection", shapes[0], files.rubbish, "-o", tmp_path / "none", *OPTIONS)
-    assert only.code == 2 and only.err.count("\n") == 2 and "none of the 1 shapes could be placed" in only.err
+    assert only.code == 2 and only.err.count("\n") == 2 and "none of the 1 shapes could be registered" in only.err
     assert str(files.rubbish) in (tmp_path / "none" / "quality.csv").read_text()
 
 
@@ -101,7 +101,7 @@ def test_mistakes_are_one_line(homolog, shapes, files, tmp_path):
         ([template, one, one], "would both be called '1'"),
         ([tmp_path / "none.ply", one], "does not exist"),
         ([files.rubbish, one], "could not be read"),
-        ([files.dirty, one], "points that can have no place"),
+        ([files.dirty, one], "points that can have no counterpart"),
         ([template, one, "--weights", tmp_path / "none.safetensors"], "there are no weights"),
         ([template, one, "--method", "magic"], "magic"),
         ([template, one, "--as-cloud", "source"], "source"),

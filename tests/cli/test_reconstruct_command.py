@@ -22,7 +22,7 @@ def test_a_cloud_that_does_not_close_is_told_and_the_others_written(homolog, clo
     ball, bowl = clouds
     ended = homolog("reconstruct", bowl, ball, "-o", tmp_path / "new" / "out", "--points", 500, "--resolution", 48)
     assert ended.code == 2
-    assert ended.err.count("\n") == 1 and "bowl.xyz has holes too wide" in ended.err
+    assert ended.err.count("\n") == 1 and "bowl.xyz has gaps too wide" in ended.err
     assert [path.name for path in (tmp_path / "new" / "out").iterdir()] == ["ball.ply"]
     shape = read_shape(tmp_path / "new" / "out" / "ball.ply")
     assert shape.n_points == pytest.approx(500, rel=0.05)
@@ -55,4 +55,4 @@ def test_the_files_it_writes_are_checked_and_no_others(homolog, clouds, tmp_path
     assert ended.is_one_line_of_complaint() and "bowl.ply is a folder" in ended.err
     (tmp_path / "other" / "report.json").mkdir(parents=True)
     ended = homolog("reconstruct", bowl, "-o", tmp_path / "other", "--resolution", 48)
-    assert ended.code == 2 and "bowl.xyz has holes too wide" in ended.err
+    assert ended.code == 2 and "bowl.xyz has gaps too wide" in ended.err

@@ -27,8 +27,6 @@ from sybil.parsers.markdown import CodeBlockParser
 
 from homolog.shapes import Shape, write_shape
 
-pytestmark = pytest.mark.pages
-
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", DOCS / "index.md", *sorted((DOCS / "tutorials").glob("*.md"))]
@@ -161,6 +159,7 @@ def give_blobs(folder, make):
             (folder / "FAUST_r" / "corres" / f"{number}.vts").write_text(lines)
 
 
+@pytest.mark.pages
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_blocks_run(page, programs, make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from without_weights import axiomatic
 
-from homolog.shape_models import CollectionFolder, CollectionSettings, collect, making, subjects_of
+from homolog.shape_models import ShapeModelFolder, ShapeModelSettings, register_all, settings_record, subjects_of
 from homolog.shapes import Shape, read_hashed_shape, write_shape
 
 STRETCHES = (0.9, 1.05, 1.2)
@@ -32,9 +32,9 @@ def gathered():
     """``gathered(template, files, place)`` collects, and gives the folder and the outcomes."""
 
     def run(template, files, place, settings=None, **options):
-        settings = settings or CollectionSettings()
+        settings = settings or ShapeModelSettings()
         base, digest = read_hashed_shape(template)
-        folder = CollectionFolder.prepare(place, making(digest, axiomatic(), settings))
-        return folder, collect(base, subjects_of(files), folder, partial(axiomatic), settings, **options)
+        folder = ShapeModelFolder.prepare(place, settings_record(digest, axiomatic(), settings))
+        return folder, register_all(base, subjects_of(files), folder, partial(axiomatic), settings, **options)
 
     return run

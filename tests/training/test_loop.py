@@ -160,6 +160,14 @@ def test_half_precision_on_a_cpu_is_warned_of(meshes, small, tmp_path, caplog):
     assert "precision is 'bf16', which is for GPUs" in caplog.text
 
 
+def test_turned_shapes_and_upright_weights_are_warned_of(meshes, small, tmp_path, caplog):
+    for upright, turn, warned in ((True, "any", True), (False, "any", False), (True, "vertical", False)):
+        caplog.clear()
+        recipe = small(upright=upright, augmentation={"turn": turn}, training={"steps": 1}, validation={"pairs": 0})
+        loop.train(recipe, meshes, tmp_path / f"{upright}-{turn}", device="cpu")
+        assert ("set upright = false" in caplog.text) == warned
+
+
 @pytest.mark.parametrize("pre_aligned", [False, True])
 def test_parts_are_scored_as_parts(meshes, small, tmp_path, monkeypatch, pre_aligned):
     shutil.copytree(meshes, tmp_path / "set")

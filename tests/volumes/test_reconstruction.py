@@ -62,7 +62,7 @@ def test_it_follows_the_cloud():
 def test_an_open_surface_has_no_inside():
     half = scattered(BALL, 3000)
     open_bowl = Shape(half.points[half.points[:, 2] < 40.0], name="bowl.xyz")
-    with pytest.raises(ShapeError, match=r"bowl\.xyz has holes too wide to tell its inside"):
+    with pytest.raises(ShapeError, match=r"bowl\.xyz has gaps too wide to tell its inside"):
         reconstruct_surface(open_bowl, resolution=48)
 
 

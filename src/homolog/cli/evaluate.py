@@ -6,95 +6,147 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
+import homolog
 from homolog.cli.options import (
+    INPUT,
+    OUTPUT,
+    PARTIAL,
     Adapt,
+    DatasetOption,
     DeviceOption,
+    Json,
     MethodOption,
     NoCache,
     Quiet,
-    SetOption,
+    Seed,
     Verbose,
     Weights,
     build_matcher,
     check_file,
+    check_inputs,
+    check_json,
+    on_stdout,
     set_verbosity,
+    write_figures,
 )
 from homolog.cli.progress import progress_bar
+from homolog.core.choices import Modalities, Split, Up
 from homolog.core.errors import ArgumentError
-from homolog.core.files import write_csv, write_json
+from homolog.core.files import write_csv
 from homolog.core.versions import versions
-from homolog.datasets import DatasetDescription, ShapeFolder, Split, read_description
-from homolog.evaluation import Detection, Evaluation, MapsFolder, Modalities, Protocol, plot_pck
-from homolog.evaluation import evaluate as evaluate_folder
-from homolog.matching import Match, Matcher
-from homolog.pairs import Pair
-from homolog.shapes import Up
-from homolog.training import AdaptationSettings, adapt_to_pair
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from homolog.datasets import ShapeFolder
+    from homolog.evaluation import Detection, Evaluation, Protocol
+    from homolog.matching import Match, Matcher
+    from homolog.pairs import Pair
 
 
 def evaluate(
     data: Annotated[
-        Path, typer.Argument(metavar="DIR", help="A set's folder, or one with off/ and corres/.", show_default=False)
+        Path,
+        typer.Argument(metavar="DATA", help="A dataset's folder, or one with off/ and corres/.", show_default=False),
     ],
-    name: SetOption = None,
+    dataset: DatasetOption = None,
     weights: Weights = None,
     method: MethodOption = "auto",
     adapt: Adapt = 0,
     modality: Annotated[
         Modalities | None,
-        typer.Option(help="What source and target are used as.", show_default="mesh, or cloud for sets of clouds"),
+        typer.Option(
+            metavar="MODALITY",
+            help="What source and target are used as: mesh, cloud, mesh-to-cloud or cloud-to-mesh.",
+            show_default="mesh, or cloud for datasets of clouds",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
-    split: Annotated[Split, typer.Option(help="Which shapes: train.txt or test.txt, or by order of name.")] = "test",
-    pairs: Annotated[Path | None, typer.Option(help="A file of SOURCE,TARGET lines to use instead.")] = None,
+    split: Annotated[
+        Split, typer.Option(help="Which shapes: by train.txt and test.txt, or by order of name.", rich_help_panel=INPUT)
+    ] = "test",
+    pairs: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Lines of SOURCE,TARGET: the pairs to match instead.", rich_help_panel=INPUT),
+    ] = None,
     n_pairs: Annotated[
-        int | None, typer.Option(help="Draw so many pairs of different shapes at random, by the seed.", min=1)
+        int | None,
+        typer.Option(
+            "--n-pairs",
+            "-n",
+            metavar="N",
+            help="Draw so many pairs of different shapes at random.",
+            min=1,
+            rich_help_panel=INPUT,
+        ),
     ] = None,
+    up: Annotated[
+        Up | None,
+        typer.Option(
+            help="The axis that points up in the files.",
+            show_default="as the dataset has it, or y",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    noise: Annotated[
+        float,
+        typer.Option(
+            metavar="SIGMA",
+            help="Noise added to the points of clouds, in units of sqrt(area).",
+            min=0.0,
+            rich_help_panel=INPUT,
+        ),
+    ] = 0.0,
     partial: Annotated[
         bool | None,
         typer.Option(
             "--partial/--full",
-            help="Each target is a part of a shape like its source, in the same units.",
-            show_default="as the set has it",
+            help="Each target is a partial view or a part of a shape like its source, in the same units.",
+            show_default="as the dataset has it",
+            rich_help_panel=PARTIAL,
         ),
     ] = None,
     pre_aligned: Annotated[
         bool | None,
         typer.Option(
             "--pre-aligned/--not-pre-aligned",
-            help="Parts lie in the coordinates of their complete shapes, about where they belong.",
-            show_default="as the set has it",
+            help="Partial shapes lie in the coordinates of their full shapes, about where they belong.",
+            show_default="as the dataset has it",
+            rich_help_panel=PARTIAL,
         ),
     ] = None,
-    up: Annotated[
-        Up | None, typer.Option(help="The axis that points up in the files.", show_default="as the set has it, or y")
-    ] = None,
-    noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of the noise, of pairs drawn, and of orders shuffled.")] = 0,
-    json: Annotated[Path | None, typer.Option(metavar="OUT", help="Also write everything as JSON.")] = None,
     maps: Annotated[
         Path | None,
         typer.Option(
             metavar="DIR",
             help="Score point maps that another program computed: a file per pair, SOURCE_TARGET.txt (.vts, .map, "
             ".mat, .npz), with the source point of each target point. No weights are used.",
+            rich_help_panel=INPUT,
         ),
     ] = None,
     base: Annotated[
         int | None,
         typer.Option(
-            help="The first index in these files, 0 or 1.", min=0, max=1, show_default="0 for .txt and .npz, else 1"
+            help="The first index in the files of --maps, 0 or 1.",
+            min=0,
+            max=1,
+            show_default="0 for .txt and .npz, else 1",
+            rich_help_panel=INPUT,
         ),
     ] = None,
-    csv: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write a table of pairs.")] = None,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also draw the PCK curve, as .png, .pdf or .svg.")
+    json: Json = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a table of the pairs.", rich_help_panel=OUTPUT)
     ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the PCK curve, as .png, .pdf or .svg.", rich_help_panel=OUTPUT),
+    ] = None,
+    seed: Seed = 0,
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -102,19 +154,19 @@ def evaluate(
 ) -> None:
     """Score maps on a folder of shapes with ground truth.
 
-    The score is the mean geodesic error x100 of the map that gives each target point its source point, over all points
-    of all pairs together, in units of the square root of the source's area. Of sets of clouds it is the mean straight
-    distance in the files' unit. Of parts, it is also said how well points without a counterpart are found.
+    The score is the mean geodesic error x100 of the map from target to source, over all points of all pairs together,
+    in units of the square root of the source's area. For datasets of clouds it is the mean Euclidean distance in the
+    files' unit. For partial shapes, precision and recall of points without a counterpart are printed as well.
 
-    With --dataset, the axis that points up, whether targets are parts and where these lie are as the set's description
-    says; options that are given count more.
+    With --dataset, the up axis, whether targets are partial and whether these are pre-aligned come from the dataset's
+    description, unless options say otherwise.
 
     Examples:
       homolog evaluate FAUST_r --weights people.safetensors
 
-      homolog evaluate FAUST_r --weights people.safetensors --n-pairs 20
+      homolog evaluate FAUST_r --weights people.safetensors -n 20
 
-      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 --n-pairs 20
+      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 -n 20
 
       homolog evaluate SHREC16 --dataset shrec16_cuts --weights cuts.safetensors
 
@@ -123,14 +175,17 @@ def evaluate(
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    for file in (json, csv, plot):
+    check_json(json)
+    for file in (csv, plot):
         if file is not None:
             check_file(file)
     if maps is not None and (weights is not None or adapt):
         raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
-    description = DatasetDescription() if name is None else read_description(name)
+    check_inputs(weights=weights)
+    known = homolog.datasets
+    description = known.DatasetDescription() if dataset is None else known.read_description(dataset)
     partial = description.partial if partial is None else partial
-    protocol = Protocol(
+    protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
         split=split,
         pairs_file=None if pairs is None else str(pairs),
@@ -141,20 +196,20 @@ def evaluate(
         seed=seed,
     )
     matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache)
-    folder = ShapeFolder.open(data, description, up=up)
+    folder = known.ShapeFolder.open(data, description, up=up)
     with progress_bar(quiet=quiet) as progress:
-        evaluation = evaluate_folder(
+        evaluation = homolog.evaluation.evaluate(
             matcher,
             folder,
             protocol,
-            match=None if maps is None else MapsFolder(maps, base=base),
+            match=None if maps is None else homolog.evaluation.MapsFolder(maps, base=base),
             match_pair=None if matcher is None else _adapting(matcher, adapt),
             progress=progress,
         )
     if csv is not None:
         write_csv(csv, evaluation.rows())
     if plot is not None:
-        plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
+        homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
     if json is not None:
         report = {
             **evaluation.to_dict(),
@@ -167,8 +222,10 @@ def evaluate(
             "command": ["homolog", *sys.argv[1:]],
             "versions": versions(),
         }
-        write_json(json, report)
-    if not quiet:
+        write_figures(json, report)
+    if not quiet and not on_stdout(json):
+        from rich.console import Console
+
         Console().print(_table(evaluation, folder, protocol))
 
 
@@ -177,14 +234,18 @@ def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:
     if not steps:
         return None
 
+    settings = homolog.training.AdaptationSettings(steps=steps)
+
     def match(pair: Pair) -> Match:
-        adapted, pair = adapt_to_pair(matcher, pair, AdaptationSettings(steps=steps))
+        adapted, pair = homolog.training.adapt_to_pair(matcher, pair, settings)
         return adapted.find(pair)
 
     return match
 
 
 def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> Table:
+    from rich.table import Table
+
     found = evaluation.to_dict()
     table = Table(title=_title(folder, protocol), show_header=False, title_justify="left")
     kind = evaluation.error_kind
@@ -203,7 +264,7 @@ def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> T
     table.add_row("method", found["method"])
     if evaluation.n_doubtful:
         table.add_row("doubtful matches", f"{evaluation.n_doubtful} of {len(evaluation.pairs)}")
-    table.add_row("seconds", f"{found['seconds']['total']:.0f}")
+    table.add_row("seconds (preparing, matching, measuring)", f"{found['seconds']['total']:.0f}")
     return table
 
 

@@ -14,6 +14,7 @@ from types import FrameType
 from typing import NoReturn
 
 from homolog.core.errors import HomologError
+from homolog.core.threads import tune_threads
 
 # What PyTorch says, in a plain RuntimeError, where there is not enough memory for an array.
 _OUT_OF_MEMORY = re.compile("out of memory|not enough memory|can't allocate memory")
@@ -44,12 +45,13 @@ def main() -> None:
         # What libraries tell programmers is noise to users; `python -W default -m homolog` shows it.
         warnings.simplefilter("ignore")
     _hear(_leave)
+    tune_threads()
     try:
-        # Only now, as loading PyTorch takes seconds in which Ctrl-C must work, too.
+        # Only now, as Ctrl-C must work while the commands are loaded, too.
         from homolog.cli.app import app
 
         _hear(_interrupt)
-        status = app(standalone_mode=False)
+        status = app(prog_name="homolog", standalone_mode=False)
     except HomologError as error:
         _fail(str(error))
     except _Interrupted as interrupted:
@@ -71,7 +73,8 @@ def _complaint(error: Exception) -> str | None:
     # Mistakes in options are exceptions of the command-line library, which keeps their class to itself.
     if hasattr(error, "format_message"):
         said = error.format_message().replace("Value error, ", "").rstrip(".") or "a command is missing"
-        return f"{said}; see homolog --help"
+        context = getattr(error, "ctx", None)
+        return f"{said}; see {context.command_path if context else 'homolog'} --help"
     said = " ".join(str(error).split())
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and _OUT_OF_MEMORY.search(said)):
         way_out = "use --device cpu, smaller shapes" if "CUDA" in said else "use smaller shapes"

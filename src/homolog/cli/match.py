@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
+import homolog
 from homolog.cli.options import (
+    INPUT,
+    OUTPUT,
+    PARTIAL,
     PICTURE_WIDTH,
     Adapt,
     DeviceOption,
@@ -24,52 +28,67 @@ from homolog.cli.options import (
     build_matcher,
     check_file,
     check_folder,
+    check_inputs,
     check_picture_file,
     set_verbosity,
 )
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say
+from homolog.core.choices import AsCloud, Side, Up
 from homolog.core.progress import Listener, Steps
-from homolog.matching import RESULT_FILES, Match, Matcher, with_inputs, write_folder
-from homolog.pairs import SIDES, AsCloud, PairOptions, Side
-from homolog.shapes import Up
-from homolog.training import AdaptationSettings, adapt_to_pair
-from homolog.viewing import scene_of, write_page, write_picture
+
+if TYPE_CHECKING:
+    from homolog.matching import Match, Matcher
+    from homolog.pairs import PairOptions
 
 # read, repair, operators and features for each shape, the map, the check of the orientation, and writing.
 STEPS = 11
 
 
 def match(
-    source: Annotated[Path, typer.Argument(help="The shape whose positions give the colours.", show_default=False)],
-    target: Annotated[Path, typer.Argument(help="The shape to match it to.", show_default=False)],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the result.")] = Path(
-        "match"
-    ),
-    weights: Weights = None,
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="The shape whose positions give the colours.", show_default=False)
+    ],
+    target: Annotated[Path, typer.Argument(metavar="TARGET", help="The shape to match it to.", show_default=False)],
+    as_cloud: Annotated[
+        AsCloud | None, typer.Option(help="Use only the points of this shape.", rich_help_panel=INPUT)
+    ] = None,
+    up: Annotated[Up, typer.Option(help="The axis that points up in both files.", rich_help_panel=INPUT)] = "y",
+    source_up: Annotated[
+        Up | None, typer.Option(help="The axis that points up in the source, if it differs.", rich_help_panel=INPUT)
+    ] = None,
+    target_up: Annotated[
+        Up | None, typer.Option(help="The axis that points up in the target, if it differs.", rich_help_panel=INPUT)
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
+    ] = False,
     method: MethodOption = "auto",
+    weights: Weights = None,
     adapt: Adapt = 0,
-    as_cloud: Annotated[AsCloud | None, typer.Option(help="Use only the points of this shape.")] = None,
     partial: Annotated[
         Side | None,
-        typer.Option(help="This shape is a part of one like the other, whose points may then have no match."),
+        typer.Option(
+            help="This shape is partial: a part of a shape like the other, whose points may then have no counterpart.",
+            rich_help_panel=PARTIAL,
+        ),
     ] = None,
     partial_scale: Annotated[
         float,
         typer.Option(
             metavar="FACTOR",
-            help="What the partial shape's lengths are multiplied by to be in the complete one's units.",
+            help="Multiply the partial shape's lengths by this to bring them to the full one's units.",
+            rich_help_panel=PARTIAL,
         ),
     ] = 1.0,
     pre_aligned: PreAligned = False,
-    up: Annotated[Up, typer.Option(help="The axis that points up in both files.")] = "y",
-    source_up: Annotated[Up | None, typer.Option(help="The axis that points up in the source, if it differs.")] = None,
-    target_up: Annotated[Up | None, typer.Option(help="The axis that points up in the target, if it differs.")] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
+    ] = Path("match"),
     page: Page = None,
     picture: Picture = None,
     lines: Lines = 0,
     picture_width: PictureWidth = PICTURE_WIDTH,
     device: DeviceOption = "auto",
-    strict: Annotated[bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.")] = False,
     no_cache: NoCache = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -77,15 +96,15 @@ def match(
 ) -> None:
     """Match two shapes: for every point of each, the corresponding point of the other.
 
-    Writes OUT/correspondence.npz (point indices both ways and confidences), OUT/source.ply and OUT/target.ply (same
-    colour, same point) and OUT/report.json.
+    Writes DIR/correspondence.npz (point indices both ways and confidences), DIR/source.ply and DIR/target.ply (the same
+    colours on corresponding points) and DIR/report.json.
 
     Examples:
       homolog match cat.off lion.obj -o result --weights animals.safetensors
 
       homolog match scan.ply template.obj -o result --partial source --source-up z
 
-      homolog match part.stl whole.glb -o out --partial source --partial-scale 0.001
+      homolog match part.stl full.glb -o result --partial source --partial-scale 0.001
 
       homolog match a.ply b.xyz -o result --method axiomatic
 
@@ -94,11 +113,12 @@ def match(
       homolog match old.ply new.ply -o result --weights people.safetensors --adapt 15
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_folder(output, inputs=(source, target), names=RESULT_FILES)
+    check_inputs(source, target, weights=weights)
+    check_folder(output, inputs=(source, target), names=homolog.matching.RESULT_FILES)
     if page is not None:
         check_file(page)
     check_picture_file(picture, lines, picture_width)
-    options = PairOptions(
+    options = homolog.PairOptions(
         as_cloud=as_cloud,
         partial=partial,
         partial_scale=partial_scale,
@@ -111,12 +131,13 @@ def match(
         steps = Steps(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         found = match_or_adapt(matcher, source, target, options, adapt, steps)
-        paths = write_folder(output, found, steps=steps)
+        paths = homolog.matching.write_folder(output, found, steps=steps)
     if page is not None:
-        write_page(page, scene_of(found))
+        homolog.viewing.write_page(page, homolog.viewing.scene_of(found))
         paths.append(page)
     if picture is not None:
-        write_picture(picture, scene_of(found), width=picture_width, lines=lines)
+        scene = homolog.viewing.scene_of(found)
+        homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
         paths.append(picture)
     if not quiet:
         _summary(found, steps, paths, verbose=verbose)
@@ -129,9 +150,10 @@ def match_or_adapt(
     if not adapt:
         return matcher.match(source, target, options, steps=steps)
     pair, files = matcher.pair(source, target, options, steps=steps)
+    settings = homolog.training.AdaptationSettings(steps=adapt)
     with steps.step("adapt"):
-        matcher, pair = adapt_to_pair(matcher, pair, AdaptationSettings(steps=adapt), listener=steps.listener)
-    return with_inputs(matcher.match_pair(pair, steps=steps), files, steps, adapt=adapt)
+        matcher, pair = homolog.training.adapt_to_pair(matcher, pair, settings, listener=steps.listener)
+    return homolog.matching.with_inputs(matcher.match_pair(pair, steps=steps), files, steps, adapt=adapt)
 
 
 def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> Listener:
@@ -155,8 +177,8 @@ def _summary(match: Match, steps: Steps, paths: list[Path], *, verbose: bool) ->
         for step in steps.finished:
             say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")
     seconds = sum(step.seconds for step in steps.finished)
-    sides = "; ".join(f"{side} {_in_words(match.matched(side))}" for side in SIDES)
-    say(f"Matched by {match.method} in {seconds:.1f} s (reading to writing): {sides}.")
+    sides = "; ".join(f"{side} {_in_words(match.matched(side))}" for side in get_args(Side))
+    say(f"Matched by {match.method} in {seconds:.1f} s (from reading to writing): {sides}.")
     for path in paths:
         typer.echo(path)
 

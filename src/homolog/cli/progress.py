@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from functools import cache
-from typing import Annotated, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:  # help and mistakes in arguments do without
+    from rich.console import Console
 
 # Between lines where there is no terminal to show a bar.
 _SECONDS_PER_LINE = 30.0
@@ -35,6 +36,8 @@ class Report(Protocol):
 @cache
 def stderr_console() -> Console:
     """The one console on stderr: only it can print while it shows a bar without tearing that."""
+    from rich.console import Console
+
     return Console(stderr=True, highlight=False)
 
 
@@ -94,11 +97,26 @@ def progress_bar(*, quiet: bool, form: ProgressFormat = "bar") -> Iterator[Repor
     """
     if form == "json":
         yield JsonProgress()
-        return
-    console = stderr_console()
-    if not quiet and not console.is_terminal:
+    elif quiet:
+        yield lambda done, total, what: None
+    elif stderr_console().is_terminal:
+        with _bar() as report:
+            yield report
+    else:
         yield Lines()
-        return
+
+
+@contextmanager
+def _bar() -> Iterator[Report]:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -106,7 +124,7 @@ def progress_bar(*, quiet: bool, form: ProgressFormat = "bar") -> Iterator[Repor
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
+    with Progress(*columns, console=stderr_console(), transient=True) as progress:
         task = progress.add_task("starting", total=None)
 
         def report(done: int, total: int, what: str) -> None:

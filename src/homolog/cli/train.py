@@ -7,8 +7,11 @@ from typing import Annotated
 
 import typer
 
-from homolog.cli.options import DeviceOption, Quiet, SetOption, Verbose, set_verbosity
+import homolog
+from homolog.cli.options import DatasetOption, DeviceOption, Quiet, Verbose, set_verbosity
 from homolog.cli.progress import progress_bar
+from homolog.core.errors import HomologError
+from homolog.core.files import expanded
 
 
 def train(
@@ -31,7 +34,7 @@ def train(
     recipe: Annotated[
         str, typer.Option("--recipe", metavar="NAME|FILE", help="A built-in recipe, or a TOML file.")
     ] = "quick",
-    name: SetOption = None,
+    dataset: DatasetOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from RUN's last checkpoint, or begin where there is none.")
     ] = False,
@@ -70,20 +73,13 @@ def train(
 
       tensorboard --logdir run
     """
-    # These load torch, which an error in the arguments does without.
-    from homolog.core.errors import HomologError
-    from homolog.core.files import expanded
-    from homolog.datasets import read_description
-    from homolog.training import WEIGHTS, is_first_process, is_started_by_another, read_recipe
-    from homolog.training import train as train_network
-
     set_verbosity(quiet=quiet, verbose=verbose)
-    settings = read_recipe(recipe)
-    description = None if name is None else read_description(name)
-    first = is_first_process()
+    settings = homolog.training.read_recipe(recipe)
+    description = None if dataset is None else homolog.datasets.read_description(dataset)
+    first = homolog.training.is_first_process()
     try:
         with progress_bar(quiet=quiet or not first) as progress:
-            state = train_network(
+            state = homolog.training.train(
                 settings,
                 data,
                 output,
@@ -99,7 +95,7 @@ def train(
         if first:
             raise
         # The first process says it. It must have the time: one that sees those it started fail ends at once, killed.
-        raise typer.Exit(0 if is_started_by_another() else 2) from None
+        raise typer.Exit(0 if homolog.training.is_started_by_another() else 2) from None
     if first and not quiet:
         typer.echo(f"Trained {state.step} steps in {state.seconds / 60:.1f} minutes.", err=True)
-        typer.echo(expanded(output) / WEIGHTS)
+        typer.echo(expanded(output) / homolog.training.WEIGHTS)

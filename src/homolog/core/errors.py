@@ -14,7 +14,7 @@ class HomologError(Exception):
     The message is one line: the file or argument, what was found, what is allowed, what to do. The command line
     prints it without a traceback and exits with code 2.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> try:
         ...     homolog.set_working_memory(-1)

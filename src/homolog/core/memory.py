@@ -29,7 +29,7 @@ def set_working_memory(mebibytes: float) -> None:
     Raises:
         ArgumentError: if it is not a positive number.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> homolog.set_working_memory(512)
         >>> homolog.get_working_memory()
@@ -48,7 +48,7 @@ def set_working_memory(mebibytes: float) -> None:
 def get_working_memory() -> float:
     """The working-memory bound in mebibytes; see ``set_working_memory``.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> homolog.get_working_memory()
         1024.0
@@ -63,7 +63,7 @@ def working_memory(mebibytes: float) -> Iterator[None]:
     Args:
         mebibytes: the bound, above 0.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> with homolog.working_memory(64):
         ...     homolog.get_working_memory()

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
+from homolog.core.choices import Up
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded
 from homolog.core.settings import read_settings, read_toml
-from homolog.shapes import Up
 
 Holds = Literal["meshes", "clouds", "volumes"]
 TruthKind = Literal["template-correspondence", "barycentric", "same-numbering", "pair-maps", "none"]

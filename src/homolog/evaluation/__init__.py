@@ -1,5 +1,6 @@
 """How good maps are: metrics and the field's protocol."""
 
+from homolog.core.choices import Modalities
 from homolog.evaluation.maps_folder import MapsFolder
 from homolog.evaluation.metrics import (
     PCK_THRESHOLD,
@@ -11,7 +12,7 @@ from homolog.evaluation.metrics import (
     pck_curve,
 )
 from homolog.evaluation.plot import plot_pck
-from homolog.evaluation.protocol import Modalities, Protocol
+from homolog.evaluation.protocol import Protocol
 from homolog.evaluation.result import Evaluation, PairErrors
 from homolog.evaluation.runner import MatchShapes, Metric, ScoredPair, evaluate
 

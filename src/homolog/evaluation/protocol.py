@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
+from homolog.core.choices import Modalities, Side, Split
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
-from homolog.datasets import Split
-from homolog.pairs import Side
-
-Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
-"""What source and target are used as."""
 
 
 @dataclass(frozen=True)

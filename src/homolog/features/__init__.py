@@ -1,5 +1,6 @@
 """Features per point: the extractor that computes them, DiffusionNet, and its weights on disk."""
 
+from homolog.core.pretrained import DEFAULT_WEIGHTS, pretrained_weights
 from homolog.features.diffusion_net import DiffusionNet, GradientProduct, NetworkSettings, heat_decay
 from homolog.features.extractor import (
     FeatureExtractor,
@@ -10,7 +11,7 @@ from homolog.features.extractor import (
     on_device,
 )
 from homolog.features.info import FeatureInfo, NetworkInput
-from homolog.features.weights import DEFAULT_WEIGHTS, load_weights, pretrained_weights, save_weights
+from homolog.features.weights import load_weights, save_weights
 
 __all__ = [
     "DEFAULT_WEIGHTS",

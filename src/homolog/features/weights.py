@@ -15,7 +15,8 @@ from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import WeightsError
-from homolog.core.files import expanded, sha256
+from homolog.core.files import sha256
+from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
 from homolog.core.tensors import write_tensors
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
 from homolog.features.extractor import NetworkFeatures
@@ -24,10 +25,6 @@ from homolog.features.published import read_published
 
 # The format's name ends in its version, which grows when files can no longer be read by what read them before.
 _FORMAT, _VERSION = "homolog-weights-", 1
-_PRETRAINED = Path(__file__).parent / "pretrained"
-
-DEFAULT_WEIGHTS = "people"
-"""The name of the weights that are used where none are given."""
 
 
 def save_weights(path: str | Path, network: DiffusionNet, info: FeatureInfo) -> None:
@@ -57,7 +54,7 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
         WeightsError: if the file is missing, damaged, or not the weights of such a network.
     """
     check_kind("weights", weights, PathLike, str)
-    path = _found(weights)
+    path = weights_file(weights)
     read = read_published if path.suffix.lower() in (".pth", ".pt") else _read_own
     try:
         settings, info, tensors = read(path)
@@ -104,22 +101,3 @@ def _known(given: Mapping[str, Any]) -> dict[str, Any]:
     if unknown:
         raise ValueError(f"its header has an unknown setting {unknown[0]!r}; it may need a newer homolog")
     return dict(given)
-
-
-def _found(name: str | Path) -> Path:
-    """The file of the weights that a user named: a path, or the name of weights that ship with the package."""
-    path = expanded(name)
-    if path.is_file():
-        return path
-    pretrained = pretrained_weights()
-    if str(name) in pretrained:
-        return pretrained[str(name)]
-    raise WeightsError(
-        f"there are no weights {str(name)!r}; give the path of a file, or one of the pretrained ones: "
-        f"{', '.join(pretrained)}"
-    )
-
-
-def pretrained_weights() -> dict[str, Path]:
-    """Name and file of the weights that ship with the package."""
-    return {file.stem: file for file in sorted(_PRETRAINED.glob("*.safetensors"))}

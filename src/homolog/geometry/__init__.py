@@ -1,7 +1,8 @@
 """Discrete differential geometry of one shape: Laplacian, gradient, spectrum, geodesics, and Operators of it all."""
 
+from homolog.core.caches import cache_folder
 from homolog.geometry.basis import Basis
-from homolog.geometry.cache import OperatorCache, cache_folder
+from homolog.geometry.cache import OperatorCache
 from homolog.geometry.geodesics import Geodesics, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators

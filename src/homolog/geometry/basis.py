@@ -27,7 +27,7 @@ class Basis:
         gradients: takes coefficients to the two components of the gradient, in each point's tangent frame (n, 2, k).
         pseudo_inverse: takes a function's values to its coefficients (k, n).
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)

@@ -6,8 +6,6 @@ import hashlib
 import json
 import logging
 import os
-import time
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,14 +13,14 @@ from types import NoneType
 from typing import Literal
 
 import numpy as np
-import platformdirs
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.core.arguments import check_kind
+from homolog.core.caches import SUFFIX, CacheFolder
 from homolog.core.errors import ArgumentError
-from homolog.core.files import atomic_path, expanded
+from homolog.core.files import atomic_path
 from homolog.geometry.operators import Operators, OperatorSettings, compressed_rows, compute_operators
 from homolog.shapes import Shape
 
@@ -30,29 +28,13 @@ _log = logging.getLogger(__name__)
 
 # Part of every key: raise it when operators of the same shape and settings change.
 _VERSION = 2
-_SUFFIX = ".safetensors"
 _DENSE = ("points", "mass", "eigenvalues", "eigenvectors", "centre")
-_GIBIBYTE = 2**30
-# A temporary file older than this many seconds was left by a killed process.
-_ABANDONED = 24 * 3600
 
 EigenvectorPrecision = Literal["float32", "float16"]
 
 
-def cache_folder() -> Path:
-    """The default folder of the operator cache: ``HOMOLOG_CACHE`` if it is set, else the platform's cache folder.
-
-    Example:
-        >>> from homolog.geometry import cache_folder
-        >>> cache_folder().is_absolute()
-        True
-    """
-    chosen = os.environ.get("HOMOLOG_CACHE")
-    return expanded(chosen) if chosen else Path(platformdirs.user_cache_dir("homolog"))
-
-
 @dataclass(frozen=True)
-class OperatorCache:
+class OperatorCache(CacheFolder):
     """Cache of operators on disk: a folder with an entry per shape and settings, safe to share between processes.
 
     An entry's name is the hash of the shape's points and faces and of the settings. Entries are safetensors files,
@@ -64,7 +46,7 @@ class OperatorCache:
         max_bytes: bound on the folder's size; 10 GiB by default. A shape of 5,000 points takes about 5 MB.
         eigenvectors: ``"float32"``, or ``"float16"``, which nearly halves an entry at a relative error of 5e-4.
 
-    Example:
+    Examples:
         >>> import tempfile, trimesh
         >>> from homolog import OperatorCache, Shape
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)
@@ -79,22 +61,7 @@ class OperatorCache:
         ``compute_operators`` computes without a cache.
     """
 
-    folder: Path
-    max_bytes: int = 10 * _GIBIBYTE
     eigenvectors: EigenvectorPrecision = "float32"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "folder", Path(self.folder))
-
-    @classmethod
-    def default(cls) -> OperatorCache:
-        """The cache in the default folder; ``HOMOLOG_CACHE_GB`` changes its bound of 10 GB."""
-        given = os.environ.get("HOMOLOG_CACHE_GB", "10")
-        try:
-            max_bytes = int(float(given) * _GIBIBYTE)
-        except (ValueError, OverflowError):  # the latter from an infinite one
-            raise ArgumentError(f"HOMOLOG_CACHE_GB is {given!r}, but must be a number of gigabytes") from None
-        return cls(cache_folder(), max_bytes=max_bytes)
 
     def operators(
         self, shape: Shape, *, settings: OperatorSettings | None = None, scale: float | None = None
@@ -109,7 +76,7 @@ class OperatorCache:
         check_kind("shape", shape, Shape)
         check_kind("settings", settings, OperatorSettings, NoneType)
         settings = settings or OperatorSettings()
-        path = self.folder / (self._key(shape, settings, scale) + _SUFFIX)
+        path = self.folder / (self._key(shape, settings, scale) + SUFFIX)
         cached = _read(path)
         if cached is not None:
             return cached
@@ -118,11 +85,6 @@ class OperatorCache:
         if self.eigenvectors == "float16":  # as the next call will read them
             operators = replace(operators, eigenvectors=operators.eigenvectors.half().float())
         return operators
-
-    def size(self) -> tuple[int, int]:
-        """Number of entries and their bytes."""
-        sizes = [size for _, size, _ in self._entries()]
-        return len(sizes), sum(sizes)
 
     def _key(self, shape: Shape, settings: OperatorSettings, scale: float | None) -> str:
         described = {"version": _VERSION, "scale": scale, "precision": self.eigenvectors, **asdict(settings)}
@@ -141,39 +103,10 @@ class OperatorCache:
             self.folder.mkdir(parents=True, exist_ok=True)
             with atomic_path(path) as temporary:
                 save_file(tensors, temporary, metadata=notes)
-            self._make_room()
+            self.make_room()
         except (OSError, ArgumentError, SafetensorError) as error:
             # A full, read-only or forbidden disk costs time on the next call, no more.
             _log.warning("operators are not cached: %s", error)
-
-    def _make_room(self) -> None:
-        entries = sorted(self._entries())
-        excess = sum(size for _, size, _ in entries) - self.max_bytes
-        self._clear_abandoned()
-        for _, size, path in entries:
-            if excess <= 0:
-                return
-            with suppress(OSError):
-                path.unlink()
-            excess -= size
-
-    def _entries(self) -> Iterator[tuple[float, int, Path]]:
-        """Time of last use, bytes and path of each entry; another process may delete some meanwhile."""
-        yield from self._files(temporary=False)
-
-    def _clear_abandoned(self) -> None:
-        for used, _, path in self._files(temporary=True):
-            if used < time.time() - _ABANDONED:
-                with suppress(OSError):
-                    path.unlink()
-
-    def _files(self, *, temporary: bool) -> Iterator[tuple[float, int, Path]]:
-        """Entries, or files that ``atomic_path`` is writing, whose names begin with a dot."""
-        for path in self.folder.glob("*" + _SUFFIX) if self.folder.is_dir() else ():
-            if path.name.startswith(".") == temporary:
-                with suppress(OSError):
-                    status = path.stat()
-                    yield status.st_mtime, status.st_size, path
 
 
 def _read(path: Path) -> Operators | None:

@@ -47,7 +47,7 @@ def geodesic_distances(
         MissingExtraError: if ``"heat"`` or ``"exact"`` is asked for without the extra ``geodesics``.
         ShapeError: if the mesh is not of the kind that ``geodesics`` needs.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import geodesic_distances
         >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
@@ -118,7 +118,7 @@ def edge_graph(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]) 
     Returns:
         A sparse matrix; an edge of length zero keeps the smallest positive weight, so that it still joins its ends.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import edge_graph
         >>> triangle = np.array([[0.0, 0, 0], [3, 0, 0], [0, 4, 0]])
@@ -156,7 +156,7 @@ def pair_distances(
     Raises:
         ArgumentError: if the horizon is not positive.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import edge_graph, pair_distances
         >>> square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])

@@ -49,7 +49,7 @@ def mesh_laplacian(
         ArgumentError: if ``kind`` is neither.
         ShapeError: if they are no mesh, or the triangles are too degenerate for a Laplacian.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog.geometry import mesh_laplacian
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)
@@ -87,7 +87,7 @@ def cloud_laplacian(
         ArgumentError: if ``n_neighbours`` is too small.
         ShapeError: if they are no cloud, or too degenerate for a Laplacian.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog.geometry import cloud_laplacian
         >>> laplacian, mass = cloud_laplacian(trimesh.creation.icosphere(subdivisions=3).vertices)

@@ -67,7 +67,7 @@ class Operators:
         scale: one normalised unit in the file's units.
         method: how the eigenpairs were found.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog import Shape, compute_operators
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)
@@ -182,7 +182,7 @@ class OperatorSettings(Settings):
         laplacian: ``"robust"`` or ``"cotangent"`` for meshes; clouds have but one.
         n_neighbours: neighbours per point of a cloud's Laplacian and gradient, at least 3; 10 to 30 are sensible.
 
-    Example:
+    Examples:
         >>> from homolog.geometry import OperatorSettings
         >>> OperatorSettings(n_eigenpairs=60)
         OperatorSettings(n_eigenpairs=60, laplacian='robust', n_neighbours=14)
@@ -211,7 +211,7 @@ def compute_operators(
         ArgumentError: if the shape or the settings are something else.
         ShapeError: if the shape is not clean, or too degenerate for operators.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog import Shape, compute_operators
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)

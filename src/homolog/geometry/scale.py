@@ -30,7 +30,7 @@ class Frame:
         centre: the mean of the points, in the file's units (3,).
         scale: one normalised unit in the file's units, that is sqrt(surface area).
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.geometry import Frame
         >>> Frame(centre=np.zeros(3), scale=2.0).to_unit(np.array([[4.0, 0, 2]]))
@@ -61,7 +61,7 @@ def unit_frame(shape: Shape, *, scale: float | None = None) -> Frame:
         ArgumentError: if ``scale`` is not positive and finite.
         ShapeError: if the shape has no area, or is not clean.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog import Shape
         >>> from homolog.geometry import unit_frame
@@ -88,7 +88,7 @@ def frame_of(shape: Shape, *, scale: float | None = None) -> Frame:
 def surface_area(shape: Shape) -> float:
     """Surface area of a mesh, or the estimated area of a cloud, in squared units of the file.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog import Shape
         >>> from homolog.geometry import surface_area
@@ -116,12 +116,12 @@ def cloud_area(points: Float[np.ndarray, "n 3"]) -> float:
     Args:
         points: positions (n, 3).
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog.geometry import cloud_area
         >>> sphere = trimesh.creation.icosphere(subdivisions=4)
-        >>> bool(0.8 < cloud_area(sphere.vertices) / sphere.area < 1.25)
-        True
+        >>> round(float(cloud_area(sphere.vertices) / sphere.area), 1)  # the constant is meant for bodies
+        1.2
     """
     radius = float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if radius == 0:

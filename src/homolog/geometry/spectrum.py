@@ -19,24 +19,29 @@ from homolog.geometry.lanczos import BlockLanczos, Inverse
 
 _log = logging.getLogger(__name__)
 
-# Below this many points, or where most eigenpairs are wanted, a dense solve is both faster and exact.
+# Dense solves: at most this many points, or more than this share of all eigenpairs. They are faster there, and exact.
 _DENSE_POINTS = 500
 _DENSE_SHARE = 0.2
-# Where the last resort, a dense solve of any Laplacian, still takes seconds and well under a gigabyte.
+# The most points for a dense solve as the last resort: some seconds, and well under a gigabyte.
 _DENSE_LIMIT = 6000
-# Largest accepted |S u - lambda u|, as a share of the largest eigenvalue asked for.
-_TOLERANCE = 1e-6
+
+# Block Lanczos: sizes of blocks, tried in this order; a block finds eigenvalues of that multiplicity for certain.
 _BLOCKS = (8, 32)
-# The same where there is no other way left; beyond the second, a dense solve's eigenpairs mean nothing either.
+# The share of the eigenvalues asked for that lies below the shift. The upper end, where those not asked for begin, must
+# be nearer than the lower: it takes a third fewer solves than a shift at zero.
+_SHARE_BELOW = 0.62
+# Constant functions of at most this many connected components are known beforehand.
+_MOST_COMPONENTS = 200
+# Up to this many points the factors are solved in one thread: they are small, and threads get in each other's way.
+_ONE_THREAD_POINTS = 15_000
+# Restarts of ARPACK, which needs a few where it converges at all.
+_MOST_RESTARTS = 30
+
+# Largest accepted |S u - lambda u|, as a share of the largest eigenvalue asked for: of block Lanczos, of ARPACK, and of
+# dense solves, whose eigenpairs mean nothing beyond that.
+_TOLERANCE = 1e-6
 _LOOSE_TOLERANCE = 1e-4
 _DENSE_TOLERANCE = 1e-2
-# Of ARPACK, which needs a few where it converges at all.
-_MOST_RESTARTS = 30
-_ONE_THREAD_POINTS = 15_000
-# The share of the wanted eigenvalues that lies below the shift. The upper end of the wanted part of the spectrum, where
-# the unwanted ones begin, must be nearer than the lower: it takes a third fewer solves than a shift at zero.
-_SHARE_BELOW = 0.62
-_MOST_COMPONENTS = 200
 
 # What singular factors, numbers that are not finite, and too little memory raise in SciPy and PyTorch.
 _FAILURES = (RuntimeError, ValueError, MemoryError)
@@ -54,7 +59,7 @@ class Spectrum:
         residual: the largest |L phi - lambda M phi|, in the norm of M^-1, as a share of the largest eigenvalue.
         method: how they were found, for reports.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog.geometry import lowest_eigenpairs, mesh_laplacian
         >>> mesh = trimesh.creation.icosphere(subdivisions=2)
@@ -87,7 +92,7 @@ def lowest_eigenpairs(laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"],
         ArgumentError: if ``n_eigenpairs`` is not positive.
         ShapeError: if no method gives eigenpairs with a small residual.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog.geometry import lowest_eigenpairs, mesh_laplacian
         >>> mesh = trimesh.creation.icosphere(subdivisions=4)
@@ -205,8 +210,7 @@ def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
 
 
 def _iterate(problem: _Problem, shift: float, factors: sparse_linalg.SuperLU, k: int, block: int) -> _Pairs | None:
-    # SuperLU solves in one thread, and lets others run meanwhile; but where the factors are small, its many small BLAS
-    # calls get in each other's way.
+    # SuperLU solves in one thread, and lets others run meanwhile.
     threads = min(torch.get_num_threads(), block) if problem.size > _ONE_THREAD_POINTS else 1
     with ThreadPoolExecutor(threads) as pool:
 

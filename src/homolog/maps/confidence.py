@@ -36,7 +36,7 @@ class ConfidenceSettings(Settings):
         overlap_threshold: a point of the full shape has a counterpart if the density of the carried mass is at least
             this; above 0 and at most 1. The density is 1 inside the overlap, 0 outside, 0.5 on a straight boundary.
 
-    Example:
+    Examples:
         >>> from homolog.maps import ConfidenceSettings
         >>> ConfidenceSettings(overlap_threshold=0.3)
         ConfidenceSettings(n_neighbours=20, scale=0.1, smoothing=2.0, overlap_threshold=0.3)
@@ -76,7 +76,7 @@ def confidence(
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import confidence
         >>> points = torch.rand(100, 3, generator=torch.Generator().manual_seed(0))
@@ -113,7 +113,7 @@ def local_stretch(
     Returns:
         A length per point (n,), in the units of the positions.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import local_stretch
         >>> points, near = torch.tensor([[0.0, 0, 0], [1, 0, 0]]), torch.tensor([[1], [0]])
@@ -150,7 +150,7 @@ def overlap(
     Raises:
         ArgumentError: if an index is that of no point of the full shape.
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import overlap
@@ -190,7 +190,7 @@ def coverage_density(
     Raises:
         ArgumentError: if an index is that of no point of the full shape.
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import coverage_density

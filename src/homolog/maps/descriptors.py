@@ -34,7 +34,7 @@ def wave_kernel_signature(
     Raises:
         ArgumentError: if there is but one eigenpair, the constant.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import wave_kernel_signature
@@ -83,7 +83,7 @@ def smoothed_positions(operators: Operators, *, n_eigenpairs: int = 20) -> Float
     Returns:
         Positions (n, 3), in normalised coordinates.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import smoothed_positions

@@ -39,7 +39,7 @@ def resolvent_mask(
     Returns:
         The mask (k_y, k_x), zero where eigenvalues are equal.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog import resolvent_mask
         >>> resolvent_mask(np.array([0.0, 4.0]), np.array([0.0, 1.0, 4.0])).round(2)
@@ -88,7 +88,7 @@ def functional_map(
         ArgumentError: if the systems are singular, as with fewer features than eigenpairs and no regularisation, or
             not finite.
 
-    Example:
+    Examples:
         >>> import trimesh
         >>> from homolog import Shape, compute_operators, functional_map, resolvent_mask
         >>> from homolog.maps import wave_kernel_signature
@@ -205,7 +205,7 @@ def point_map_from_functional_map(
     Raises:
         ArgumentError: if there are fewer eigenvectors than the functional map is for, or it is not finite.
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators, point_map_from_functional_map
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)
@@ -255,7 +255,7 @@ def functional_map_from_point_map(
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import functional_map_from_point_map

@@ -23,7 +23,7 @@ class Nearest(Generic[Array]):
         index: candidate indices (n,), int64.
         value: squared distances, or inner products (n,).
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import Nearest, nearest_neighbour
         >>> found: Nearest[torch.Tensor] = nearest_neighbour(torch.eye(3), torch.eye(3))
@@ -50,7 +50,7 @@ def nearest_neighbour(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "
     Returns:
         Indices and squared distances; the first of equally near candidates.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.maps import nearest_neighbour
         >>> nearest = nearest_neighbour(np.array([[0.9], [5.0]]), np.array([[0.0], [1.0], [3.0]]))
@@ -79,7 +79,7 @@ def most_similar(queries: Float[Tensor, "n d"], candidates: Float[Tensor, "m d"]
     Returns:
         Indices and inner products; the first of equally similar candidates.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.maps import most_similar
         >>> most_similar(np.array([[1.0, 0.1]]), np.eye(2)).index

@@ -38,7 +38,7 @@ def cycle_error(
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.maps import cycle_error
         >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]])
@@ -67,7 +67,7 @@ def coverage(
     Raises:
         ArgumentError: if another index is that of no point.
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import coverage
@@ -107,7 +107,7 @@ def dirichlet_energy(operators_x: Operators, points_y: Float[Tensor, "n_y 3"], x
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import dirichlet_energy
@@ -148,7 +148,7 @@ def flipped_triangles(x: Surface, y: Surface, x_to_y: Int[np.ndarray, " n_x"]) -
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
 
-    Example:
+    Examples:
         >>> import numpy as np, trimesh
         >>> from homolog.geometry import Surface
         >>> from homolog.maps import flipped_triangles

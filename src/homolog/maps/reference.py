@@ -27,7 +27,7 @@ def soft_map(
     In the logarithm: columns are normalised first and rows last, so that each row of the map sums to one. The reference
     of ``sinkhorn_matches`` and of the soft maps in the losses.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import reference, sinkhorn_matches
         >>> features = torch.randn(50, 8, generator=torch.Generator().manual_seed(0))
@@ -54,7 +54,7 @@ def functional_map(
     Each row c_i solves (A A^T + regularisation * diag(mask_i)) c_i = A b_i (Donati, Sharma and Ovsjanikov, "Deep
     geometric functional maps", CVPR 2020). The reference of ``homolog.maps.functional_map``.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import reference
         >>> a = torch.eye(3)
@@ -75,7 +75,7 @@ def resolvent_mask(
     Ren, Panine, Wonka and Ovsjanikov, "Structured regularization of functional map computations", SGP 2019, equation 9,
     in complex numbers. The reference of ``homolog.maps.resolvent_mask``.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import reference
         >>> reference.resolvent_mask(torch.tensor([0.0, 4.0]), torch.tensor([0.0, 4.0]))

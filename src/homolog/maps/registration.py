@@ -39,7 +39,7 @@ class RegistrationSettings(Settings):
         narrowing: factor of the width from round to round, at least 0 and below 1, until it is below one edge. Larger
             factors make more rounds.
 
-    Example:
+    Examples:
         >>> from homolog.maps import RegistrationSettings
         >>> list(RegistrationSettings().widths(5000))
         [50, 25, 12, 6, 3, 1]
@@ -83,7 +83,7 @@ def registered_positions(
     Returns:
         Where the points of x lie on y (n_x, 3), and those of y on x (n_y, 3).
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog.maps import registered_positions
         >>> sphere = torch.tensor(trimesh.creation.icosphere(subdivisions=3).vertices)

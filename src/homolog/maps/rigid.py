@@ -30,7 +30,7 @@ def rigid_motion(
     Returns:
         R (3, 3) and t (3,).
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import rigid_motion
         >>> points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))

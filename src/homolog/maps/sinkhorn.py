@@ -42,13 +42,13 @@ class Kernel:
         left: F_y, divided by the temperature.
         right: F_x^T.
         absorbed: a and b; None if the logits are small enough to need none.
-        whole: all of K, if it fits the working memory; it then takes the place of the logits.
+        dense: all of K, if it fits the working memory; the logits are then not needed.
     """
 
     left: Float[Tensor, "n_y d"]
     right: Float[Tensor, "d n_x"]
     absorbed: _Scalings | None = None
-    whole: Float[Tensor, "n_y n_x"] | None = None
+    dense: Float[Tensor, "n_y n_x"] | None = None
 
     @classmethod
     def of(cls, left: Float[Tensor, "n_y d"], right: Float[Tensor, "d n_x"], near: _Scalings | None = None) -> Kernel:
@@ -62,25 +62,25 @@ class Kernel:
         logits = cls(left, right)
         small = float(left.norm(dim=1).max() * right.norm(dim=0).max()) <= _LARGEST_PLAIN_LOGIT
         if small and (near is None or logits.covers(*near)):
-            return logits._kept_whole()
+            return logits._kept_dense()
         nothing = left.new_zeros(len(left))
         return logits.with_absorbed(*(near or (nothing, logits.exact_columns(nothing))))
 
     def with_absorbed(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> Kernel:
         """The kernel of the same features with these scalings absorbed, in the memory of this one: use it no more."""
-        return Kernel(self.left, self.right, (f, g))._kept_whole(self.whole)
+        return Kernel(self.left, self.right, (f, g))._kept_dense(self.dense)
 
     def tiles(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
         """Row tiles of K; each is to be used before the next is asked for."""
-        if self.whole is not None:
-            yield from ((rows, self.whole[rows]) for rows in self._slices())
+        if self.dense is not None:
+            yield from ((rows, self.dense[rows]) for rows in self._slices())
             return
         for rows, logits in self.logits():
             yield rows, self._exponentials(rows, logits)
 
     def sweep(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
         """The same for what makes nothing of a tile's size: in one piece where all of K is kept."""
-        return self.tiles() if self.whole is None else iter([(slice(len(self.left)), self.whole)])
+        return self.tiles() if self.dense is None else iter([(slice(len(self.left)), self.dense)])
 
     def relative(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> _Scalings:
         """Scalings u and v with exp(L + f + g) = diag(u) K diag(v)."""
@@ -138,14 +138,14 @@ class Kernel:
             logits.add_(self.absorbed[0][rows, None]).add_(self.absorbed[1])
         return logits.exp_()
 
-    def _kept_whole(self, memory: Float[Tensor, "n_y n_x"] | None = None) -> Kernel:
+    def _kept_dense(self, memory: Float[Tensor, "n_y n_x"] | None = None) -> Kernel:
         n_y, n_x = len(self.left), self.right.shape[1]
         if not fits(n_y * n_x * self.left.element_size()):
             return self
-        whole = self.left.new_empty(n_y, n_x) if memory is None else memory
+        dense = self.left.new_empty(n_y, n_x) if memory is None else memory
         for rows in self._slices():
-            self._exponentials(rows, torch.mm(self.left[rows], self.right, out=whole[rows]))
-        return Kernel(self.left, self.right, self.absorbed, whole)
+            self._exponentials(rows, torch.mm(self.left[rows], self.right, out=dense[rows]))
+        return Kernel(self.left, self.right, self.absorbed, dense)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,7 @@ def carried_over(
     Raises:
         ArgumentError: if the temperature or the number of iterations is not positive.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps.sinkhorn import carried_over
         >>> carried_over(torch.eye(3), torch.eye(3), torch.ones(3, 1)).round(decimals=4).flatten()

@@ -26,7 +26,7 @@ class SoftMatches(Generic[Array]):
         row_scaling: f (n_y,).
         column_scaling: g (n_x,).
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog import sinkhorn_matches
         >>> sinkhorn_matches(torch.eye(5), torch.eye(5))
@@ -53,7 +53,7 @@ def normalised(features: Float[Tensor, "n d"]) -> Float[Tensor, "n d"]:
     Returns:
         The same directions (n, d); zero stays zero.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import normalised
         >>> normalised(torch.tensor([[3.0, 4.0]]))
@@ -87,7 +87,7 @@ def sinkhorn_matches(
     Raises:
         ArgumentError: if the temperature or the number of iterations is not positive, or a feature is not finite.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog import sinkhorn_matches
         >>> x = np.eye(4, dtype=np.float32)

@@ -37,7 +37,7 @@ class RefinementSettings(Settings):
         guidance_end: the same in the last round, above 0. The weight falls geometrically from one to the other. 1e-9
             for both leaves features out, as the published method does.
 
-    Example:
+    Examples:
         >>> from homolog.maps import RefinementSettings
         >>> [size for _, size, _ in RefinementSettings(k_init=30, k_step=40).rounds(128)]
         [30, 70, 110, 128]
@@ -92,7 +92,7 @@ def zoomout(
     Raises:
         ArgumentError: if an index is that of no point, or a feature is not finite.
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import RefinementSettings, normalised, zoomout
@@ -162,7 +162,7 @@ def zoomout_partial(
     Raises:
         ArgumentError: if an index is that of no point, or a feature is not finite.
 
-    Example:
+    Examples:
         >>> import torch, trimesh
         >>> from homolog import Shape, compute_operators
         >>> from homolog.maps import normalised, zoomout_partial

@@ -1,18 +1,26 @@
-"""Two shapes before they are matched: what is known of them, their operators and features, and how maps are made."""
+"""Two shapes before they are matched: what is known of them, their operators and features, and how maps are made.
 
-from homolog.pairs.options import SIDES, AsCloud, PairOptions, Side
-from homolog.pairs.pair import Pair, PointMaps
-from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
-from homolog.pairs.settings import (
-    AlignmentSettings,
-    AxiomaticSettings,
-    Device,
-    FunctionalMapSettings,
-    MatcherSettings,
-    SoftMapSettings,
-    WarningSettings,
-    choose_device,
-)
+A name is imported when it is first used: options are checked without PyTorch.
+"""
+
+from typing import TYPE_CHECKING
+
+from homolog.core.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from homolog.core.choices import AsCloud, Device, Side
+    from homolog.pairs.options import SIDES, PairOptions
+    from homolog.pairs.pair import Pair, PointMaps
+    from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
+    from homolog.pairs.settings import (
+        AlignmentSettings,
+        AxiomaticSettings,
+        FunctionalMapSettings,
+        MatcherSettings,
+        SoftMapSettings,
+        WarningSettings,
+        choose_device,
+    )
 
 __all__ = [
     "SIDES",
@@ -33,3 +41,24 @@ __all__ = [
     "WarningSettings",
     "choose_device",
 ]
+
+_MODULES = {
+    "SIDES": "options",
+    "AlignmentSettings": "settings",
+    "AsCloud": "options",
+    "AxiomaticSettings": "settings",
+    "Device": "settings",
+    "FunctionalMapSettings": "settings",
+    "MatcherSettings": "settings",
+    "OperatorSource": "preprocessing",
+    "Pair": "pair",
+    "PairOptions": "options",
+    "PointMaps": "pair",
+    "PreprocessedShape": "preprocessing",
+    "Preprocessor": "preprocessing",
+    "Side": "options",
+    "SoftMapSettings": "settings",
+    "WarningSettings": "settings",
+    "choose_device": "settings",
+}
+__getattr__ = lazy_names(__name__, _MODULES)

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from math import isfinite
+from typing import Any, get_args
 
-from homolog.core.arguments import is_real
+from homolog.core.choices import AsCloud, Side, Up
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
-from homolog.shapes import Up
-
-Side = Literal["source", "target"]
-"""One of the two shapes of a match."""
-AsCloud = Literal["source", "target", "both"]
-"""Whose faces are dropped."""
 
 SIDES: tuple[Side, Side] = ("source", "target")
 
@@ -59,7 +54,7 @@ class PairOptions:
         for name in ("pre_aligned", "strict"):
             if not isinstance(getattr(self, name), bool):
                 raise bad_value(name, getattr(self, name), "True or False")
-        if not (is_real(self.partial_scale) and self.partial_scale > 0):
+        if not _is_positive(self.partial_scale):
             raise bad_value("partial_scale", self.partial_scale, "a positive finite number")
         if self.partial is None:
             for name, unset in (("partial_scale", 1), ("pre_aligned", False)):
@@ -75,3 +70,7 @@ class PairOptions:
     def up(self, side: Side) -> Up:
         """Which axis of a shape points up."""
         return self.source_up if side == "source" else self.target_up
+
+
+def _is_positive(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and value > 0

@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from homolog.core.arguments import check_kind
+from homolog.core.choices import Side
 from homolog.core.progress import Steps
 from homolog.features import FeatureExtractor
-from homolog.pairs.options import SIDES, PairOptions, Side
+from homolog.pairs.options import SIDES, PairOptions
 from homolog.pairs.preprocessing import PreprocessedShape, Preprocessor
 from homolog.pairs.settings import MatcherSettings
 from homolog.shapes import Shape

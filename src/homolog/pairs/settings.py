@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import torch
 
 from homolog.core.arguments import is_count, is_real
+from homolog.core.choices import Device
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.geometry import OperatorSettings
 from homolog.maps import ConfidenceSettings, RefinementSettings, RegistrationSettings
-
-Device = Literal["auto", "cpu", "cuda"]
-"""Where to compute; ``"auto"`` takes a GPU where there is one."""
 
 _Rule = tuple[Callable[[Any], bool], str]
 _COUNT: _Rule = (is_count, "a whole number of at least 1")

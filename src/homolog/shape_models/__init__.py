@@ -1,27 +1,31 @@
-"""Many shapes matched to one template: its points placed on each, and what follows from points that correspond."""
+"""Shape models: a template registered to many shapes, and the statistics of the corresponding points."""
 
-from homolog.shape_models.delivery import check_extra, deliver
-from homolog.shape_models.folder import CollectionFolder, Outcome
-from homolog.shape_models.gathered import ModelSettings
+from homolog.shape_models.batch import ShapeModelSettings, register_all, settings_record
+from homolog.shape_models.build import BuiltModel, build
+from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.outputs import check_extra, write_outputs
 from homolog.shape_models.overview import MOST_SHOWN
-from homolog.shape_models.production import CollectionSettings, collect, making
-from homolog.shape_models.registering import Figures, Registered, Template, check_template
+from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShapes
+from homolog.shape_models.registration import Figures, Registered, Template, check_template
 from homolog.shape_models.subjects import Subject, subjects_of
 
 __all__ = [
     "MOST_SHOWN",
-    "CollectionFolder",
-    "CollectionSettings",
+    "BuiltModel",
     "Figures",
     "ModelSettings",
     "Outcome",
     "Registered",
+    "RegisteredShapes",
+    "ShapeModelFolder",
+    "ShapeModelSettings",
     "Subject",
     "Template",
+    "build",
     "check_extra",
     "check_template",
-    "collect",
-    "deliver",
-    "making",
+    "register_all",
+    "settings_record",
     "subjects_of",
+    "write_outputs",
 ]

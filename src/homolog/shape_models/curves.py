@@ -1,4 +1,4 @@
-"""The curves of a shape model as a table and as a picture."""
+"""Compactness, generalisation and specificity of a shape model, as a table and as a picture."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ _COLUMNS = (
     "specificity",
     "specificity_error",
 )
-# A model of two shapes has one mode, and none once a shape is left out.
+# A model of two shapes has one mode, and none once one of them is left out.
 _FEWEST_TO_LEAVE_ONE_OUT = 3
 _INK = ("#2d6898", "#b4531f", "#3d7a4a")
 
 
 @dataclass(frozen=True, eq=False)
 class Curves:
-    """How good a model is, by the number of its modes.
+    """The quality of a model by its number of modes.
 
     Args:
         model: the model.
         compactness: share of the variance (k,).
-        generalisation: distance from a shape left out, without which the others are not aligned anew; None of two.
-        specificity: distance of random shapes from the nearest one.
+        generalisation: leave-one-out distance, without a new alignment; None for two shapes.
+        specificity: distance of random shapes from the nearest given one.
     """
 
     model: ShapeModel
@@ -46,13 +46,13 @@ class Curves:
 
     @classmethod
     def of(cls, model: ShapeModel, points: Float[np.ndarray, "s n 3"], *, seed: int) -> Curves:
-        """The curves of a model that was made of aligned shapes."""
+        """The curves of a model and the aligned shapes that it was made of."""
         enough = len(points) >= _FEWEST_TO_LEAVE_ONE_OUT
         left_out = generalisation(points) if enough else None
         return cls(model, compactness(model), left_out, specificity(model, points, seed=seed))
 
     def rows(self) -> list[list[float | int | None]]:
-        """A row per number of modes; None where a curve has ended."""
+        """A row per number of modes; None beyond the end of a curve."""
         model, left = self.model, self.generalisation
         columns = [model.variances, model.deviations, self.compactness]
         columns += [np.zeros(0)] * 2 if left is None else [left.mean, left.error]
@@ -63,11 +63,11 @@ class Curves:
         ]
 
     def write_table(self, path: Path) -> None:
-        """Write the rows as CSV, below their names."""
+        """Write the rows as CSV with a header."""
         write_csv(path, [_COLUMNS, *self.rows()])
 
     def write_picture(self, path: Path) -> None:
-        """Draw the three curves side by side, with a band of a standard error on either side.
+        """Plot the three curves side by side, with bands of one standard error.
 
         Raises:
             MissingExtraError: without the extra ``collection``.

@@ -1,4 +1,4 @@
-"""A shape model for scalismo: HDF5 in the layout of statismo, version 0.9, which scalismo reads as ``.h5``.
+"""Export to scalismo: a shape model as HDF5 in the layout of statismo, version 0.9, which scalismo reads as ``.h5``.
 
 The mean is the reference. Arrays are single precision, vectors run point by point, points and cells column by column.
 """
@@ -18,7 +18,7 @@ _VERSION = (0, 9)
 
 
 def write_scalismo(path: Path, model: ShapeModel, faces: Int[np.ndarray, "m 3"] | None) -> None:
-    """Write a model with its mesh, or, without faces, of a set of points.
+    """Write a model of a mesh or, without faces, of a point set.
 
     Raises:
         ArgumentError: if the file cannot be written.

@@ -1,7 +1,7 @@
-"""A collection for ShapeWorks: particles, and a project in JSON, as ShapeWorks 6 reads them.
+"""Export to ShapeWorks: particle files, and a project in JSON, as ShapeWorks 6 reads them.
 
-A particle file has a point a line. Local particles lie on the shape as it is, world particles where the alignment takes
-them; the project says where each file is, and has the alignment as a matrix, row by row.
+A particle file has a point a line. Local particles are in the shape's own coordinates, world particles are aligned; the
+project lists the files, and holds the alignment as a matrix, row by row.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from homolog.core.files import atomic_path, made_folder, write_json
 from homolog.statistics import Aligned
 
 _PROJECT, _PARTICLES = "collection.swproj", "particles"
-_STILL = " ".join(f"{entry:g}" for entry in np.eye(4).ravel())
+_IDENTITY = " ".join(f"{entry:g}" for entry in np.eye(4).ravel())
 
 
 def write_shapeworks(
@@ -31,7 +31,7 @@ def write_shapeworks(
     """Write a project and the particles of all shapes.
 
     Args:
-        folder: where to; made if need be.
+        folder: created if needed.
         names: of the shapes.
         points: on each shape, in its own coordinates.
         aligned: the same, aligned.
@@ -50,25 +50,21 @@ def write_shapeworks(
         _write_particles(local, points[number])
         _write_particles(world, aligned.points[number])
         written += [local, world]
-        mesh = {} if meshes is None else _mesh(meshes[number], folder)
+        path = None if meshes is None else Path(os.path.relpath(meshes[number], folder)).as_posix()
+        mesh = {} if path is None else {"shape_1": path, "groomed_1": path}
         entries.append(
             {
                 "name": name,
                 **mesh,
                 "local_particles_1": f"{_PARTICLES}/{local.name}",
                 "world_particles_1": f"{_PARTICLES}/{world.name}",
-                "alignment_1": _STILL,
+                "alignment_1": _IDENTITY,
                 "procrustes_1": _matrix(aligned, number),
             }
         )
     project: dict[str, Any] = {"data": entries, "project": {"version": "2"}, "landmarks": []}
     write_json(folder / _PROJECT, project)
     return [*written, folder / _PROJECT]
-
-
-def _mesh(mesh: Path, folder: Path) -> dict[str, str]:
-    place = Path(os.path.relpath(mesh, folder)).as_posix()
-    return {"shape_1": place, "groomed_1": place}
 
 
 def _matrix(aligned: Aligned, number: int) -> str:

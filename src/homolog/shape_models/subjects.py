@@ -1,4 +1,4 @@
-"""The shapes of a collection and what they are called."""
+"""The shapes of a shape model and their names."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from homolog.core.files import expanded
 
 @dataclass(frozen=True)
 class Subject:
-    """A shape to match to the template.
+    """A shape that the template is registered to.
 
     Args:
-        name: what it is called in the collection, as its file without the suffix.
-        file: where it is, or should be: one that is not there fails as any other bad shape does, and stops no other.
+        name: its file's name without the suffix.
+        file: its path; a missing file fails as any other bad shape does, and does not stop the others.
     """
 
     name: str
@@ -27,14 +27,18 @@ def subjects_of(files: Sequence[str | Path]) -> list[Subject]:
     """Name shapes by their files.
 
     Raises:
-        ArgumentError: if there are none, or two would have one name.
+        ArgumentError: if there are none, or two would have the same name.
+
+    Example:
+        >>> [subject.name for subject in subjects_of(["scans/anna.ply", "scans/ben.ply"])]
+        ['anna', 'ben']
     """
     if not files:
         raise ArgumentError("no shapes are given; give at least one file beside the template")
     subjects = [Subject(Path(file).stem, expanded(file)) for file in files]
     known: dict[str, Subject] = {}
     for subject in subjects:
-        # Some file systems do not tell large letters from small ones.
+        # Some file systems do not distinguish upper from lower case.
         other = known.setdefault(subject.name.casefold(), subject)
         if other is not subject:
             raise ArgumentError(

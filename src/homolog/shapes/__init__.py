@@ -1,5 +1,6 @@
 """What a shape is: reading, writing, checking and repairing meshes and point clouds."""
 
+from homolog.core.choices import Up
 from homolog.shapes.checking import Report, check
 from homolog.shapes.demo import demo_shapes
 from homolog.shapes.finding import Finding
@@ -10,7 +11,7 @@ from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
 from homolog.shapes.topology import components, face_areas, face_vectors
-from homolog.shapes.upright import Up, rotation_about, stand_upright, upright_rotation
+from homolog.shapes.upright import rotation_about, stand_upright, upright_rotation
 from homolog.shapes.writing import write_shape
 
 __all__ = [

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from homolog.core.choices import Up
 from homolog.core.errors import bad_choice
 from homolog.shapes.shape import Shape
-
-Up = Literal["x", "y", "z"]
-"""The axis that points up."""
 
 
 def stand_upright(shape: Shape, up: Up) -> Shape:

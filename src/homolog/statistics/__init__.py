@@ -1,4 +1,4 @@
-"""Statistics of shapes whose points correspond: alignment, mean and modes, and how good a model they make."""
+"""Statistics of shapes in correspondence: Procrustes alignment, principal modes, and the quality of a shape model."""
 
 from homolog.statistics.alignment import Aligned, generalised_procrustes
 from homolog.statistics.curves import Curve, compactness, generalisation, specificity

@@ -1,4 +1,4 @@
-"""Generalised Procrustes analysis: many shapes with the same points, laid upon each other."""
+"""Generalised Procrustes analysis: the alignment of many shapes in correspondence."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError
 
-# It ends once a round lowers the distances from the mean by less than this share of all shapes' size.
-_SETTLED = 1e-12
+# Iterations end once the sum of squared distances from the mean falls by less than this share of the sum of squares.
+_CONVERGED = 1e-12
 _MOST_ROUNDS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Shapes laid upon each other, and how each came there.
+    """Aligned shapes and their similarity transforms.
 
-    Shape i is where ``scales[i] * given[i] @ rotations[i].T + shifts[i]`` takes it.
+    Shape i is ``scales[i] * given[i] @ rotations[i].T + shifts[i]``.
 
     Args:
-        points: around the origin (s, n, 3).
+        points: aligned shapes, centred at the origin (s, n, 3).
         mean: of these shapes (n, 3).
         rotations: proper ones (s, 3, 3).
-        scales: positive, 1 unless scales were asked for (s,).
+        scales: positive; 1 unless the size is normalised (s,).
         shifts: (s, 3).
     """
 
@@ -36,26 +36,32 @@ class Aligned:
 
     @property
     def distances(self) -> Float[np.ndarray, " s"]:
-        """How far each shape is from the mean: the root mean square over its points, in the shapes' unit."""
+        """The root mean square distance of each shape from the mean, in the shapes' unit."""
         return np.asarray(np.sqrt(((self.points - self.mean) ** 2).sum(axis=2).mean(axis=1)))
 
 
 def generalised_procrustes(
     points: Float[np.ndarray, "s n 3"], *, scale: bool = False, start: Float[np.ndarray, "n 3"] | None = None
 ) -> Aligned:
-    """Turn and shift shapes with the same points so that they lie as near as they can to their mean.
+    """Generalised Procrustes alignment: rotate and shift shapes to minimise the squared distances from their mean.
 
     Gower, "Generalized Procrustes analysis", Psychometrika 40, 1975; with scales as in Dryden and Mardia, "Statistical
-    Shape Analysis", 1998, but so that the sum of the squared sizes stays what it was: units keep their meaning.
-    Reflections are excluded.
+    Shape Analysis", 1998, but with the sum of squared sizes kept, so that units keep their meaning. Reflections are
+    excluded.
 
     Args:
         points: the shapes (s, n, 3), with at least one shape and three points.
-        scale: bring them to one size as well.
-        start: what the shapes are turned to first, which the mean then resembles; by default the first shape.
+        scale: normalise the size as well.
+        start: the first reference, which determines the mean's orientation; by default the first shape.
 
     Raises:
-        ArgumentError: if the array has another shape, or holds numbers that are not finite, or a shape is one point.
+        ArgumentError: if the array has another shape, holds NaN or infinite numbers, or a shape whose points coincide.
+
+    Example:
+        >>> triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        >>> aligned = generalised_procrustes(np.stack([triangle, triangle @ np.diag([-1, -1, 1]) + 5]))
+        >>> bool(np.allclose(aligned.points[0], aligned.points[1]))
+        True
     """
     _check(points, start)
     middles = points.mean(axis=1, keepdims=True)
@@ -66,15 +72,17 @@ def generalised_procrustes(
     for _ in range(_MOST_ROUNDS):
         rotations, strengths = _rotations(centred, mean)
         if scale:
-            scales = _scales(centred, strengths)
-        laid = scales[:, None, None] * centred @ rotations.transpose(0, 2, 1)
-        mean = laid.mean(axis=0)
-        left = ((laid - mean) ** 2).sum()
-        if before - left <= _SETTLED * total:
+            squares = (centred**2).sum(axis=(1, 2))
+            best = strengths / squares
+            scales = np.asarray(best * np.sqrt(squares.sum() / (best**2 * squares).sum()))
+        moved = scales[:, None, None] * centred @ rotations.transpose(0, 2, 1)
+        mean = moved.mean(axis=0)
+        residual = ((moved - mean) ** 2).sum()
+        if before - residual <= _CONVERGED * total:
             break
-        before = left
+        before = residual
     shifts = -scales[:, None] * np.einsum("skl,sl->sk", rotations, middles[:, 0])
-    return Aligned(laid, mean, rotations, scales, shifts)
+    return Aligned(moved, mean, rotations, scales, shifts)
 
 
 def _check(points: Float[np.ndarray, "s n 3"], start: Float[np.ndarray, "n 3"] | None) -> None:
@@ -91,15 +99,9 @@ def _check(points: Float[np.ndarray, "s n 3"], start: Float[np.ndarray, "n 3"] |
 def _rotations(
     centred: Float[np.ndarray, "s n 3"], mean: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "s 3 3"], Float[np.ndarray, " s"]]:
-    """The rotation of each shape to the mean (Kabsch, 1976), and the inner product of the two then."""
+    """The best rotation of each shape to the mean (Kabsch, 1976), and the inner product of the two after it."""
     left, sizes, right = np.linalg.svd(np.einsum("nk,snl->skl", mean, centred))
     signs = np.ones_like(sizes)
-    # The best orthogonal matrix may be a reflection; the best rotation then gives way along the weakest direction.
+    # The best orthogonal matrix may be a reflection; the best rotation then flips the direction of least variance.
     signs[:, 2] = np.sign(np.linalg.det(left @ right))
     return left @ (signs[:, :, None] * right), (signs * sizes).sum(axis=1)
-
-
-def _scales(centred: Float[np.ndarray, "s n 3"], strengths: Float[np.ndarray, " s"]) -> Float[np.ndarray, " s"]:
-    squares = (centred**2).sum(axis=(1, 2))
-    best = strengths / squares
-    return np.asarray(best * np.sqrt(squares.sum() / (best**2 * squares).sum()))

@@ -1,4 +1,4 @@
-"""The mean of shapes and the principal modes in which they vary: a point distribution model."""
+"""Point distribution models: the mean of shapes, and their principal modes of variation (PCA)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError
 
-# Of the largest singular value: what is below is rounding.
+# Singular values below this share of the largest one are rounding errors.
 _RANK = 1e-9
 
 
@@ -19,9 +19,8 @@ class ShapeModel:
 
     Args:
         mean: of the shapes (n, 3).
-        modes: directions of unit length, orthogonal as vectors of 3n numbers; the entry of largest size is positive
-            (k, n, 3).
-        variances: of the shapes along them, in the shapes' unit squared, descending; by s - 1 of s shapes (k,).
+        modes: orthonormal as vectors of 3n numbers; the entry of largest absolute value is positive (k, n, 3).
+        variances: of the shapes along the modes, in the shapes' unit squared, descending; normalised by s - 1 (k,).
     """
 
     mean: Float[np.ndarray, "n 3"]
@@ -34,22 +33,31 @@ class ShapeModel:
         return np.asarray(np.sqrt(self.variances))
 
     def coefficients(self, points: Float[np.ndarray, "s n 3"]) -> Float[np.ndarray, "s k"]:
-        """How far aligned shapes lie along each mode, in standard deviations."""
+        """Coefficients of aligned shapes along each mode, in standard deviations."""
         flat = (points - self.mean).reshape(len(points), -1)
         return np.asarray(flat @ self.modes.reshape(-1, self.mean.size).T / self.deviations)
 
     def shapes(self, coefficients: Float[np.ndarray, "s k"]) -> Float[np.ndarray, "s n 3"]:
-        """The shapes of coefficients in standard deviations, of the first modes or of all."""
+        """Shapes from coefficients in standard deviations, of the first modes or of all."""
         count = coefficients.shape[1]
         offsets = np.tensordot(coefficients * self.deviations[:count], self.modes[:count], axes=1)
         return np.asarray(self.mean + offsets)
 
 
 def principal_modes(points: Float[np.ndarray, "s n 3"]) -> ShapeModel:
-    """The mean and all modes of aligned shapes, by a singular value decomposition.
+    """Principal component analysis of aligned shapes, by a singular value decomposition.
+
+    Args:
+        points: aligned shapes, at least two (s, n, 3).
 
     Raises:
         ArgumentError: if there are fewer than two shapes.
+
+    Example:
+        >>> triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        >>> model = principal_modes(np.stack([triangle, 2 * triangle, 3 * triangle]))
+        >>> model.variances.round(6).tolist(), model.coefficients(3 * triangle[None]).round(6).tolist()
+        ([2.0], [[1.0]])
     """
     if points.ndim != 3 or len(points) < 2:
         raise ArgumentError(f"points has shape {points.shape}, but must hold two shapes or more, (shapes, points, 3)")

@@ -105,6 +105,10 @@ def train(
     """
     recipe = recipe.for_dataset(description)
     objective = losses_of(recipe.loss, losses)
+    if recipe.upright and recipe.augmentation.turn == "any":
+        _log.warning(
+            "upright is true, though [augmentation] turn is 'any'; set upright = false for shapes in any pose."
+        )
     shapes = TrainingSet.open(data, recipe, description)
     folder = RunFolder(expanded(run), recipe, shapes, tuple(losses))
     fabric = _fabric(recipe.training, device, processes, machines)

@@ -261,7 +261,7 @@ class PartialSettings(Settings):
         Raises:
             ArgumentError: if they name other folders than the description.
         """
-        full, parts = description.folders if description.full else (self.full or "null", self.parts or "cuts")
+        full, parts = description.folders if description.partial else (self.full or "null", self.parts or "cuts")
         for key, given, target in (("full", self.full, full), ("parts", self.parts, parts)):
             if given not in (None, target):
                 raise ArgumentError(

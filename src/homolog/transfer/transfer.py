@@ -7,11 +7,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int, Num, UInt8
 
+from homolog.core.choices import TEXTURE_SIZE
 from homolog.core.errors import ArgumentError
 from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer.appearance import Appearance, Checkerboard
-from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, bake_texture, unwrap
+from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.projection import SurfaceProjector
 from homolog.transfer.skin import Skin, transfer_skin
 from homolog.transfer.smooth_map import SurfaceMap, surface_map

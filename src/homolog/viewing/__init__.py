@@ -7,14 +7,13 @@ from homolog.viewing.measuring import map_errors, pair_features
 from homolog.viewing.modes_page import ModesScene, modes_page_of
 from homolog.viewing.notebook import notebook_html, plot
 from homolog.viewing.page import page_of, page_style, write_page
-from homolog.viewing.picture import WIDTHS, check_picture, picture_of, write_picture
+from homolog.viewing.picture import check_picture, picture_of, write_picture
 from homolog.viewing.png import write_png
 from homolog.viewing.scene import SIDES, Body, Scene, scene_of
 
 __all__ = [
     "MOST_TILES",
     "SIDES",
-    "WIDTHS",
     "Body",
     "Layer",
     "ModesScene",

@@ -1,4 +1,4 @@
-"""What colours can mean in a view: one layer at a time is seen on both shapes."""
+"""What colours can mean: correspondence, confidence, error, features; a page shows one layer at a time."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Layer:
 
 
 def matched_layer(result: Match) -> Layer:
-    """The colours that a result's files have: the same one on points that were matched."""
+    """The colours of the result's files: corresponding points have the same one."""
     source, target = matched_colours(result)
     note = "The same colour marks the same point. Grey: no counterpart."
     return Layer("Match", note, {"source": source, "target": target})
 
 
 def confidence_layer(result: Match) -> Layer:
-    """How far each point's match can be trusted; grey where it has none."""
+    """The confidence of each point's match; grey where it has none."""
     found = result
     values: dict[Side, np.ndarray] = {
         "source": np.where(found.source_to_target >= 0, found.source_confidence, np.nan),
@@ -52,9 +52,9 @@ def confidence_layer(result: Match) -> Layer:
 
 
 def error_layer(errors: dict[Side, Float[np.ndarray, " n"]], unit: str) -> Layer:
-    """How far from the truth each point is matched; see ``map_errors``.
+    """The error of each point's match; see ``map_errors``.
 
-    The ramp ends where one error in twenty is larger.
+    The ramp ends at the 95th percentile.
     """
     known = np.concatenate([values[np.isfinite(values)] for values in errors.values()])
     high = float(np.quantile(known, _ERROR_SHARE)) if len(known) else 0.0
@@ -63,7 +63,7 @@ def error_layer(errors: dict[Side, Float[np.ndarray, " n"]], unit: str) -> Layer
 
 
 def feature_layer(source: Float[np.ndarray, "n_source d"], target: Float[np.ndarray, "n_target d"]) -> Layer:
-    """The features that points are compared by; see ``principal_colours``."""
+    """The features that points were compared by, as colours; see ``principal_colours``."""
     colours = principal_colours(source, target)
     note = "Like colours mark like features: their three principal components. Grey: left out of the match."
     return Layer("Features", note, {"source": colours[0], "target": colours[1]})

@@ -1,4 +1,4 @@
-"""What is computed of a result for its view: errors of its maps, and features of its shapes."""
+"""Errors of a match against ground truth, and features of its shapes, to be shown as colours."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _REACH = 0.03
 
 
 def map_errors(result: Match, truth: Truth) -> tuple[dict[Side, Float[np.ndarray, " n"]], str]:
-    """The error of each point's match, and the unit: that of the source's points on the target, and the reverse.
+    """The error of each point's match against ground truth, per side, and the unit.
 
-    Between two meshes it is geodesic, in hundredths of the square root of the area of the shape that it is measured on;
-    where a cloud takes part it is straight, in hundredths of the diagonal of that shape's bounding box. Points that the
-    truth does not name have the error of the nearest one that it does, unless that is far; NaN is the error of those
-    without, and of points without a counterpart.
+    The error of a source point is measured on the target, and the reverse. Between two meshes it is geodesic, in
+    hundredths of the square root of the area of the shape that it is measured on; where a cloud takes part it is
+    Euclidean, in hundredths of the diagonal of that shape's bounding box. Points that the truth does not name have the
+    error of the nearest one that it does, unless that is far. It is NaN for others, and without a counterpart.
 
     Args:
         result: the match.
@@ -55,7 +55,7 @@ def _errors(
     """Per point of ``shape``: how far on ``other`` it is matched from where it truly is."""
     matched = found[truth[0]] >= 0
     asked, true = truth[0][matched], truth[1][matched]
-    measure = geodesic_errors if geodesic else _straight_errors
+    measure = geodesic_errors if geodesic else _euclidean_errors
     errors = np.full(shape.n_points, np.nan)
     errors[asked] = 100 * measure(other, true, found[asked])
     filled = _filled(shape.points, errors)
@@ -63,7 +63,7 @@ def _errors(
     return filled
 
 
-def _straight_errors(
+def _euclidean_errors(
     shape: Shape, truth: Int[np.ndarray, " q"], mapped: Int[np.ndarray, " q"]
 ) -> Float[np.ndarray, " q"]:
     distances: np.ndarray = np.linalg.norm(shape.points[truth] - shape.points[mapped], axis=1) / _diagonal(shape.points)
@@ -85,7 +85,7 @@ def _diagonal(points: Float[np.ndarray, "n 3"]) -> float:
 def pair_features(
     result: Match, matcher: Matcher, *, steps: Steps | None = None
 ) -> tuple[Float[np.ndarray, "n_source d"], Float[np.ndarray, "n_target d"]]:
-    """The features of a result's shapes, prepared as the report says that they were; NaN for points left out.
+    """The features of a match's shapes, computed with the options in its report; NaN for points that repair left out.
 
     Raises:
         ArgumentError, ShapeError: as ``Matcher.pair`` does.

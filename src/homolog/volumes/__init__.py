@@ -1,4 +1,4 @@
-"""Volumes to shapes: surfaces of masks and of clouds, and outlines in some slices of a mask."""
+"""Shapes from volumes: surfaces of segmentation masks and of point clouds, and outlines in slices of a mask."""
 
 from homolog.volumes.mask import Mask
 from homolog.volumes.outlines import slice_cloud

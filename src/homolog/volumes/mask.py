@@ -1,4 +1,4 @@
-"""What a segmentation mask is."""
+"""Segmentation masks."""
 
 from __future__ import annotations
 
@@ -12,16 +12,21 @@ from homolog.core.errors import ShapeError
 
 @dataclass(frozen=True, eq=False)
 class Mask:
-    """Which voxels of a volume belong to an object, and where they are.
+    """A binary segmentation mask: the voxels of an object, and their position in space.
 
     Args:
-        inside: per voxel (i, j, k).
-        origin: where the centre of voxel (0, 0, 0) is, in millimetres.
-        axes: in its columns the steps from a voxel to the next along i, j and k, in millimetres.
+        inside: whether each voxel belongs to the object (i, j, k).
+        origin: position of the centre of voxel (0, 0, 0), in millimetres.
+        axes: in its columns the steps between neighbouring voxels along i, j and k, in millimetres.
         name: of the file, for messages.
 
     Raises:
-        ShapeError: if no voxel is inside, or the steps do not span space.
+        ShapeError: if no voxel is inside, or the steps are not linearly independent.
+
+    Example:
+        >>> mask = Mask(np.ones((2, 2, 2), dtype=bool), np.zeros(3), np.diag([1.0, 1.0, 2.0]))
+        >>> mask.positions(np.array([[1.0, 0.0, 1.0]])).tolist()
+        [[1.0, 0.0, 2.0]]
     """
 
     inside: Bool[np.ndarray, "i j k"]
@@ -37,13 +42,13 @@ class Mask:
             raise ShapeError(f"{self.name} has voxels without a volume (axes {self.axes.tolist()}); correct its header")
 
     def cropped(self, margin: int) -> Mask:
-        """The box around what is inside, and so many voxels more on each side, which may lie beyond the volume."""
+        """Crop to the bounding box of the object with a margin in voxels, which may extend beyond the volume."""
         spans = [np.flatnonzero(self.inside.any(axis=others))[[0, -1]] for others in ((1, 2), (0, 2), (0, 1))]
         box = self.inside[tuple(slice(first, last + 1) for first, last in spans)]
         corner = np.array([first - margin for first, _ in spans])
         return replace(self, inside=np.pad(box, margin), origin=self.positions(corner[None])[0])
 
-    def positions(self, places: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """Positions of places given in voxels, in millimetres."""
-        found: np.ndarray = self.origin + places @ self.axes.T
+    def positions(self, voxels: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Convert voxel coordinates to positions in millimetres."""
+        found: np.ndarray = self.origin + voxels @ self.axes.T
         return found

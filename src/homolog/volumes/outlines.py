@@ -1,4 +1,4 @@
-"""Clouds of outlines: what remains of an object of which only some slices are known."""
+"""Point clouds of outlines: an object of which only some slices are known."""
 
 from __future__ import annotations
 
@@ -22,22 +22,28 @@ def slice_cloud(
     points: int | None = None,
     seed: int = 0,
 ) -> Shape:
-    """Points along the outlines of an object in some slices of a volume, in millimetres.
+    """The contours of an object in some slices of a volume as a point cloud, in millimetres, by marching squares.
 
-    D. Cao and F. Bernard (CVPR 2023) match lungs with such clouds, made from a part of the slices of a scan.
+    D. Cao and F. Bernard (CVPR 2023) match lungs with such clouds, made from a subset of a scan's slices.
 
     Args:
-        mask: what is inside.
-        axis: along which slices lie one upon the other: 0, 1 or 2, for i, j or k.
-        every: take every so many-th slice.
-        span: of the slices that the object is in, those from this share to that one.
-        points: how many points to keep, far from each other; None for all.
-        seed: of that choice.
+        mask: of the object.
+        axis: normal to the slices: 0, 1 or 2, for i, j or k.
+        every: use every n-th slice.
+        span: use the slices between these two shares of the object's extent.
+        points: number of points, by farthest point sampling; None for all.
+        seed: of that sampling.
 
     Raises:
-        ArgumentError: if a number is out of range, or there are not so many points.
+        ArgumentError: if a number is out of range, or there are fewer points.
         ShapeError: if these slices are too few for a cloud.
         MissingExtraError: if scikit-image is not installed.
+
+    Example:
+        >>> ball = np.linalg.norm(np.indices((20, 20, 20)) - 9.5, axis=0) < 8
+        >>> cloud = slice_cloud(Mask(ball, np.zeros(3), np.eye(3)), every=4, points=100)
+        >>> cloud.points.shape
+        (100, 3)
     """
     if axis not in (0, 1, 2):
         raise bad_value("axis", axis, "0, 1 or 2")
@@ -47,8 +53,8 @@ def slice_cloud(
     box = mask.cropped(1)
     n_slices = box.inside.shape[axis] - 2
     chosen = 1 + np.arange(round(span[0] * n_slices), round(span[1] * n_slices))[::every]
-    places = [_outline(box.inside.take(number, axis=axis), axis, number) for number in chosen]
-    found = box.positions(np.concatenate([np.zeros((0, 3)), *places]))
+    contours = [_contours(box.inside.take(number, axis=axis), axis, number) for number in chosen]
+    found = box.positions(np.concatenate([np.zeros((0, 3)), *contours]))
     if len(found) < FEWEST_POINTS:
         raise ShapeError(f"{mask.name}: {len(chosen)} slices have {len(found)} points in all; take more slices")
     if points is not None:
@@ -58,14 +64,11 @@ def slice_cloud(
     return Shape(found, None, name=mask.name)
 
 
-def _outline(inside: np.ndarray, axis: int, number: int) -> Float[np.ndarray, "n 3"]:
-    """Places in voxels, along all outlines of one slice."""
-    loops = _find_contours()(inside.astype(np.float32), 0.5)
+def _contours(inside: np.ndarray, axis: int, number: int) -> Float[np.ndarray, "n 3"]:
+    """Voxel coordinates along all contours of one slice."""
+    with needs_extra("outlines of slices", "volumes"):
+        from skimage import measure
+    extract: Any = measure.find_contours
+    loops = extract(inside.astype(np.float32), 0.5)
     flat = np.concatenate([np.zeros((0, 2)), *(loop[:-1] for loop in loops)])  # a loop ends where it begins
     return np.insert(flat, axis, number, axis=1)
-
-
-def _find_contours() -> Any:
-    with needs_extra("outlines of slices", "volumes"):
-        from skimage.measure import find_contours
-    return find_contours

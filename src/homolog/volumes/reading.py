@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gzip
 import zlib
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -14,30 +16,33 @@ from homolog.core.files import expanded
 from homolog.shapes import VOLUMES
 from homolog.volumes.mask import Mask
 
-# What reads a file with such a suffix.
+# The library's reader by suffix.
 _KINDS = {".mh": "MetaImageIO", ".nii": "NiftiImageIO", ".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO"}
 
-# A mask has few values. What has more is an image that a mask might be of.
+# A volume with more values than this is an image and not a mask.
 _MOST_LABELS = 256
 _LABELS_SHOWN = 12
-# Bytes that are looked at at once.
+# Bytes read at a time.
 _CHUNK = 2**22
 
 
 def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
-    """Read a segmentation mask; the suffix says which format, whatever its case.
+    """Read a segmentation mask (MetaImage, NIfTI or NRRD); the suffix tells the format, in any case.
 
-    Positions are in the frame of medical images, whichever way the voxels run: millimetres, x to the left, y to the
-    back and z to the head of the patient.
+    Positions are in LPS coordinates, whatever the orientation of the voxels: millimetres, x to the patient's left, y to
+    the back and z to the head.
 
     Args:
-        path: a file with one of the suffixes in ``VOLUMES``; the voxels of ``.mhd`` and ``.nhdr`` lie in a file beside
-            it.
-        label: the value of the voxels that are meant; by default all that are not 0.
+        path: a file with one of the suffixes in ``VOLUMES``; ``.mhd`` and ``.nhdr`` have their voxels in another file.
+        label: the value of the object's voxels; by default all values but 0.
 
     Raises:
         ShapeError: if the file cannot be read, holds no volume or no mask, or no voxel has that label.
         MissingExtraError: if SimpleITK is not installed.
+
+    Example:
+        >>> mask = read_mask("lungs.mhd", label=3)  # doctest: +SKIP
+        >>> surface = mask_surface(mask, points=5000)  # doctest: +SKIP
     """
     file = expanded(path)
     if not file.name.lower().endswith(VOLUMES):
@@ -67,53 +72,61 @@ def _read(file: Path) -> Any:
         if len(size) != 3 or len(reader.GetSize()) != 3 or reader.GetNumberOfComponents() != 1:
             found = " x ".join(map(str, reader.GetSize()))
             raise ShapeError(f"{file} holds {found} voxels of {reader.GetNumberOfComponents()} values; give one volume")
+        n_voxels = int(np.prod(reader.GetSize(), dtype=np.int64))
         if kind == "NiftiImageIO":
             bits, begin = int(reader.GetMetaData("bitpix")), int(float(reader.GetMetaData("vox_offset")))
-            _check_length(file, reader, bits // 8, begin)
-        elif voxels is not None:
-            _check_length(voxels, reader, _simple_itk().Image(1, 1, reader.GetPixelID()).GetSizeOfPixelComponent(), 0)
+            return _read_nifti(file, reader, begin + bits // 8 * n_voxels)
+        if voxels is not None:
+            voxel_bytes = _simple_itk().Image(1, 1, reader.GetPixelID()).GetSizeOfPixelComponent()
+            _check_length(voxels, voxels.stat().st_size, voxel_bytes * n_voxels)
         return reader.Execute()
     except (OSError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-1].strip()
         raise ShapeError(f"{file} cannot be read as a volume ({reason[:200]}); write it again") from None
 
 
-def _voxels_file(file: Path) -> Path | None:
-    """The file of a MetaImage's voxels, if it is another one, of which the length can be told.
+def _read_nifti(file: Path, reader: Any, needed: int) -> Any:
+    """Read a NIfTI file whose header promises a length; compressed files are unpacked once, to that length."""
+    if file.suffix.lower() != ".gz":
+        _check_length(file, file.stat().st_size, needed)
+        return reader.Execute()
+    with TemporaryDirectory() as folder:
+        unpacked = Path(folder) / "volume.nii"
+        _check_length(file, _unpack(file, unpacked, needed), needed)
+        reader.SetFileName(str(unpacked))
+        return reader.Execute()
 
-    Of one that is missing or too short the library would print of its own, and name no file.
+
+def _unpack(file: Path, unpacked: Path, most: int) -> int:
+    """Unpack hardly more than that many bytes of a gzip file, as far as it is intact; the number of bytes."""
+    length = 0
+    with suppress(EOFError, zlib.error, gzip.BadGzipFile), gzip.open(file) as content, unpacked.open("wb") as output:
+        # One byte more is asked for, so that the checksum behind the last one is read as well.
+        while length <= most and (chunk := content.read(min(_CHUNK, most + 1 - length))):
+            length += output.write(chunk)
+    return length
+
+
+def _voxels_file(file: Path) -> Path | None:
+    """The file of a MetaImage's voxels, if it is a separate one whose length is known.
+
+    If it is missing or too short, the library would print a message of its own that names no file.
     """
     with file.open("rb") as header:
         lines = (line.partition(b"=") for line in header.read(_CHUNK).splitlines())
-    told = {key.strip(): value.strip().decode(errors="replace") for key, _, value in lines}
-    name = told.get(b"ElementDataFile", "LOCAL")
+    entries = {key.strip(): value.strip().decode(errors="replace") for key, _, value in lines}
+    name = entries.get(b"ElementDataFile", "LOCAL")
     if name.split(" ")[0] in ("LOCAL", "LIST") or "%" in name:
         return None
     if not (file.parent / name).is_file():
         raise ShapeError(f"{file}: its voxels are to be in {file.parent / name}, which is not there; put it there")
-    return None if told.get(b"CompressedData", "").upper()[:1] in ("T", "1") else file.parent / name
+    return None if entries.get(b"CompressedData", "").upper()[:1] in ("T", "1") else file.parent / name
 
 
-def _check_length(file: Path, reader: Any, voxel_bytes: int, begin: int) -> None:
-    """Of files that end early the library takes the rest for zeros (NIfTI), or prints of its own (MetaImage)."""
-    needed = begin + voxel_bytes * int(np.prod(reader.GetSize(), dtype=np.int64))
-    there = _length(file)
-    if there < needed:
-        raise ShapeError(f"{file} ends after {there} of {needed} bytes; copy or write it again")
-
-
-def _length(file: Path) -> int:
-    """In bytes, unpacked, as far as it can be."""
-    if file.suffix.lower() != ".gz":
-        return file.stat().st_size
-    length = 0
-    try:
-        with gzip.open(file) as unpacked:
-            while chunk := unpacked.read(_CHUNK):
-                length += len(chunk)
-    except (EOFError, OSError, zlib.error):
-        pass
-    return length
+def _check_length(file: Path, length: int, needed: int) -> None:
+    """Refuse files that end early: the library reads zeros (NIfTI), or prints a message of its own (MetaImage)."""
+    if length < needed:
+        raise ShapeError(f"{file} ends after {length} of {needed} bytes; copy or write it again")
 
 
 def _check_values(path: str | Path, values: np.ndarray) -> None:

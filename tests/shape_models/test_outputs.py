@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from homolog.core.errors import DataError
-from homolog.shape_models import CollectionFolder, Figures, ModelSettings, Outcome, Registered, Subject, deliver
+from homolog.shape_models import Figures, ModelSettings, Outcome, Registered, ShapeModelFolder, Subject, write_outputs
 from homolog.shape_models import model_files as model_files_module
 from homolog.shape_models import overview as overview_module
-from homolog.shape_models.overview import worst_first
+from homolog.shape_models.registered_shapes import worst_first
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.statistics import generalisation, generalised_procrustes, principal_modes
 
@@ -35,12 +35,12 @@ def placed(template, tmp_path, make):
     def build(count, *, faces=True, doubtful=()):
         rng = np.random.default_rng(0)
         base = template if faces else template.as_cloud()
-        folder, outcomes = CollectionFolder.prepare(tmp_path / "out", {"template": {"sha256": ""}}), []
+        folder, outcomes = ShapeModelFolder.prepare(tmp_path / "out", {"template": {"sha256": ""}}), []
         for number in range(count):
             points = base.points * rng.uniform(0.8, 1.2, 3) @ make.rotation(number).T + number
             file = tmp_path / f"shape{number}.ply"
             write_shape(file, Shape(points))
-            warnings = ("the match is doubtful: because",) if number in doubtful else ()
+            warnings = ("the match has low confidence: because",) if number in doubtful else ()
             outcome = Outcome(Subject(f"shape{number}", file), FIGURES, warnings, seconds=1.0)
             folder.write(outcome, Registered(points, FIGURES, warnings), base, "")
             outcomes.append(outcome)
@@ -57,7 +57,7 @@ def table(path):
 def test_the_array_and_the_table(placed, tmp_path):
     folder, template, outcomes = placed(4, doubtful=[2])
     failed = Outcome(Subject("none", tmp_path / "none, really.ply"), None, error="none.ply is empty")
-    deliver(folder, template, [outcomes[0], failed, *outcomes[1:]])
+    write_outputs(folder, template, [outcomes[0], failed, *outcomes[1:]])
     points = np.load(folder.root / "points.npy", allow_pickle=False)
     assert points.shape == (4, template.n_points, 3) and points.dtype == np.float64
     rows = table(folder.root / "quality.csv")
@@ -67,17 +67,17 @@ def test_the_array_and_the_table(placed, tmp_path):
         if row["row"]:
             np.testing.assert_array_equal(points[int(row["row"])], read_shape(folder.shape_file(row["name"])).points)
             assert float(row["flipped_triangles"]) == 0.02 and float(row["distance_from_mean"]) > 0
-    assert rows[1]["doubts"] == "not placed: none.ply is empty" and rows[1]["confidence"] == ""
+    assert rows[1]["warnings"] == "not registered: none.ply is empty" and rows[1]["confidence"] == ""
     assert rows[1]["file"].endswith("none, really.ply")
-    assert rows[3]["doubts"].startswith("the match is doubtful") and rows[2]["doubts"] == ""
+    assert rows[3]["warnings"].startswith("the match has low confidence") and rows[2]["warnings"] == ""
     report = json.loads((folder.root / "report.json").read_text())
-    assert report["not_placed"] == {"none": "none.ply is empty"} and list(report["doubtful"]) == ["shape2"]
+    assert report["not_registered"] == {"none": "none.ply is empty"} and list(report["warnings"]) == ["shape2"]
     assert all((folder.root / name).is_file() for name in report["files"])
 
 
 def test_the_model_is_that_of_the_aligned_points(placed):
     folder, template, outcomes = placed(5)
-    deliver(folder, template, outcomes, ModelSettings(scale=True, seed=3))
+    write_outputs(folder, template, outcomes, ModelSettings(scale=True, seed=3))
     points = np.load(folder.root / "points.npy")
     aligned = generalised_procrustes(points, scale=True, start=template.points)
     model, place = principal_modes(aligned.points), folder.root / "model"
@@ -103,7 +103,7 @@ def test_the_model_is_that_of_the_aligned_points(placed):
 def test_shapeworks_reads_back(placed, faces):
     """As its readers do: numbers split by blanks, a matrix row by row, files beside the project."""
     folder, template, outcomes = placed(3, faces=faces)
-    deliver(folder, template, outcomes, ModelSettings(scale=True))
+    write_outputs(folder, template, outcomes, ModelSettings(scale=True))
     place, points = folder.root / "shapeworks", np.load(folder.root / "points.npy")
     project = json.loads((place / "collection.swproj").read_text())
     assert [entry["name"] for entry in project["data"]] == ["shape0", "shape1", "shape2"]
@@ -138,7 +138,7 @@ def read_particles(path):
 def test_scalismo_reads_back(placed, faces):
     """As its reader does: vectors point by point, points and cells as rows of x, y and z, all in single precision."""
     folder, template, outcomes = placed(4, faces=faces)
-    deliver(folder, template, outcomes)
+    write_outputs(folder, template, outcomes)
     model = np.load(folder.root / "model" / "modes.npy"), read_shape(folder.root / "model" / "mean.ply").points
     with h5py.File(folder.root / "scalismo" / "model.h5") as file:
         assert (file["version/majorVersion"][()], file["version/minorVersion"][()]) == (0, 9)
@@ -169,12 +169,12 @@ def test_the_contact_sheet_has_the_worst_first(placed, tmp_path, monkeypatch):
     seen = []
     drawn = overview_module.contact_sheet
     monkeypatch.setattr(overview_module, "contact_sheet", lambda tiles: seen.extend(tiles) or drawn(tiles))
-    deliver(folder, template, [*outcomes[:3], worse, failed])
+    write_outputs(folder, template, [*outcomes[:3], worse, failed])
     assert [tile.title for tile in seen] == ["template", "1. none", "2. shape1", "3. shape3", "4. shape0", "5. shape2"]
     sheet = {row["name"]: row["sheet"] for row in table(folder.root / "quality.csv")}
     assert sheet == {"none": "1", "shape1": "2", "shape3": "3", "shape0": "4", "shape2": "5"}
     assert [tile.alarming for tile in seen] == [False, True, True, False, False, False]
-    assert seen[1].points is None and seen[2].lines[-1] == "doubtful"
+    assert seen[1].points is None and seen[2].lines[-1] == "see warnings"
     with image.open(folder.root / "contact_sheet.png") as sheet:
         pixels = np.asarray(sheet.convert("RGB")).astype(int)
     assert (np.ptp(pixels, axis=2) > 40).mean() > 0.02  # coloured shapes on white
@@ -184,7 +184,7 @@ def test_the_contact_sheet_has_the_worst_first(placed, tmp_path, monkeypatch):
 def test_few_shapes(placed, count):
     """One has no modes; two have one, of which nothing can be left out."""
     folder, template, outcomes = placed(count)
-    files = deliver(folder, template, outcomes)
+    files = write_outputs(folder, template, outcomes)
     assert (folder.root / "points.npy").is_file()
     assert (folder.root / "model" in files) == (folder.root / "model" / "modes.html").is_file() == (count == 2)
     if count == 2:
@@ -193,30 +193,30 @@ def test_few_shapes(placed, count):
 
 def test_what_no_longer_holds_is_taken_away(placed):
     folder, template, outcomes = placed(3)
-    deliver(folder, template, outcomes)
+    write_outputs(folder, template, outcomes)
     own = folder.root / "shapeworks" / "mine.txt"
     own.write_text("kept")
-    deliver(folder, template, outcomes[:2])
+    write_outputs(folder, template, outcomes[:2])
     particles = sorted(path.name for path in (folder.root / "shapeworks" / "particles").iterdir())
     assert particles == [f"shape{number}_{kind}.particles" for number in (0, 1) for kind in ("local", "world")]
     assert np.load(folder.root / "points.npy").shape[0] == 2
     assert folder.others([outcome.subject for outcome in outcomes[:2]]) == ["shape2"]
-    deliver(folder, template, outcomes[:1])
+    write_outputs(folder, template, outcomes[:1])
     assert own.read_text() == "kept"
     own.unlink()
-    deliver(folder, template, outcomes[:1])
+    write_outputs(folder, template, outcomes[:1])
     assert not any((folder.root / name).exists() for name in ("model", "shapeworks", "scalismo"))
 
 
 def test_a_report_from_elsewhere_takes_nothing_away_that_is_not_ours(placed, tmp_path):
     folder, template, outcomes = placed(3)
-    deliver(folder, template, outcomes)
+    write_outputs(folder, template, outcomes)
     mine = tmp_path / "mine.txt"
     mine.write_text("kept")
     for files in (["../mine.txt", str(mine), "shapes/shape0.ply", 7], 7):
         report = json.loads((folder.root / "report.json").read_text())
         (folder.root / "report.json").write_text(json.dumps({**report, "files": files}))
-        deliver(folder, template, outcomes)
+        write_outputs(folder, template, outcomes)
         assert mine.read_text() == "kept" and (folder.root / "shapes" / "shape0.ply").is_file()
 
 
@@ -224,7 +224,7 @@ def test_the_same_shapes_give_the_same_bytes(placed):
     folder, template, outcomes = placed(3)
 
     def contents():
-        deliver(folder, template, outcomes)
+        write_outputs(folder, template, outcomes)
         return {path: path.read_bytes() for path in folder.root.rglob("*") if path.is_file() and path.suffix != ".h5"}
 
     assert contents() == contents()
@@ -232,7 +232,7 @@ def test_the_same_shapes_give_the_same_bytes(placed):
 
 def test_nothing_is_left_half_written(placed, monkeypatch):
     folder, template, outcomes = placed(3)
-    deliver(folder, template, outcomes)
+    write_outputs(folder, template, outcomes)
     before = {path: path.read_bytes() for path in folder.root.rglob("*") if path.is_file()}
 
     def fail(*args):
@@ -240,7 +240,7 @@ def test_nothing_is_left_half_written(placed, monkeypatch):
 
     monkeypatch.setattr(model_files_module, "write_scalismo", fail)
     with pytest.raises(OSError, match="No space"):
-        deliver(folder, template, outcomes[:2])
+        write_outputs(folder, template, outcomes[:2])
     assert {path: path.read_bytes() for path in folder.root.rglob("*") if path.is_file()} == before
 
 
@@ -249,19 +249,23 @@ def test_a_delivery_that_fails_leaves_no_empty_folder(placed, monkeypatch):
     before = sorted(folder.root.rglob("*"))
     monkeypatch.setattr(model_files_module, "write_scalismo", lambda *args: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        deliver(folder, template, outcomes)
+        write_outputs(folder, template, outcomes)
     assert sorted(folder.root.rglob("*")) == before
 
 
 def test_where_all_fail_the_files_are_those_of_this_time(placed):
     folder, template, outcomes = placed(3)
-    deliver(folder, template, outcomes)
+    write_outputs(folder, template, outcomes)
     failed = [Outcome(outcome.subject, None, error=f"{outcome.subject.name} is empty") for outcome in outcomes]
-    with pytest.raises(DataError, match="none of the 3 shapes could be placed"):
-        deliver(folder, template, failed)
+    with pytest.raises(DataError, match="none of the 3 shapes could be registered"):
+        write_outputs(folder, template, failed)
     rows = table(folder.root / "quality.csv")
-    assert [row["doubts"] for row in rows] == [f"not placed: shape{number} is empty" for number in range(3)]
-    assert list(json.loads((folder.root / "report.json").read_text())["not_placed"]) == ["shape0", "shape1", "shape2"]
+    assert [row["warnings"] for row in rows] == [f"not registered: shape{number} is empty" for number in range(3)]
+    assert list(json.loads((folder.root / "report.json").read_text())["not_registered"]) == [
+        "shape0",
+        "shape1",
+        "shape2",
+    ]
     assert not (folder.root / "points.npy").exists() and not (folder.root / "model").exists()
 
 
@@ -278,7 +282,7 @@ def test_the_worst_first(tmp_path):
     flipped = placed("flipped", flipped_triangles=0.5)
     assert worst_first([good, flipped]) == [good, flipped]
     failed = Outcome(Subject("failed", tmp_path / "failed"), None, error="empty")
-    doubtful = placed("doubtful", "because", confidence=1.0)
+    doubtful = placed("see warnings", "because", confidence=1.0)
     mixed = placed("mixed", confidence=0.7, dirichlet_energy=1.0, edges_95=1.05)
     bad = placed("bad", dirichlet_energy=3.0, edges_95=2.0)
     assert worst_first([good, mixed, bad, doubtful, failed]) == [failed, doubtful, bad, good, mixed]
@@ -288,7 +292,7 @@ def test_the_worst_first(tmp_path):
 def test_names_that_look_like_formulas_stay_names(placed, tmp_path):
     folder, template, outcomes = placed(2)
     failed = Outcome(Subject("=1+1", Path("=1+1.ply")), None, error="=1+1.ply is empty")
-    deliver(folder, template, [*outcomes, failed])
+    write_outputs(folder, template, [*outcomes, failed])
     row = table(folder.root / "quality.csv")[2]
     assert (row["name"], row["file"]) == ("'=1+1", "'=1+1.ply")
 
@@ -296,7 +300,7 @@ def test_names_that_look_like_formulas_stay_names(placed, tmp_path):
 def test_refused(placed, tmp_path, make):
     folder, template, outcomes = placed(2)
     failed = Outcome(Subject("none", tmp_path / "none.ply"), None, error="none.ply is empty")
-    with pytest.raises(DataError, match="none of the 1 shapes could be placed"):
-        deliver(folder, template, [failed])
-    with pytest.raises(DataError, match="has 42 points, the template 162"):
-        deliver(folder, make.blob(2), outcomes)
+    with pytest.raises(DataError, match="none of the 1 shapes could be registered"):
+        write_outputs(folder, template, [failed])
+    with pytest.raises(DataError, match="has 42 points, but the template has 162"):
+        write_outputs(folder, make.blob(2), outcomes)

@@ -8,9 +8,9 @@ import pytest
 import trimesh
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
-from homolog.shape_models import CollectionFolder, CollectionSettings, Figures, Template, check_template, subjects_of
-from homolog.shape_models import production as production_module
-from homolog.shape_models import registering as registering_module
+from homolog.shape_models import Figures, ShapeModelFolder, ShapeModelSettings, Template, check_template, subjects_of
+from homolog.shape_models import batch as batch_module
+from homolog.shape_models import registration as registration_module
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.transfer import SurfaceMap, SurfaceProjector
 
@@ -38,7 +38,7 @@ def test_points_lie_where_they_belong_and_on_the_surface(family, gathered, tmp_p
     folder, outcomes = gathered(template, files, tmp_path / "out")
     assert [outcome.subject.name for outcome in outcomes] == [file.stem for file in files]
     assert all(outcome.figures is not None and not outcome.error for outcome in outcomes)
-    placed, spacing = folder.points([file.stem for file in files]), 0.2
+    placed, spacing = folder.points([file.stem for file in files], 162), 0.2
     away = np.linalg.norm(placed - true, axis=2)
     assert away.mean() < 0.5 * spacing
     faces = read_shape(template).faces
@@ -81,12 +81,16 @@ def test_it_goes_on_where_it_was_stopped(family, gathered, tmp_path, monkeypatch
             raise Stopped
 
     with pytest.raises(Stopped):
-        gathered(template, files, place, told=stop)
+        gathered(template, files, place, listener=stop)
     assert len(list((place / "shapes").iterdir())) == 2
     kept = state(place)
     progress = []
     folder, outcomes = gathered(
-        template, files, place, told=lambda o: told.append(o.subject.name), progress=lambda *told: progress.append(told)
+        template,
+        files,
+        place,
+        listener=lambda o: told.append(o.subject.name),
+        progress=lambda *told: progress.append(told),
     )
     assert told == [file.stem for file in files]  # each once
     assert progress[0][:2] == (2, 3) and progress[-1][:2] == (3, 3)
@@ -105,11 +109,11 @@ def test_several_processes_give_the_same(family, gathered, tmp_path):
     alone, _ = gathered(template, files[:2], tmp_path / "alone")
     told = []
     shared, outcomes = gathered(
-        template, files[:2], tmp_path / "shared", processes=2, told=lambda o: told.append(o.subject.name)
+        template, files[:2], tmp_path / "shared", processes=2, listener=lambda o: told.append(o.subject.name)
     )
     names = [file.stem for file in files[:2]]
     assert told == names and [outcome.subject.name for outcome in outcomes] == names
-    np.testing.assert_allclose(shared.points(names), alone.points(names), atol=1e-6)
+    np.testing.assert_allclose(shared.points(names, 162), alone.points(names, 162), atol=1e-6)
 
 
 def test_a_bad_shape_is_told_and_the_others_are_placed(family, gathered, tmp_path):
@@ -117,7 +121,7 @@ def test_a_bad_shape_is_told_and_the_others_are_placed(family, gathered, tmp_pat
     bad = tmp_path / "bad.ply"
     bad.write_text("ply\nformat ascii 1.0\nelement vertex 3\nend_header\n")
     told = []
-    folder, outcomes = gathered(template, [bad, files[0]], tmp_path / "out", told=told.append)
+    folder, outcomes = gathered(template, [bad, files[0]], tmp_path / "out", listener=told.append)
     assert outcomes == told
     assert outcomes[0].figures is None and str(bad) in outcomes[0].error and "\n" not in outcomes[0].error
     assert outcomes[1].figures is not None
@@ -125,7 +129,7 @@ def test_a_bad_shape_is_told_and_the_others_are_placed(family, gathered, tmp_pat
     # It is tried again, and counts once it is mended.
     shutil.copy(files[1], bad)
     again = []
-    _, outcomes = gathered(template, [bad, files[0]], tmp_path / "out", told=again.append)
+    _, outcomes = gathered(template, [bad, files[0]], tmp_path / "out", listener=again.append)
     assert [outcome.subject.name for outcome in again] == ["bad"]
     assert outcomes[0].figures is not None
 
@@ -144,7 +148,7 @@ def test_a_shape_that_is_away_fails_alone_and_what_was_made_of_it_waits(family, 
     assert contents(folder).items() > before.items()
     (tmp_path / "elsewhere").rename(mine)
     again = []
-    _, (back,) = gathered(template, [mine], place, told=again.append)
+    _, (back,) = gathered(template, [mine], place, listener=again.append)
     assert back.figures is not None and again == []
 
 
@@ -162,14 +166,14 @@ def test_no_folder_is_left_in_which_nothing_was_made(tmp_path, make):
     new, mine = tmp_path / "new" / "out", tmp_path / "mine"
     mine.mkdir()
     for place in (new, mine):
-        with pytest.raises(ZeroDivisionError), CollectionFolder.opened(place, {"template": {}}):
+        with pytest.raises(ZeroDivisionError), ShapeModelFolder.opened(place, {"template": {}}):
             assert (place / "shapes").is_dir()
             1 / 0  # noqa: B018
     assert not new.parent.exists() and not list(mine.iterdir())
-    with pytest.raises(ZeroDivisionError), CollectionFolder.opened(new, {"template": {}}) as folder:
+    with pytest.raises(ZeroDivisionError), ShapeModelFolder.opened(new, {"template": {}}) as folder:
         write_shape(folder.shape_file("one"), make.blob(1))
         1 / 0  # noqa: B018
-    with pytest.raises(ZeroDivisionError), CollectionFolder.opened(new, {"template": {}}):
+    with pytest.raises(ZeroDivisionError), ShapeModelFolder.opened(new, {"template": {}}):
         1 / 0  # noqa: B018
     assert sorted(path.name for path in new.iterdir()) == ["manifest.json", "records", "shapes"]
 
@@ -186,24 +190,27 @@ def test_points_in_clumps_are_told(faces, make):
     for mapped in (right, clumped):
         projector = SurfaceProjector(base)
         smooth = SurfaceMap(projector, SurfaceProjector(blob), blob.points[mapped])
-        low, high = registering_module._edge_spread(smooth)
+        low, high = registration_module._edge_spread(smooth)
         evenness.append(Figures(1.0, 1.0, 0.0, 1.0, 0.0 if faces else None, low, high))
-    assert evenness[0].unevenness == pytest.approx(1, abs=1e-6) and evenness[0].doubts() == ()
+    assert evenness[0].unevenness == pytest.approx(1, abs=1e-6) and evenness[0].low_confidence_warnings() == ()
     assert np.isfinite([evenness[1].edges_5, evenness[1].edges_95]).all()  # which JSON needs
     assert evenness[1].unevenness > 5
-    told = evenness[1].doubts()
+    told = evenness[1].low_confidence_warnings()
     if faces:
-        assert len(told) == 1 and told[0].startswith("the match is doubtful: its points come in clumps and gaps")
+        assert len(told) == 1 and told[0].startswith("the match has low confidence: its points come in clumps and gaps")
     else:  # on clouds of organs neighbours are as uneven between true places
         assert told == ()
 
 
 def test_doubts_of_the_placed_points_are_told_and_refused_as_strict(family, gathered, tmp_path, monkeypatch):
     template, files, _ = family
-    monkeypatch.setattr(registering_module, "_edge_spread", lambda smooth: (0.2, 1.8))
+    monkeypatch.setattr(registration_module, "_edge_spread", lambda smooth: (0.2, 1.8))
     _, (outcome,) = gathered(template, files[:1], tmp_path / "out")
-    assert outcome.warnings == Figures(1.0, 1.0, 0.0, 1.0, 0.0, 0.2, 1.8).doubts() and len(outcome.warnings) == 1
-    _, (refused,) = gathered(template, files[:1], tmp_path / "strict", CollectionSettings(strict=True))
+    assert (
+        outcome.warnings == Figures(1.0, 1.0, 0.0, 1.0, 0.0, 0.2, 1.8).low_confidence_warnings()
+        and len(outcome.warnings) == 1
+    )
+    _, (refused,) = gathered(template, files[:1], tmp_path / "strict", ShapeModelSettings(strict=True))
     assert refused.figures is None and "refused as strict" in refused.error
 
 
@@ -223,17 +230,17 @@ def test_changes_are_noticed(family, gathered, tmp_path):
 
     def run():
         again.clear()
-        return gathered(template, [mine], place, told=lambda o: again.append(o.subject.name))
+        return gathered(template, [mine], place, listener=lambda o: again.append(o.subject.name))
 
     folder, _ = run()
     assert again == ["mine"]
-    first = folder.points(["mine"])
+    first = folder.points(["mine"], 162)
     os.utime(mine, (1, 1))  # the same bytes at another time
     run()
     assert again == []
     write_shape(mine, read_shape(files[2]))
     run()
-    assert again == ["mine"] and np.abs(folder.points(["mine"]) - first).max() > 0.1
+    assert again == ["mine"] and np.abs(folder.points(["mine"], 162) - first).max() > 0.1
     folder.shape_file("mine").write_text("mangled")
     run()
     assert again == ["mine"]
@@ -249,7 +256,7 @@ def test_a_folder_holds_one_collection(family, gathered, tmp_path, make):
     with pytest.raises(ArgumentError, match=r"holds a collection made in another way \(template\)"):
         gathered(files[1], files[:1], tmp_path / "out")
     with pytest.raises(ArgumentError, match=r"made in another way \(matching\)"):
-        gathered(template, files[:1], tmp_path / "out", CollectionSettings(shapes_up="z"))
+        gathered(template, files[:1], tmp_path / "out", ShapeModelSettings(shapes_up="z"))
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thing").write_text("")
     with pytest.raises(ArgumentError, match="holds other things"):
@@ -263,10 +270,10 @@ def test_shapes_that_are_turned(family, gathered, tmp_path, make):
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     write_shape(tmp_path / "lying.ply", Shape(shape.points @ turn.T, shape.faces))
     folder, (outcome,) = gathered(
-        template, [tmp_path / "lying.ply"], tmp_path / "out", CollectionSettings(shapes_up="z")
+        template, [tmp_path / "lying.ply"], tmp_path / "out", ShapeModelSettings(shapes_up="z")
     )
     assert outcome.warnings == ()
-    assert np.linalg.norm(folder.points(["lying"])[0] - true[1] @ turn.T, axis=1).mean() < 0.1
+    assert np.linalg.norm(folder.points(["lying"], 162)[0] - true[1] @ turn.T, axis=1).mean() < 0.1
 
 
 @pytest.mark.parametrize(("template_faces", "shape_faces"), [(True, False), (False, True), (False, False)])
@@ -288,7 +295,7 @@ def test_strict(family, gathered, tmp_path, make):
     template, files, _ = family
     shape = read_shape(files[0])
     write_shape(tmp_path / "dirty.ply", Shape(np.concatenate([shape.points, [[9, 9, 9]]]), shape.faces))
-    settings = CollectionSettings(strict=True)
+    settings = ShapeModelSettings(strict=True)
     _, (outcome,) = gathered(template, [tmp_path / "dirty.ply"], tmp_path / "out", settings)
     assert "refused as strict" in outcome.error
 
@@ -300,8 +307,8 @@ def test_units_that_differ_are_told(family, gathered, tmp_path):
     folder, (outcome,) = gathered(template, [tmp_path / "large.ply"], tmp_path / "out")
     (told,) = outcome.warnings
     assert "times as large as the template" in told and 900 < float(told.split()[2]) < 1100
-    assert folder.points(["large"]).max() > 1000
-    _, (refused,) = gathered(template, [tmp_path / "large.ply"], tmp_path / "strict", CollectionSettings(strict=True))
+    assert folder.points(["large"], 162).max() > 1000
+    _, (refused,) = gathered(template, [tmp_path / "large.ply"], tmp_path / "strict", ShapeModelSettings(strict=True))
     assert refused.figures is None and "refused as strict" in refused.error
 
 
@@ -320,7 +327,7 @@ def test_names(family, tmp_path):
 
 def test_templates_that_cannot_be_carried(make):
     blob = make.blob(1)
-    with pytest.raises(ShapeError, match="has 1 points that can have no place"):
+    with pytest.raises(ShapeError, match="has 1 points that can have no counterpart"):
         check_template(Shape(np.concatenate([blob.points, [[9, 9, 9]]]), blob.faces, name="blob"))
     check_template(Shape(np.concatenate([blob.points, blob.points[:1]]), np.concatenate([blob.faces, [[42, 0, 1]]])))
 
@@ -329,14 +336,14 @@ def test_files_that_do_not_fit_each_other(family, gathered, tmp_path, make):
     template, files, _ = family
     folder, _ = gathered(template, files[:2], tmp_path / "out")
     write_shape(folder.shape_file("copy1"), make.blob(1))
-    with pytest.raises(DataError, match="has 42 points, not 162"):
-        folder.points(["copy0", "copy1"])
-    assert isinstance(folder, CollectionFolder)
+    with pytest.raises(DataError, match="has 42 points, but the template has 162"):
+        folder.points(["copy0", "copy1"], 162)
+    assert isinstance(folder, ShapeModelFolder)
 
 
 def test_the_template_is_made_ready_once(family, gathered, tmp_path, calls):
     template, files, _ = family
-    production_module._prepared.cache_clear()
+    batch_module._prepared_template.cache_clear()
     made = calls(Template, "__init__")
     gathered(template, files[:3], tmp_path / "out")
     assert made == ["__init__"]

@@ -1,4 +1,4 @@
-"""Placing a template's points on one shape."""
+"""Registration of a template to one shape."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from homolog.pairs import PairOptions
 from homolog.shapes import Shape, Up, repair
 from homolog.transfer import SurfaceMap, SurfaceProjector, surface_map, untangled
 
-# In length. Grown bodies are not three times as large as children's, and units differ by ten or more.
+# A ratio of lengths. Adults are less than three times as large as children, and units differ by ten or more.
 _MUCH_LARGER = 5.0
-# Of a cloud's points: what lies so near stands in for what edges join.
+# Each point of a cloud is joined to this many nearest ones in place of edges.
 _NEAREST = 6
-# How many times as long as others some edges may come out, from 5th to 95th percentile: good maps between bodies stay
-# below 3; between kinds of shapes that the weights do not know it is 6 to 10.
+# The largest ratio of the 95th to the 5th percentile of edge stretches: good maps between bodies have less than 3, maps
+# between kinds of shapes that the weights do not know 6 to 10.
 _UNEVEN = 5.0
 _LEAST_RATIO = 1e-6
 
 
 @dataclass(frozen=True)
 class Figures:
-    """How good a shape's match to the template is, as far as it itself tells; see ``docs/conventions.md``.
+    """Quality of a registration, computed without ground truth; see ``docs/conventions.md``.
 
     Args:
-        confidence: mean one, of both directions.
-        coverage: share of the area that is hit, on average over both shapes.
-        cycle_error: mean distance between a point and where it comes back to, in units of sqrt(area), likewise.
-        dirichlet_energy: of the point maps, relative to the identity's, likewise.
-        flipped_triangles: share of the template's triangles that lie turned over on the shape; None for clouds.
-        edges_5: 5th percentile of the edges' lengths on the shape over those of the template, over the median of these;
-            of a template without faces, of the distances between each point and the six nearest to it.
-        edges_95: likewise the 95th. Both are None where an earlier version left them out.
+        confidence: mean of both directions.
+        coverage: share of the area that is hit, mean of both shapes.
+        cycle_error: mean distance of a point to its image under both maps, in units of sqrt(area), mean of both shapes.
+        dirichlet_energy: of the point maps, relative to the identity's, mean of both directions.
+        flipped_triangles: share of the template's triangles that are flipped on the shape; None for clouds.
+        edges_5: 5th percentile of the stretch of edges (length on the shape over length on the template), over its
+            median; for a template without faces, of the distances between each point and its six nearest ones.
+        edges_95: the 95th percentile likewise. Both are None in records of earlier versions.
     """
 
     confidence: float
@@ -49,21 +49,21 @@ class Figures:
 
     @property
     def unevenness(self) -> float:
-        """How many times as long as others some edges came out, by the percentiles; 1 if these are not known."""
+        """The ratio of the 95th to the 5th percentile of edge stretches; 1 if unknown."""
         if self.edges_5 is None or self.edges_95 is None:
             return 1.0
         return self.edges_95 / max(self.edges_5, _LEAST_RATIO)
 
-    def doubts(self) -> tuple[str, ...]:
-        """A warning if points have come to lie in clumps, and far apart elsewhere, as no good map of a mesh lays them.
+    def low_confidence_warnings(self) -> tuple[str, ...]:
+        """A warning if the points are unevenly spread on the shape, which does not occur in good maps of a mesh.
 
-        Between true places on clouds of organs neighbours are as uneven, 5 to 9 on lungs: there it says nothing.
+        For clouds there is none: on clouds of organs the true correspondence is as uneven (5 to 9 on lungs).
         """
         if self.flipped_triangles is None or self.unevenness <= _UNEVEN:
             return ()
         return (
-            "the match is doubtful: its points come in clumps and gaps (edges are stretched by "
-            f"{self.edges_5:.2g} to {self.edges_95:.2g} times the median, of good maps by 0.5 to 1.5)",
+            "the match has low confidence: its points come in clumps and gaps (edges are stretched by "
+            f"{self.edges_5:.2g} to {self.edges_95:.2g} times the median, in good maps by 0.5 to 1.5)",
         )
 
 
@@ -72,9 +72,9 @@ class Registered:
     """The template's points on a shape.
 
     Args:
-        points: in the template's numbering, on the shape's surface, in its coordinates (n, 3).
-        figures: how good the match is.
-        warnings: what the user should know, a line each.
+        points: one for each template point, on the shape's surface, in its coordinates (n, 3).
+        figures: quality of the match.
+        warnings: for the user, a line each.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -83,16 +83,20 @@ class Registered:
 
 
 class Template:
-    """A template, made ready to be matched to many shapes.
+    """A template that is registered to shapes; it is prepared once.
 
     Args:
         shape: as it was read.
-        matcher: what matches.
+        matcher: that finds the point maps.
         up: which of its axes points up.
         as_cloud: match without its faces.
 
     Raises:
-        ShapeError: if it cannot be used, or has points that can have no place on another shape.
+        ShapeError: if it cannot be used, or repair removes some of its points.
+
+    Example:
+        >>> template = Template(homolog.read_shape("template.ply"), matcher)  # doctest: +SKIP
+        >>> template.registered_to(homolog.read_shape("scan.ply")).points  # doctest: +SKIP
     """
 
     def __init__(self, shape: Shape, matcher: Matcher, *, up: Up = "y", as_cloud: bool = False) -> None:
@@ -102,33 +106,33 @@ class Template:
         self.prepared = matcher.preprocess(shape, up=up, as_cloud=as_cloud, label="template")
 
     def registered_to(self, shape: Shape, *, up: Up = "y", as_cloud: bool = False, strict: bool = False) -> Registered:
-        """Match a shape, and lay the template's points smoothly over its surface.
+        """Match a shape, and register the template's surface to it smoothly.
 
         Args:
             shape: as it was read.
             up: which of its axes points up.
             as_cloud: match without its faces.
-            strict: refuse anything to repair or to warn of.
+            strict: refuse shapes that need repair or would get a warning.
 
         Raises:
             ShapeError: if the shape cannot be used, or is refused.
         """
         subject = self.matcher.preprocess(shape, up=up, as_cloud=as_cloud, strict=strict, label="shape")
-        goal = SurfaceProjector(shape)
-        units = self._units_that_differ(goal)
+        target = SurfaceProjector(shape)
+        units = self._unit_warnings(target)
         if strict and units:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
         found = self.matcher.match_pair(self.matcher.paired(self.prepared, subject, PairOptions(strict=strict)))
-        smooth = untangled(surface_map(self.projector, goal, found))
+        smooth = untangled(surface_map(self.projector, target, found))
         figures = _figures(smooth, found)
-        uneven = figures.doubts()
+        uneven = figures.low_confidence_warnings()
         if strict and uneven:
             raise ShapeError(f"{shape.name}: {uneven[0]} (refused as strict)")
         return Registered(smooth.positions, figures, (*units, *found.warnings, *uneven))
 
-    def _units_that_differ(self, goal: SurfaceProjector) -> tuple[str, ...]:
-        """What to tell the user of a shape so much larger or smaller that it would outweigh all others in a model."""
-        ratio = goal.unit / self.projector.unit
+    def _unit_warnings(self, target: SurfaceProjector) -> tuple[str, ...]:
+        """A warning if a shape is so much larger or smaller that its unit seems to differ."""
+        ratio = target.unit / self.projector.unit
         if 1 / _MUCH_LARGER < ratio < _MUCH_LARGER:
             return ()
         return (
@@ -138,7 +142,7 @@ class Template:
 
 
 def check_template(shape: Shape) -> None:
-    """Refuse a template of which repair leaves points out: they would have a place on no shape.
+    """Refuse a template some of whose points repair removes: they would have no counterpart on any shape.
 
     Raises:
         ShapeError: naming how many, and what to do.
@@ -146,8 +150,8 @@ def check_template(shape: Shape) -> None:
     left_out = int((repair(shape).clean_index < 0).sum())
     if left_out:
         raise ShapeError(
-            f"{shape.name} has {left_out} points that can have no place on another shape, as no face uses them or "
-            "they are no numbers (homolog info tells); take them out, or give another template"
+            f"{shape.name} has {left_out} points that can have no counterpart, as no face uses them or they are not "
+            "finite (homolog info shows them); remove them, or give another template"
         )
 
 
@@ -167,24 +171,24 @@ def _figures(smooth: SurfaceMap, found: Match) -> Figures:
 
 
 def _edge_spread(smooth: SurfaceMap) -> tuple[float, float]:
-    """Percentiles of how much the template's edges are lengthened, relative to the median edge."""
+    """The 5th and 95th percentile of edge stretches, relative to the median."""
     shape = smooth.source.shape
-    edges = _neighbours(shape.points) if shape.faces is None else _sides(shape.faces)
-    laid = smooth.positions[smooth.source.repaired.kept]
-    now, before = (np.linalg.norm(np.diff(points[edges], axis=1)[:, 0], axis=1) for points in (laid, shape.points))
+    if shape.faces is None:
+        edges = _neighbours(shape.points)
+    else:  # the sides of all triangles, those between two of them twice
+        edges = np.stack([shape.faces, np.roll(shape.faces, 1, axis=1)], axis=2).reshape(-1, 2)
+    registered = smooth.positions[smooth.source.repaired.kept]
+    now, before = (
+        np.linalg.norm(np.diff(points[edges], axis=1)[:, 0], axis=1) for points in (registered, shape.points)
+    )
     low, middle, high = np.percentile(now[before > 0] / before[before > 0], [5, 50, 95])
-    # Where most points came to lie in a few places the median is nothing, and JSON knows no infinity.
+    # Where most points collapsed to a few ones the median is 0, and JSON has no infinity.
     middle = max(middle, _LEAST_RATIO * high, np.finfo(float).tiny)
     return float(low / middle), float(high / middle)
 
 
-def _sides(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "e 2"]:
-    """The sides of all triangles, those between two of them twice."""
-    return np.stack([faces, np.roll(faces, 1, axis=1)], axis=2).reshape(-1, 2)
-
-
 def _neighbours(points: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "e 2"]:
-    """Each point with those nearest to it, which stand in for a cloud's edges."""
+    """Pairs of each point and its nearest ones, in place of a cloud's edges."""
     count = min(_NEAREST, len(points) - 1)
     near = KDTree(points).query(points, k=count + 1)[1]
     pairs = np.stack([np.repeat(np.arange(len(points)), count + 1), near.ravel()], axis=1)

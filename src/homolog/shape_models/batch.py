@@ -1,0 +1,173 @@
+"""Registration of a template to many shapes, one after another or in several processes."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache, partial
+from typing import Any
+
+from homolog.core.arguments import check_count
+from homolog.core.errors import HomologError
+from homolog.core.progress import Progress, ignore
+from homolog.core.tasks import run_tasks
+from homolog.matching import Matcher
+from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.registration import Template
+from homolog.shape_models.subjects import Subject
+from homolog.shapes import Shape, Up, read_hashed_shape
+
+
+@dataclass(frozen=True)
+class ShapeModelSettings:
+    """How shapes are matched to the template, besides the matcher's own settings.
+
+    Args:
+        template_up: the axis of the template that points up.
+        shapes_up: the axis of the shapes that points up.
+        template_as_cloud: match without the template's faces.
+        shapes_as_cloud: match without the shapes' faces.
+        strict: refuse shapes that need repair or would get a warning.
+    """
+
+    template_up: Up = "y"
+    shapes_up: Up = "y"
+    template_as_cloud: bool = False
+    shapes_as_cloud: bool = False
+    strict: bool = False
+
+
+def settings_record(template_sha256: str, matcher: Matcher, settings: ShapeModelSettings) -> dict[str, Any]:
+    """All that the registered points depend on besides the shapes, for ``ShapeModelFolder.prepare``.
+
+    Args:
+        template_sha256: hash of the template's file.
+        matcher: that registers the template.
+        settings: of the registration.
+    """
+    return {
+        "template": {"sha256": template_sha256},
+        "matching": asdict(settings),
+        **{name: value for name, value in matcher.describe().items() if name != "device"},
+    }
+
+
+def register_all(
+    template: Shape,
+    subjects: Sequence[Subject],
+    folder: ShapeModelFolder,
+    make_matcher: Callable[[], Matcher],
+    settings: ShapeModelSettings | None = None,
+    *,
+    processes: int = 1,
+    progress: Progress = ignore,
+    listener: Callable[[Outcome], None] = ignore,
+) -> list[Outcome]:
+    """Register a template to all shapes that are not registered yet; failures do not stop the others.
+
+    Several processes begin by importing the program that calls this: a script must call it below
+    ``if __name__ == "__main__":``.
+
+    Args:
+        template: as it was read, with the hash that ``folder`` was begun with.
+        subjects: the shapes.
+        folder: of the results; stored results for unchanged files are kept.
+        make_matcher: returns the matcher in each process; for several processes, a function that can be pickled.
+        settings: of the registration.
+        processes: number of worker processes; the points depend on it only by rounding.
+        progress: called with the number of finished shapes, their total and the current shape's name.
+        listener: called with each new outcome, in this process.
+
+    Returns:
+        The outcome of each shape, in their order.
+
+    Raises:
+        ArgumentError: if the number of processes is not positive, or one is ended from outside.
+        HomologError: if the template cannot be used.
+    """
+    check_count("processes", processes)
+    _prepared_template.cache_clear()  # an earlier call may have had another template or matcher
+    stored = {subject.name: _stored_outcome(folder, subject) for subject in subjects}
+    missing = [subject for subject in subjects if stored[subject.name] is None]
+    found: dict[str, Outcome] = {name: outcome for name, outcome in stored.items() if outcome is not None}
+
+    def take(outcome: Outcome) -> None:
+        found[outcome.subject.name] = outcome
+        listener(outcome)
+
+    processes = min(processes, max(1, len(missing)))
+    registration = _Registration(template, make_matcher, folder, settings or ShapeModelSettings(), processes)
+    before = len(subjects) - len(missing)
+    run_tasks(
+        [[(subject.name, partial(registration.outcome, subject)) for subject in missing]],
+        processes=processes,
+        progress=lambda done, _, what: progress(before + done, len(subjects), what),
+        told=take,
+    )
+    return [found[subject.name] for subject in subjects]
+
+
+def _stored_outcome(folder: ShapeModelFolder, subject: Subject) -> Outcome | None:
+    try:
+        return folder.outcome(subject)
+    except HomologError:  # the same error is reported once the shape is processed
+        return None
+
+
+@dataclass(frozen=True)
+class _Registration:
+    """What all shapes have in common; picklable, for worker processes."""
+
+    # Both are copies in every process; the folder ensures that they are equal.
+    template: Shape = field(compare=False)
+    make_matcher: Callable[[], Matcher] = field(compare=False)
+    folder: ShapeModelFolder
+    settings: ShapeModelSettings
+    processes: int
+
+    def outcome(self, subject: Subject) -> Outcome:
+        """Register the template to one shape, and write the result."""
+        template, began = _prepared_template(self), time.perf_counter()
+        try:
+            return self._registered(subject, template, began)
+        except Exception as error:  # whatever it is, the other shapes are still to be done
+            # The result for a file that is missing is kept: it may be on a disk that is not mounted now.
+            if os.path.exists(subject.file):  # noqa: PTH110 - Path.exists raises where a folder may not be read
+                self.folder.forget(subject)
+            return Outcome(subject, None, error=_in_a_line(subject, error), seconds=time.perf_counter() - began)
+
+    def _registered(self, subject: Subject, template: Template, began: float) -> Outcome:
+        settings = self.settings
+        shape, digest = read_hashed_shape(subject.file)
+        registered = template.registered_to(
+            shape, up=settings.shapes_up, as_cloud=settings.shapes_as_cloud, strict=settings.strict
+        )
+        outcome = Outcome(subject, registered.figures, registered.warnings, seconds=time.perf_counter() - began)
+        self.folder.write(outcome, registered, template.projector.given, digest)
+        return outcome
+
+
+@lru_cache(maxsize=1)
+def _prepared_template(registration: _Registration) -> Template:
+    """The template of this process, which is prepared once."""
+    if registration.processes > 1:
+        import torch
+
+        # Each process gets its share of the cores: more threads than cores wait for each other.
+        torch.set_num_threads(max(1, (os.cpu_count() or 1) // registration.processes))
+    settings = registration.settings
+    return Template(
+        registration.template,
+        registration.make_matcher(),
+        up=settings.template_up,
+        as_cloud=settings.template_as_cloud,
+    )
+
+
+def _in_a_line(subject: Subject, error: Exception) -> str:
+    message = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, HomologError):
+        return message
+    return f"{subject.file} could not be matched ({type(error).__name__}: {message[:200]})"

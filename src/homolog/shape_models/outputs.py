@@ -1,0 +1,118 @@
+"""The outputs of a shape model: points, table, contact sheet, statistics and exports."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from homolog.core.errors import DataError, needs_extra
+from homolog.core.files import all_or_nothing, read_json, write_json, write_npy
+from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.model_files import MODEL_FOLDERS, write_model
+from homolog.shape_models.overview import write_quality, write_sheet
+from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShapes
+from homolog.shapes import Shape
+
+REPORT = "report.json"
+OUTPUT_NAMES = ("points.npy", "quality.csv", "contact_sheet.png", *MODEL_FOLDERS)
+"""The files and folders that are written beside the report."""
+# Those that are folders, inner ones first.
+_FOLDERS = ("shapeworks/particles", *MODEL_FOLDERS)
+
+
+def check_extra() -> None:
+    """Refuse shape models without their extra, before any work is done.
+
+    Raises:
+        MissingExtraError: naming what is missing.
+    """
+    with needs_extra("homolog collection", "collection"):
+        import h5py  # noqa: F401
+        import matplotlib  # noqa: F401
+        import PIL  # noqa: F401
+
+
+def write_outputs(
+    folder: ShapeModelFolder,
+    template: Shape,
+    outcomes: Sequence[Outcome],
+    settings: ModelSettings | None = None,
+    *,
+    report: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Write points, table, contact sheet, statistics, exports and report; all files land together or none does.
+
+    Two or more different shapes have a model. Files of an earlier call that do not belong to this one are removed. If
+    no shape was registered, a table, a contact sheet and a report are still written.
+
+    Args:
+        folder: of the registered shapes.
+        template: as it was read.
+        outcomes: of all shapes.
+        settings: of the statistics.
+        report: further entries of ``report.json``.
+
+    Returns:
+        The files and folders to look at.
+
+    Raises:
+        DataError: if no shape was registered.
+        ArgumentError: if a file cannot be written.
+        MissingExtraError: without the extra ``collection``.
+    """
+    shapes = RegisteredShapes(folder, template, outcomes, settings or ModelSettings())
+    root, before = folder.root, _earlier_files(folder.root)
+    try:
+        with all_or_nothing():
+            files = [path.relative_to(root).as_posix() for path in _write(shapes)]
+            write_json(root / REPORT, {**_report(shapes), **(report or {}), "files": files})
+        for name in before - set(files):
+            (root / name).unlink(missing_ok=True)
+    finally:
+        for name in _FOLDERS:
+            with suppress(OSError):  # it does not exist, or is not empty
+                (root / name).rmdir()
+    if not shapes.registered:
+        raise DataError(
+            f"none of the {len(outcomes)} shapes could be registered, so there is no shape model; "
+            f"{root / 'quality.csv'} says why"
+        )
+    names = ["shapes", "points.npy", "quality.csv", "contact_sheet.png", REPORT]
+    return [root / name for name in (*names, *([] if shapes.model is None else ("model", "shapeworks", "scalismo")))]
+
+
+def _write(shapes: RegisteredShapes) -> list[Path]:
+    """Write everything but the report, and return the files."""
+    root = shapes.folder.root
+    table, sheet, array = root / "quality.csv", root / "contact_sheet.png", root / "points.npy"
+    write_quality(table, shapes)
+    write_sheet(sheet, shapes)
+    if not shapes.registered:
+        return [table, sheet]
+    write_npy(array, shapes.points)
+    return [array, table, sheet, *([] if shapes.model is None else write_model(shapes, shapes.model))]
+
+
+def _report(shapes: RegisteredShapes) -> dict[str, Any]:
+    model = shapes.model
+    return {
+        "template": {"points": shapes.template.n_points, "faces": shapes.template.n_faces},
+        "shapes": shapes.names,
+        "not_registered": {one.subject.name: one.error for one in shapes.outcomes if one.figures is None},
+        "warnings": {one.subject.name: list(one.warnings) for one in shapes.registered if one.warnings},
+        "registered_before_and_not_given_now": shapes.folder.others([one.subject for one in shapes.outcomes]),
+        "statistics": asdict(shapes.settings),
+        "modes": 0 if model is None else len(model.variances),
+        "variance": None if model is None else float(model.variances.sum()),
+    }
+
+
+def _earlier_files(root: Path) -> set[str]:
+    """The files of an earlier call, by its report; only those at our own paths, as a report may be anybody's."""
+    listed = (read_json(root / REPORT, needs="files") or {}).get("files")
+    names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
+    ours = tuple((root / name).resolve() for name in OUTPUT_NAMES)
+    return {name for name in names if any((root / name).resolve().is_relative_to(path) for path in ours)}
