@@ -4,11 +4,12 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo test lint docs gallery bench clean
+.PHONY: help demo test test-all lint docs gallery bench clean
 
 help:
 	@echo "make demo    set up, and match the two shapes that ship with the project"
-	@echo "make test    set up, and run the tests"
+	@echo "make test    set up, and run the quick tests (under 5 minutes on two cores)"
+	@echo "make test-all  run those and the long ones: processes, pages, browser (under 20 minutes)"
 	@echo "make lint    set up, and run the linter and the type checker"
 	@echo "make docs    set up, and build the site into build/site"
 	@echo "make gallery make the pictures of the site anew (some 5 minutes; needs Chromium)"
@@ -31,8 +32,13 @@ $(VENV)/installed-dev: $(VENV)/installed
 demo: $(VENV)/installed
 	$(BIN)/homolog demo
 
+# A process per core. The files of the quick tests stay together, as their tests share what they made; the others are
+# few and long, and go to whichever process is free.
 test: $(VENV)/installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not long"
+
+test-all: test
+	$(BIN)/python -m pytest -n auto --dist worksteal -m long
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .

@@ -35,7 +35,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from homolog.core.files import atomic_path
 from homolog.core.memory import keep_freed_memory
-from homolog.features import AugmentationSettings, DiffusionNet, WeightsInfo, save_weights
+from homolog.features import DiffusionNet, FeatureInfo, save_weights
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import (
     functional_map,
@@ -46,7 +46,7 @@ from homolog.maps import (
     sinkhorn_matches,
 )
 from homolog.shapes import Shape, farthest_points, read_shape, write_shape
-from homolog.training import LossSettings, TrainingShape, pair_losses
+from homolog.training import AugmentationSettings, LossSettings, TrainingShape, pair_losses
 
 ROOT = Path(__file__).parents[1]
 LATEST = ROOT / "benchmarks" / "latest.json"
@@ -154,7 +154,7 @@ def train_step(n_points: int) -> Callable[[], object]:
         with torch.inference_mode(False), torch.enable_grad():
             optimiser.zero_grad()
             losses = pair_losses(network, x, y, settings=settings, augmentation=augmentation, generator=generator)
-            torch.autograd.backward(losses.total)
+            torch.autograd.backward(losses["total"])
             torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
             optimiser.step()
 
@@ -246,7 +246,7 @@ def measure_match(name: str, n_points: int) -> dict[str, object]:
         folder = Path(scratch)
         for which in ("amber", "boris"):
             write_shape(folder / f"{which}.ply", body(which, n_points))
-        save_weights(folder / "untrained.safetensors", untrained_network(), WeightsInfo(name="untrained"))
+        save_weights(folder / "untrained.safetensors", untrained_network(), FeatureInfo(name="untrained"))
         command = [sys.executable, "-m", "homolog", "match", "amber.ply", "boris.ply", "-o", "out", "--quiet"]
         command += ["--weights", "untrained.safetensors"]
         environment = {**os.environ, "HOMOLOG_CACHE": str(folder / "cache")}

@@ -30,7 +30,7 @@ from scipy.spatial import KDTree
 
 from homolog.datasets import ShapeFolder
 from homolog.geometry import surface_area
-from homolog.matching import Correspondence
+from homolog.matching import Match
 from homolog.shapes import Shape, write_shape
 from homolog.statistics import compactness, generalisation, generalised_procrustes, principal_modes, specificity
 from homolog.transfer import surface_map
@@ -74,7 +74,7 @@ def by_nearest(template: Shape, shape: Shape) -> Float[np.ndarray, "n 3"]:
     """The template's points on a shape by nearest points both ways, with both middles in one place."""
     points, others = (one.points - one.points.mean(axis=0) for one in (template, shape))
     forth, back = KDTree(others).query(points)[1], KDTree(points).query(others)[1]
-    found = Correspondence(forth, back, np.ones(len(points)), np.ones(len(others)), "nearest-features")
+    found = Match(template, shape, forth, back)
     return surface_map(template, shape, found).positions
 
 

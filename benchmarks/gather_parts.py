@@ -3,7 +3,7 @@
 Run from the root of the checkout, with the unpacked sets::
 
     python benchmarks/gather_parts.py MIXED --parts SHREC16 --leave-out "*_shape_1?" --complete FAUST_r SCAPE_r SMAL_r
-    homolog train parts --data MIXED --out run
+    homolog train MIXED -o run --recipe parts
 
 Parts keep their places in the coordinates of their complete shapes. Everything stands +y up, and has unit area where
 it is complete. ``MIXED/pairs.txt`` lists each part with its complete shape, and pairs of training shapes of each other

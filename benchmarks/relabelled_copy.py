@@ -16,10 +16,11 @@ import numpy as np
 
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import geodesic_errors
-from homolog.matching import AsCloud, Matcher, MatcherSettings, Method
+from homolog.matching import Matcher
+from homolog.pairs import AsCloud, MatcherSettings
 from homolog.shapes import Shape
 
-ROUTES: tuple[tuple[str, Method, AsCloud | None], ...] = (
+ROUTES: tuple[tuple[str, str, AsCloud | None], ...] = (
     ("functional map, meshes", "functional-map", None),
     ("features, meshes", "nearest-features", None),
     ("features, clouds", "nearest-features", "both"),

@@ -25,8 +25,8 @@ def detection(matcher: Matcher, folder: ShapeFolder, truth: GroundTruth, source:
     known = truth.counterparts(source, target)
     if known is None:
         raise SystemExit(f"{folder.description.name} has no truth of this kind; take shrec16_cuts or shrec16_holes")
-    whole = matcher.operators(folder.shape(source))
-    part = matcher.operators(folder.shape(target), scale=whole.scale)
+    whole = matcher.preprocess.operators(folder.shape(source))
+    part = matcher.preprocess.operators(folder.shape(target), scale=whole.scale)
     found = overlap(whole, part, torch.from_numpy(truth.between(source, target).source)).numpy()
     return Detection.of(~found[known.points], ~known.present)
 

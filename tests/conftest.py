@@ -34,6 +34,24 @@ settings.load_profile("homolog")
 torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
+LONG = ("bodies", "browser", "process", "pages", "slow")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what ``make test`` leaves out with one word, before tests are chosen by their marks."""
+    for item in items:
+        if any(item.get_closest_marker(name) for name in LONG):
+            item.add_marker("long")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One process for each core that may be used; each takes some 700 MB."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, 8)
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep every test away from the user's own operator cache."""
@@ -41,6 +59,18 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("HOMOLOG_CACHE", str(tmp_path_factory.mktemp("operator-cache")))
         patch.delenv("HOMOLOG_CACHE_GB", raising=False)
         yield
+
+
+@pytest.fixture(params=["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])
+def device(request: pytest.FixtureRequest) -> torch.device:
+    """Each device that there is: results must lie on it, and be those of the CPU."""
+    return torch.device(request.param)
+
+
+@pytest.fixture(params=[torch.float32, torch.float64], ids=["float32", "float64"])
+def dtype(request: pytest.FixtureRequest) -> torch.dtype:
+    """Both precisions."""
+    return request.param
 
 
 def sphere_shape(subdivisions: int, *, radius: float = 1.0) -> Shape:

@@ -1,6 +1,8 @@
 """The package as a whole: what it exports, what it imports, and who may import whom."""
 
 import ast
+import importlib
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -16,39 +18,62 @@ MODULES = sorted(path for path in ROOT.rglob("*.py"))
 CORE = {
     "core.errors": set(),
     "core.versions": set(),
+    "core.choices": set(),
+    "core.lazy": set(),
+    "core.threads": set(),
     "core.progress": set(),
+    "core.reprs": set(),
     "core.arguments": {"core.errors"},
     "core.memory": {"core.errors", "core.arguments"},
     "core.arrays": {"core.errors"},
     "core.files": {"core.errors"},
-    "core.tables": {"core.errors"},
+    "core.settings": {"core.errors"},
+    "core.tensors": {"core.files"},
+    "core.caches": {"core.errors", "core.files"},
+    "core.pretrained": {"core.errors", "core.files"},
     "core.folders": {"core.errors", "core.files"},
     "core.tasks": {"core.errors", "core.progress"},
     "core": set(),
 }
 GROUND = set(CORE)
-BENEATH_EVALUATION = {"shapes", "geometry", "features", "maps", "matching", "datasets"}
+BENEATH_MATCHING = {"shapes", "geometry", "maps", "features", "pairs", "methods"}
+BENEATH_EVALUATION = BENEATH_MATCHING | {"matching", "datasets"}
 FLOORS = CORE | {
     "shapes": GROUND,
     "geometry": GROUND | {"shapes"},
-    "features": GROUND | {"shapes", "geometry"},
     "maps": GROUND | {"shapes", "geometry"},
-    "matching": GROUND | {"shapes", "geometry", "features", "maps"},
-    "transfer": GROUND | {"shapes", "geometry", "maps", "matching"},
+    "features": GROUND | {"shapes", "geometry", "maps"},
+    "pairs": GROUND | {"shapes", "geometry", "maps", "features"},
+    "methods": GROUND | {"shapes", "geometry", "maps", "features", "pairs"},
+    "matching": GROUND | BENEATH_MATCHING,
+    "transfer": GROUND | {"shapes", "geometry", "maps", "pairs", "matching"},
     "datasets": GROUND | {"shapes"},
     "volumes": GROUND | {"shapes"},
     "synthesis": GROUND | {"shapes", "geometry", "datasets"},
     "evaluation": GROUND | BENEATH_EVALUATION,
     "training": GROUND | BENEATH_EVALUATION | {"synthesis", "evaluation"},
-    "viewing": GROUND | {"shapes", "geometry", "matching", "datasets", "evaluation"},
-    "serving": GROUND | {"shapes", "matching", "viewing"},
+    "viewing": GROUND | {"shapes", "geometry", "pairs", "matching", "datasets", "evaluation"},
+    "serving": GROUND | {"shapes", "pairs", "matching", "viewing"},
     "statistics": GROUND,
-    "shape_models": GROUND | {"shapes", "geometry", "matching", "transfer", "viewing", "statistics"},
+    "shape_models": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "viewing", "statistics"},
     "cli": GROUND
     | BENEATH_EVALUATION
-    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "shape_models"},
+    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "shape_models"}
+    | {"__init__"},
     "__main__": {"cli"},
-    "__init__": GROUND | BENEATH_EVALUATION | {"evaluation"},
+    "__init__": GROUND
+    | BENEATH_EVALUATION
+    | {
+        "evaluation",
+        "training",
+        "synthesis",
+        "volumes",
+        "transfer",
+        "viewing",
+        "serving",
+        "shape_models",
+        "statistics",
+    },
 }
 HEAVY = [
     "pyvista",
@@ -63,7 +88,6 @@ HEAVY = [
     "PIL",
     "tensorboard",
     "lightning_fabric",
-    "viser",
     "starlette",
     "uvicorn",
     "h5py",
@@ -128,7 +152,7 @@ def test_exports():
     assert len(set(homolog.__all__)) == len(homolog.__all__)
     for name in homolog.__all__:
         assert getattr(homolog, name) is not None
-    for name in ("Matcher", "Shape", "read_shape", "Correspondence", "HomologError"):
+    for name in ("Matcher", "Shape", "read_shape", "Match", "HomologError"):
         assert name in homolog.__all__
 
 
@@ -136,12 +160,12 @@ def test_exports():
 def test_packages_export_what_they_import(path):
     """``__all__`` names exactly what a package takes from its modules."""
     tree = parsed(path)
-    # The package itself imports its public names for type checkers only, and finds them when they are used.
+    # Some import their public names for type checkers only, and find them when they are used.
     deferred = [node for block in tree.body if isinstance(block, ast.If) for node in block.body]
     imported = {
         alias.asname or alias.name
         for node in deferred or tree.body
-        if isinstance(node, ast.ImportFrom)
+        if isinstance(node, ast.ImportFrom) and node.module != "homolog"
         for alias in node.names
     }
     listed = [
@@ -152,12 +176,89 @@ def test_packages_export_what_they_import(path):
     assert set(listed[0] if listed else []) == imported
 
 
+@pytest.mark.parametrize("path", [path for path in MODULES if path.name == "__init__.py"], ids=part_of)
+def test_lazy_packages_say_where_each_name_is_from(path):
+    """The table that is used agrees with what type checkers see."""
+    package = importlib.import_module(".".join(("homolog", *path.relative_to(ROOT).parts[:-1])))
+    if hasattr(package, "_MODULES"):
+        assert sorted(package._MODULES) == package.__all__
+        for name, module in package._MODULES.items():
+            found = importlib.import_module(f"{package.__name__}.{module}")
+            assert getattr(package, name) is getattr(found, name)
+
+
+def test_packages_are_attributes():
+    """Without an import of their own; no other word is one."""
+    on_disk = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"cli"}
+    assert set(homolog._PACKAGES) == on_disk
+    program = (
+        "import homolog\nfor name in homolog._PACKAGES: assert getattr(homolog, name).__name__ == f'homolog.{name}'"
+    )
+    subprocess.run([sys.executable, "-c", program], timeout=120, check=True)
+    with pytest.raises(AttributeError, match="has no attribute 'errors'"):
+        _ = homolog.errors
+
+
+CHANGES = """
+import os
+before = dict(os.environ)
+import homolog
+assert dict(os.environ) == before
+homolog.read_shape, homolog.Matcher, homolog.synthesis
+assert not {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "THP_MEM_ALLOC_ENABLE"} & (os.environ.keys() - before.keys())
+"""
+
+
+def test_import_changes_no_environment_variable():
+    """Nor does the use of what is imported then set those that ``tune_threads`` sets."""
+    subprocess.run([sys.executable, "-c", CHANGES], timeout=120, check=True)
+
+
+TUNED = {"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "10000", "THP_MEM_ALLOC_ENABLE": "1"}
+
+
+@pytest.mark.parametrize(
+    ("chosen", "expected"),
+    [
+        ({}, TUNED),
+        ({"OMP_WAIT_POLICY": "ACTIVE"}, {"OMP_WAIT_POLICY": "ACTIVE", "THP_MEM_ALLOC_ENABLE": "1"}),
+        ({"GOMP_SPINCOUNT": "7"}, TUNED | {"GOMP_SPINCOUNT": "7"}),
+        ({"THP_MEM_ALLOC_ENABLE": "0"}, TUNED | {"THP_MEM_ALLOC_ENABLE": "0"}),
+    ],
+)
+def test_tuning_leaves_what_the_user_has_chosen(monkeypatch, chosen, expected):
+    for name in TUNED:
+        monkeypatch.delenv(name, raising=False)
+    for name, value in chosen.items():
+        monkeypatch.setenv(name, value)
+    homolog.tune_threads()
+    assert {name: os.environ[name] for name in TUNED if name in os.environ} == expected
+    for name in TUNED:  # monkeypatch knows of those alone that it has set itself
+        os.environ.pop(name, None)
+
+
+def test_the_command_tunes_before_anything_loads_torch():
+    program = (
+        "import os, sys, homolog.core.threads\n"
+        "tune = homolog.core.threads.tune_threads\n"
+        "homolog.core.threads.tune_threads = lambda: (print('torch' in sys.modules), tune())\n"
+        "from homolog.cli.main import main\n"
+        "sys.argv = ['homolog', 'doctor', '--torch']\n"
+        "try: main()\n"
+        "finally: print(os.environ['THP_MEM_ALLOC_ENABLE'])"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
+    lines = ended.stdout.splitlines()
+    assert (lines[0], lines[-1]) == ("False", "1") and any("threads used" in line for line in lines)
+
+
 def test_star_import():
     names = {}
     exec("from homolog import *", names)
     assert set(homolog.__all__) <= set(names)
 
 
+@pytest.mark.process
 def test_import_takes_no_extra_and_no_output():
     """What is heavy or optional is imported where it is used."""
     program = f"import sys, homolog, homolog.cli.main; print([name for name in {HEAVY!r} if name in sys.modules])"
@@ -195,6 +296,7 @@ def test_version_is_that_of_the_package():
     assert homolog.__version__ == version_of("homolog")
 
 
+@pytest.mark.process
 def test_lazy_names_are_listed():
     program = "import homolog; print(*dir(homolog))"
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)

@@ -1,46 +1,57 @@
 """Homolog: dense correspondences between non-rigid 3D shapes.
 
-Meshes and point clouds, whole or partial, in any mix::
+Meshes and point clouds, full or partial, in any mix::
 
     import homolog
 
     source, target = homolog.read_shape("a.ply"), homolog.read_shape("b.obj")
-    matcher = homolog.Matcher.from_weights()  # those for people; or give a file
+    matcher = homolog.Matcher.from_weights()  # pretrained on people; or give a file
     found = matcher.match(source, target)
     found.source_to_target  # for each source point the index of its target point
 
-What is named here is loaded when it is first used, so that the command line answers at once.
+The names below and the packages (``homolog.maps``, ``homolog.transfer``, ...) are imported when they are first used.
 """
 
-import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-# Idle threads that spin for long make small matrix products many times slower on a machine with other work; ones that
-# sleep at once make them half as fast on an idle machine. OpenMP reads this once, when PyTorch is first imported;
-# whoever has chosen otherwise, or imported PyTorch before, is left alone. The second is for GNU's OpenMP, some 10 us.
-if "OMP_WAIT_POLICY" not in os.environ:
-    os.environ["OMP_WAIT_POLICY"] = "PASSIVE"
-    os.environ.setdefault("GOMP_SPINCOUNT", "10000")
-# Memory in large pages where the system has them: fresh memory costs as much as the matrix product that fills it.
-os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
+from homolog.core.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from homolog import core as core
+    from homolog import datasets as datasets
+    from homolog import evaluation as evaluation
+    from homolog import features as features
+    from homolog import geometry as geometry
+    from homolog import maps as maps
+    from homolog import matching as matching
+    from homolog import serving as serving
+    from homolog import shape_models as shape_models
+    from homolog import shapes as shapes
+    from homolog import statistics as statistics
+    from homolog import synthesis as synthesis
+    from homolog import training as training
+    from homolog import transfer as transfer
+    from homolog import viewing as viewing
+    from homolog import volumes as volumes
     from homolog.core.errors import HomologError
     from homolog.core.memory import get_working_memory, set_working_memory, working_memory
+    from homolog.core.threads import tune_threads
     from homolog.features import load_weights
     from homolog.geometry import OperatorCache, Operators, compute_operators
     from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches
-    from homolog.matching import Correspondence, Matcher, MatcherSettings
+    from homolog.matching import Match, Matcher, match
+    from homolog.pairs import MatcherSettings, PairOptions
     from homolog.shapes import Report, Shape, check, read_shape, repair, stand_upright, write_shape
 
 __all__ = [
-    "Correspondence",
     "HomologError",
+    "Match",
     "Matcher",
     "MatcherSettings",
     "OperatorCache",
     "Operators",
+    "PairOptions",
     "Report",
     "Shape",
     "check",
@@ -48,6 +59,7 @@ __all__ = [
     "functional_map",
     "get_working_memory",
     "load_weights",
+    "match",
     "point_map_from_functional_map",
     "read_shape",
     "repair",
@@ -55,25 +67,72 @@ __all__ = [
     "set_working_memory",
     "sinkhorn_matches",
     "stand_upright",
+    "tune_threads",
     "working_memory",
     "write_shape",
 ]
 
-_HOMES = ("core.errors", "core.memory", "shapes", "geometry", "maps", "features", "matching")
+_MODULES = {
+    "Match": "matching",
+    "HomologError": "core.errors",
+    "Matcher": "matching",
+    "MatcherSettings": "pairs",
+    "OperatorCache": "geometry",
+    "Operators": "geometry",
+    "PairOptions": "pairs",
+    "Report": "shapes",
+    "Shape": "shapes",
+    "as_shape": "shapes",
+    "check": "shapes",
+    "compute_operators": "geometry",
+    "demo_shapes": "shapes",
+    "functional_map": "maps",
+    "get_working_memory": "core.memory",
+    "load_weights": "features",
+    "match": "matching",
+    "point_map_from_functional_map": "maps",
+    "read_shape": "shapes",
+    "repair": "shapes",
+    "resolvent_mask": "maps",
+    "set_working_memory": "core.memory",
+    "sinkhorn_matches": "maps",
+    "stand_upright": "shapes",
+    "tune_threads": "core.threads",
+    "working_memory": "core.memory",
+    "write_shape": "shapes",
+}
+_PACKAGES = (
+    "core",
+    "datasets",
+    "evaluation",
+    "features",
+    "geometry",
+    "maps",
+    "matching",
+    "methods",
+    "pairs",
+    "serving",
+    "shape_models",
+    "shapes",
+    "statistics",
+    "synthesis",
+    "training",
+    "transfer",
+    "viewing",
+    "volumes",
+)
+_public = lazy_names(__name__, _MODULES)
 
 
 def __getattr__(name: str) -> Any:
-    """Find a public name in the package that it comes from."""
+    """Import a public name, or a package, when it is first used."""
     if name == "__version__":
         return import_module("homolog.core.versions").version_of("homolog")
-    if name in __all__:
-        for home in _HOMES:
-            module = import_module(f"homolog.{home}")
-            if hasattr(module, name):
-                return getattr(module, name)
-    raise AttributeError(f"module 'homolog' has no attribute {name!r}")
+    if name in _PACKAGES:
+        return import_module(f"homolog.{name}")
+    return _public(name)
 
 
 def __dir__() -> list[str]:
     """All names, loaded or not."""
-    return sorted({*globals(), *__all__, "__version__"})
+    return sorted({*globals(), *__all__, *_PACKAGES, "__version__"})

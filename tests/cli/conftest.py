@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from homolog.cli.main import main
-from homolog.features import DiffusionNet, NetworkSettings, WeightsInfo, save_weights
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, save_weights
 from homolog.shapes import Shape, write_shape
 
 
@@ -91,7 +91,7 @@ def files(tmp_path_factory, make):
     (root / "rubbish.ply").write_bytes(bytes(range(256)) * 20)
     torch.manual_seed(0)
     network = DiffusionNet(NetworkSettings(width=64, blocks=2, out_channels=64)).eval()
-    info = WeightsInfo(name="untrained", licence="none", upright=False, map_eigenpairs=20)
+    info = FeatureInfo(name="untrained", licence="none", upright=False, map_eigenpairs=20)
     save_weights(root / "untrained.safetensors", network, info)
     return Files(
         mesh=root / "mesh.off",

@@ -139,6 +139,7 @@ def test_without_its_extra(homolog, shapes, tmp_path, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
 def test_an_interrupt_keeps_what_is_done(homolog, shapes, tmp_path):
     out = tmp_path / "out"

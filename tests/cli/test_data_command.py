@@ -30,7 +30,8 @@ def test_list_is_plain_where_it_is_piped(homolog):
 
 
 def test_list_is_a_table_on_a_terminal(homolog, monkeypatch):
-    monkeypatch.setattr(data_module, "Console", lambda: Console(force_terminal=True, width=200))
+    monkeypatch.setattr(data_module, "_is_terminal", lambda: True)
+    monkeypatch.setattr("rich.console.Console", lambda: Console(force_terminal=True, width=200))
     out = homolog("data", "list").out
     assert "┃ name" in out and "│ shrec16_holes" in out and "\t" not in out
 
@@ -53,7 +54,7 @@ def test_show_shrec19(homolog):
 def test_check_a_good_folder(homolog, own):
     ended = homolog("data", "check", "own", own)
     assert (ended.code, ended.err) == (0, "")
-    assert f"own at {own}: as it should be" in " ".join(ended.out.split())
+    assert f"own at {own}: nothing is missing or wrong" in " ".join(ended.out.split())
     rows = " ".join(ended.out.split())
     for words in (
         "shapes │ 2 │",

@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 
 import homolog as homolog_package
-from homolog.cli import demo as demo_module
 from homolog.cli import doctor as doctor_module
-from homolog.cli import evaluate as evaluate_module
+from homolog.cli import match as match_module
 from homolog.cli.options import check_file
 from homolog.core.errors import DataError
-from homolog.matching import Correspondence, Matcher
+from homolog.matching import Match, Matcher
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
 from homolog.training import adapt_to_pair
 
@@ -121,7 +120,7 @@ def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatc
         adapted.append((matcher.info.name, pair[-1].steps, partial))
         return adapt_to_pair(matcher, *pair, partial=partial)
 
-    monkeypatch.setattr(evaluate_module, "adapt_to_pair", noted)
+    monkeypatch.setattr(homolog_package.training, "adapt_to_pair", noted)
     options = "-q", "--weights", files.weights, "--adapt", 2, "--json", tmp_path / "adapted.json"
     assert homolog("evaluate", data, *options).code == 0
     assert adapted == [("untrained", 2, None)] * 4
@@ -253,14 +252,14 @@ def test_evaluate_parts_as_their_set_has_them(homolog, parts_set, tmp_path, monk
         asked.append((folder.up, protocol.partial, protocol.pre_aligned, protocol.modality))
         raise DataError("enough")
 
-    monkeypatch.setattr(evaluate_module, "evaluate_folder", noted)
+    monkeypatch.setattr(homolog_package.evaluation, "evaluate", noted)
     for options in (
         [],
         ["--up", "x"],
-        ["--whole"],
-        ["--not-in-place"],
+        ["--full"],
+        ["--not-pre-aligned"],
         ["--modality", "cloud"],
-        ["--whole", "--partial", "--pre-aligned"],
+        ["--full", "--partial", "--pre-aligned"],
     ):
         assert homolog("evaluate", root, "--dataset", "shrec16_cuts", *options).is_one_line_of_complaint()
     assert asked == [
@@ -271,7 +270,7 @@ def test_evaluate_parts_as_their_set_has_them(homolog, parts_set, tmp_path, monk
         ("z", True, True, "cloud"),
         ("z", True, True, "mesh"),
     ]
-    ended = homolog("evaluate", root, "--dataset", "shrec16_cuts", "--whole", "--pre-aligned")
+    ended = homolog("evaluate", root, "--dataset", "shrec16_cuts", "--full", "--pre-aligned")
     assert ended.is_one_line_of_complaint() and "pre_aligned is for parts" in ended.err
 
 
@@ -293,7 +292,7 @@ def test_evaluate_parts(homolog, data, tmp_path):
     (tmp_path / "cuts" / "cuts_blob_1.baryc_gt").write_text("".join("{} {:d} {:d} {:d}\n".format(*row) for row in rows))
     ended = homolog("evaluate", tmp_path, "--dataset", "shrec16_cuts", "--json", tmp_path / "score.json")
     assert ended.code == 0, ended
-    assert "shrec16_cuts, mesh, partial, in place" in ended.out
+    assert "shrec16_cuts, mesh, partial, pre-aligned" in ended.out
     found = strictly((tmp_path / "score.json").read_text())
     assert (found["set"], found["up"], found["pairs"][0]["points"]) == ("shrec16_cuts", "z", len(kept))
     figures = found["without_counterpart"]
@@ -338,7 +337,7 @@ def test_info(homolog, files):
 
 
 def test_info_as_json(homolog, files, tmp_path):
-    ended = homolog("info", "--json", files.mesh, tmp_path / "gone.ply", files.dirty)
+    ended = homolog("info", "--json", "-", files.mesh, tmp_path / "gone.ply", files.dirty)
     assert ended.code == 2
     assert ended.err.count("\n") == 1
     mesh, gone, dirty = strictly(ended.out)
@@ -346,6 +345,19 @@ def test_info_as_json(homolog, files, tmp_path):
     assert (mesh["n_points"], mesh["n_faces"], mesh["usable"], mesh["format"]) == (162, 320, True, "OFF")
     assert "does not exist" in gone["error"]
     assert dirty["n_clean_points"] == 162
+
+
+def test_figures_go_to_a_file_or_in_place_of_the_table(homolog, data, files, tmp_path):
+    for command in (["info", files.mesh], ["evaluate", data, "--method", "axiomatic"]):
+        shown, printed = (homolog(*command, "--json", place) for place in (tmp_path / "figures.json", "-"))
+        assert (shown.code, printed.code) == (0, 0)
+        assert "│" in shown.out and "│" not in printed.out
+        written, on_stdout = strictly((tmp_path / "figures.json").read_text()), strictly(printed.out)
+        for figures in (written, on_stdout):
+            if isinstance(figures, dict):  # what differs from run to run
+                del figures["seconds"], figures["command"]
+        assert written == on_stdout
+    assert homolog("info", files.mesh, "--json", tmp_path / "gone" / "x.json").is_one_line_of_complaint()
 
 
 def test_info_on_bad_files_shows_the_good_ones(homolog, files, tmp_path):
@@ -388,8 +400,10 @@ def test_doctor(homolog, tmp_path, monkeypatch):
     ended = homolog("doctor")
     assert (ended.code, ended.err) == (0, "")
     assert f"{tmp_path / 'elsewhere'} (HOMOLOG_CACHE): 0 shapes, 0 MB of at most 3072" in ended.out
-    for word in ("homolog", "torch", "numpy", "python", "CUDA devices", "extra 'vtk'", "working memory"):
+    for word in ("homolog", "torch", "numpy", "python", "extra 'vtk'", "pretrained weights", "working memory"):
         assert word in ended.out
+    assert "CUDA devices" not in ended.out  # PyTorch knows them, and takes long to load
+    assert re.search("threads used .*\nCUDA devices ", homolog("doctor", "--torch").out)
     assert not (tmp_path / "elsewhere").exists()
 
 
@@ -416,14 +430,14 @@ def test_demo(homolog, tmp_path):
 def test_demo_fails_if_the_maps_are_bad(homolog, tmp_path, monkeypatch):
     """Every point to one: the error is far above the bound, and left and right are mixed up."""
 
-    class Bad(demo_module.Job):
+    class Bad(match_module.Job):
         def run(self, steps, **options):
             outcome = super().run(steps, **options)
             n, m = (outcome.shapes[side].n_points for side in ("source", "target"))
-            bad = Correspondence(np.zeros(n, int), np.zeros(m, int), np.zeros(n), np.zeros(m), "axiomatic")
+            bad = Match(np.zeros(n, int), np.zeros(m, int), np.zeros(n), np.zeros(m), "axiomatic")
             return replace(outcome, found=bad)
 
-    monkeypatch.setattr(demo_module, "Job", Bad)
+    monkeypatch.setattr(match_module, "Job", Bad)
     ended = homolog("demo", "-o", tmp_path / "demo", "--quiet")
     assert ended.code == 1
     assert ended.out == ""

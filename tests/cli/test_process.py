@@ -11,6 +11,8 @@ import sys
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.process
+
 START = [sys.executable, "-m", "homolog"]
 FILES = ("correspondence.npz", "source.ply", "target.ply", "report.json")
 

@@ -1,4 +1,6 @@
-"""Progress where there is no terminal: lines for a log."""
+"""Progress where there is no terminal: lines for a log, and messages for programs."""
+
+import json
 
 from homolog.cli.progress import Lines, progress_bar
 
@@ -46,3 +48,30 @@ def test_short_work_says_nothing_and_quiet_work_neither(capfd):
         report(1, 2, "work")
         assert not isinstance(report, Lines)
     assert capfd.readouterr().err == ""
+
+
+def test_json_for_programs_even_if_quiet(homolog, files, tmp_path, capfd):
+    with progress_bar(quiet=True, form="json") as report:
+        report(1, 2, "work")
+    assert json.loads(capfd.readouterr().err) == {"step": "work", "side": None, "done": 1, "total": 2}
+    arguments = ("match", files.mesh, files.other, "-o", tmp_path / "result", "--method", "axiomatic", "-q")
+    ended = homolog(*arguments, "--progress=json")
+    messages = [json.loads(line) for line in ended.err.splitlines()]
+    assert ended.code == 0 and [message["done"] for message in messages] == list(range(len(messages)))
+    assert [message["step"] for message in messages][:2] == ["read source", "read target"]
+    assert [message["side"] for message in messages][:2] == ["source", "target"]
+    assert len({message["total"] for message in messages}) == 1
+
+
+def test_errors_are_json_for_programs(homolog, files, tmp_path):
+    """Whether the command has begun or its arguments are wrong."""
+    for arguments, said in (
+        ([files.mesh, files.rubbish, "--progress", "json"], "rubbish.ply"),
+        ([files.mesh, files.other, "--progress=json", "--method", "magic"], "magic"),
+        ([files.mesh, files.other, "--progress=json", "--html", tmp_path / "absent" / "page.html"], "create it first"),
+    ):
+        ended = homolog("match", *arguments, "-o", tmp_path / "result")
+        assert ended.code == 2 and ended.out == ""
+        message = json.loads(ended.err.splitlines()[-1])
+        assert list(message) == ["error"] and said in message["error"]
+    assert homolog("match", "--help").out.count("--progress") == 0

@@ -20,6 +20,7 @@ def bodies(tmp_path, make):
     return tmp_path / "bodies"
 
 
+@pytest.mark.slow
 def test_views(homolog, bodies, tmp_path):
     options = ["-n", 5, "--seed", 2, "--pixels", 30, 40, "--distance", 2, 2.5, "--elevation", 0, 10, "--noise", 0.01]
     for name in ("one", "two"):
@@ -97,6 +98,7 @@ def test_parts_that_cannot_be(homolog, files, tmp_path):
     assert homolog("synth", "part", files.mesh, "--kind", "slice").is_one_line_of_complaint()
 
 
+@pytest.mark.slow
 def test_a_set_of_views_is_scored_as_it_is(homolog, make, tmp_path):
     """Of two views of copies of one blob the axiomatic way finds something; each target is scored where it is seen."""
     blob = make.blob(3)

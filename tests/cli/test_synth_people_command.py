@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from homolog.cli import synth_people
+from homolog import synthesis
 from homolog.synthesis import PeopleFolder
 
 
@@ -17,7 +17,7 @@ def asked(monkeypatch):
         calls.append((output, n, settings, processes))
         return PeopleFolder(output)
 
-    monkeypatch.setattr(synth_people, "synthesize_people", synthesize)
+    monkeypatch.setattr(synthesis, "synthesize_people", synthesize)
     return calls
 
 

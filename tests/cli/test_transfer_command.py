@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from homolog.core.files import sha256
-from homolog.matching import Correspondence, write_result
+from homolog.matching import Match
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.transfer import Skin, SurfaceProjector, bake_texture, png, unwrap, write_glb
 
@@ -37,7 +37,7 @@ def result(make, tmp_path):
     back = np.array([np.flatnonzero(point_of == point)[0] for point in range(shape.n_points)])
     there = np.where(lost[point_of], -1, point_of)
     back = np.where(lost, -1, back)
-    found = Correspondence(there, back, (there >= 0) * 1.0, (back >= 0) * 1.0, "nearest-features")
+    found = Match(there, back, (there >= 0) * 1.0, (back >= 0) * 1.0, "nearest-features")
     files = {"source": tmp_path / "source.glb", "target": tmp_path / "target.ply"}
     inputs = {side: {"file": str(file), "sha256": sha256(file)} for side, file in files.items()}
     report = {"route": "nearest-features", "inputs": inputs}

@@ -41,7 +41,7 @@ def test_page(homolog, result, tmp_path):
     ended = homolog("view", result, "--html", page)
     assert (ended.code, ended.out, ended.err) == (0, f"{page}\n", "")
     assert "<title>mesh.off → other.obj</title>" in page.read_text(encoding="utf-8")
-    assert list(layers_of(page)) == ["Correspondence", "Confidence"]
+    assert list(layers_of(page)) == ["Match", "Confidence"]
 
 
 def test_match_writes_the_same_page(homolog, result, files, tmp_path):
@@ -62,16 +62,8 @@ def test_page_with_all_layers(homolog, result, truth, files, tmp_path):
     ended = homolog("view", result, "--html", page, "--truth", *truth, "--weights", files.weights, "-q")
     assert (ended.code, ended.err) == (0, "")
     layers = layers_of(page)
-    assert list(layers) == ["Correspondence", "Confidence", "Error", "Features"]
+    assert list(layers) == ["Match", "Confidence", "Error", "Features"]
     assert layers["Error"]["ramp"]["unit"] == "% of √area"
-
-
-def test_page_needs_no_extra(homolog, result, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "viser", None)
-    assert homolog("view", result, "--html", tmp_path / "page.html").code == 0
-    ended = homolog("view", result)
-    assert ended.is_one_line_of_complaint()
-    assert "viser" in ended.err and "homolog[view]" in ended.err
 
 
 def test_what_is_refused(homolog, result, truth, files, tmp_path):
@@ -104,22 +96,21 @@ def test_what_is_refused(homolog, result, truth, files, tmp_path):
     ("option", "value"), [("--host", "no such host"), ("--host", "203.0.113.7"), ("--port", "70000")]
 )
 def test_addresses_that_cannot_be_listened_on(homolog, result, option, value):
-    pytest.importorskip("viser", reason="viser is missing; pip install 'homolog[view]'")
     ended = homolog("view", result, option, value)
     assert ended.is_one_line_of_complaint()
     assert option.strip("-") in ended.err
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
 def test_the_server_prints_its_address_and_ends_by_ctrl_c(result):
-    pytest.importorskip("viser", reason="viser is missing; pip install 'homolog[view]'")
     command = [sys.executable, "-m", "homolog", "view", str(result), "--port", "0", "--no-open"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             address = process.stdout.readline().strip()
             assert re.fullmatch(r"http://127\.0\.0\.1:\d+", address)
             with urllib.request.urlopen(address, timeout=30) as answer:
-                assert b"<html" in answer.read()
+                assert "<title>mesh.off → other.obj</title>" in answer.read().decode()
             process.send_signal(signal.SIGINT)
             out, err = process.communicate(timeout=60)
         finally:

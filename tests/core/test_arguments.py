@@ -22,7 +22,8 @@ from homolog.maps import (
     point_map_from_functional_map,
     sinkhorn_matches,
 )
-from homolog.matching import Correspondence, Matcher, choose_device, write_result
+from homolog.matching import Match, Matcher
+from homolog.pairs import choose_device
 from homolog.shapes import Shape, check, read_shape, repair, write_shape
 
 Call = Callable[[], Any]
@@ -178,7 +179,7 @@ def test_a_length_that_is_no_number_is_refused() -> None:
 def test_a_correspondence_of_other_shapes_is_not_written(tmp_path: Path) -> None:
     few, many = Shape(POINTS[:10]), Shape(POINTS)
     ten, thirty = np.zeros(10, dtype=np.int64), np.zeros(30, dtype=np.int64)
-    found = Correspondence(ten, thirty, ten.astype(float), thirty.astype(float), "nearest-features")
+    found = Match(ten, thirty, ten.astype(float), thirty.astype(float), "nearest-features")
     message = refusal(lambda: write_result(tmp_path / "out", many, many, found, {}))
     assert message == "source has 30 points, but the correspondence is of 10"
     assert "target has 10 points" in refusal(lambda: write_result(tmp_path / "out", few, few, found, {}))

@@ -97,6 +97,7 @@ print(pages_handed_out())
 """
 
 
+@pytest.mark.process
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library")
 def test_memory_that_is_kept_need_not_be_handed_out_again() -> None:
     """In processes of their own: what else a process did with its memory has a say."""

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 from homolog.core.errors import DataError
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import Detection, Protocol, evaluate
-from homolog.matching import Correspondence, Matcher
+from homolog.matching import Match, Matcher
 from homolog.shapes import Shape, read_shape, stand_upright, upright_rotation, write_shape
 from homolog.synthesis import ViewSettings, write_view_dataset
 
@@ -49,7 +49,7 @@ class Stub:
         self.matched.append((source.name, target.name, partial))
         back = np.asarray(self.back(source, target))
         forth = np.zeros(source.shape.n_points, int) if self.forth is None else self.forth(source, target)
-        return Correspondence(forth, back, np.zeros(len(forth)), np.ones(len(back)), "nearest-features")
+        return Match(forth, back, np.zeros(len(forth)), np.ones(len(back)), "nearest-features")
 
 
 def distances_along_edges(shape):

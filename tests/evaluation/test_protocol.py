@@ -11,7 +11,8 @@ from homolog.datasets import ShapeFolder
 from homolog.evaluation import Evaluation, Protocol, evaluate, geodesic_errors
 from homolog.evaluation.protocol import PairErrors
 from homolog.geometry import compute_operators
-from homolog.matching import Correspondence, MapQuality, Matcher, MatcherSettings, Quality
+from homolog.matching import MapQuality, Match, Matcher, Quality
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, face_areas, write_shape
 
 BASE_POINTS = 162
@@ -103,7 +104,7 @@ class Stub:
         back = np.asarray(self.answer(source.name, target.name))
         confidence = np.ones(len(back)) if self.confidence is None else self.confidence(source.name, target.name)
         nonsense = np.zeros(BASE_POINTS, int)
-        return Correspondence(nonsense, back, np.zeros(BASE_POINTS), confidence, "nearest-features")
+        return Match(nonsense, back, np.zeros(BASE_POINTS), confidence, "nearest-features")
 
 
 ALL = Protocol(split="all")

@@ -331,6 +331,7 @@ for round in range(15):
 """
 
 
+@pytest.mark.process
 def test_several_processes_may_write_the_same_entry_at_once(tmp_path) -> None:
     ready = tmp_path / "ready"
     ready.mkdir()

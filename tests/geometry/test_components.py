@@ -60,7 +60,7 @@ def test_pieces_change_neither_the_frame_nor_the_other_operators_of_the_body(bot
 
 
 @pytest.mark.parametrize("modality", ["mesh", "cloud"])
-def test_pieces_of_like_size_are_no_debris(modality: str, make) -> None:
+def test_components_of_similar_size_all_count(modality: str, make) -> None:
     spheres = [make.sphere(1, radius=1 + 0.1 * i) for i in range(12)]
     apart = [Shape(sphere.points + np.array([40.0 * i, 0, 0]), sphere.faces) for i, sphere in enumerate(spheres)]
     shape = as_modality(make.joined(apart), modality)
@@ -69,7 +69,7 @@ def test_pieces_of_like_size_are_no_debris(modality: str, make) -> None:
     assert operators.in_main_component.all() and operators.n_pieces == 12
 
 
-def test_pieces_below_a_hundredth_of_the_largest_ones_area_are_debris(make) -> None:
+def test_components_below_a_hundredth_of_the_largest_ones_area_do_not_count(make) -> None:
     large = make.sphere(2)
     for radius, main in ((0.11, True), (0.09, False)):
         small = make.sphere(1, radius=radius)
@@ -78,18 +78,18 @@ def test_pieces_below_a_hundredth_of_the_largest_ones_area_are_debris(make) -> N
         assert (main_points(shape)[large.n_points :] == main).all()
 
 
-def test_a_cloud_of_uneven_density_has_no_debris(make) -> None:
+def test_all_points_of_a_cloud_of_uneven_density_count(make) -> None:
     # One half of the points on a tenth of a strip: three times the spacing elsewhere.
     rng = np.random.default_rng(0)
     along = np.r_[rng.random(2000), 1 + 9 * rng.random(2000)]
     assert main_points(Shape(np.stack([along, rng.random(4000), np.sin(along)], axis=1))).all()
     assert main_points(Shape(rng.random((20, 3)))).all()
-    # Where half of the points seem to be loose, nothing is left out.
+    # Where half of the points seem to be in small components, nothing is left out.
     sparse = np.stack([np.arange(1000) * 3.0, np.zeros(1000), np.ones(1000)], axis=1)
     assert main_points(Shape(np.r_[make.grid(33).points, sparse])).all()
 
 
-def test_single_points_far_from_a_cloud_are_debris(make) -> None:
+def test_single_points_far_from_a_cloud_do_not_count(make) -> None:
     cloud = Shape(np.r_[make.blob(3).points, [[9.0, 0, 0], [0, -50.0, 0]]])
     assert main_points(cloud).tolist() == [True] * 642 + [False] * 2
     assert unit_frame(cloud).scale == pytest.approx(unit_frame(make.blob(3).as_cloud()).scale, rel=1e-12)

@@ -1,4 +1,4 @@
-"""Confidence in a map, and which points a part covers; descriptors that need no learning."""
+"""Confidence in a map, and the overlap of a partial and a full shape; descriptors that need no learning."""
 
 from __future__ import annotations
 
@@ -78,9 +78,9 @@ def cut(shape: Shape, keep: np.ndarray) -> tuple[Shape, np.ndarray]:
     """The faces whose corners are all kept, and the original index of each of their points."""
     faces = shape.faces[keep[shape.faces].all(axis=1)]
     kept = np.unique(faces)
-    place = np.full(shape.n_points, -1)
-    place[kept] = np.arange(len(kept))
-    return Shape(shape.points[kept], place[faces]), kept
+    new_index = np.full(shape.n_points, -1)
+    new_index[kept] = np.arange(len(kept))
+    return Shape(shape.points[kept], new_index[faces]), kept
 
 
 def f1(found: np.ndarray, true: np.ndarray) -> float:
@@ -90,22 +90,24 @@ def f1(found: np.ndarray, true: np.ndarray) -> float:
 @pytest.mark.parametrize("name", ["sphere", "amber", "boris"])
 @pytest.mark.parametrize("modality", ["mesh", "cloud"])
 def test_a_cut_is_found_given_the_true_map(name: str, modality: str, demo, make) -> None:
-    whole = make.sphere(4) if name == "sphere" else getattr(demo, name)
-    height = whole.points @ np.array([0.3, 1.0, 0.2])
-    part, kept = cut(whole, height > np.median(height))
+    full = make.sphere(4) if name == "sphere" else getattr(demo, name)
+    height = full.points @ np.array([0.3, 1.0, 0.2])
+    partial_shape, kept = cut(full, height > np.median(height))
     if modality == "cloud":
-        whole, part = whole.as_cloud(), part.as_cloud()
+        full, partial_shape = full.as_cloud(), partial_shape.as_cloud()
     few = OperatorSettings(n_eigenpairs=5)
-    complete = compute_operators(whole, settings=few)
-    partial = compute_operators(part, settings=few, scale=complete.scale)
-    found = overlap(complete, partial, torch.from_numpy(kept)).numpy()
-    missing = np.ones(whole.n_points, dtype=bool)
+    full_operators = compute_operators(full, settings=few)
+    partial = compute_operators(partial_shape, settings=few, scale=full_operators.scale)
+    found = overlap(full_operators, partial, torch.from_numpy(kept)).numpy()
+    # The edge is where it was cut: a lower threshold would add a rim all around, a higher one would take one away.
+    assert float(full_operators.mass[found].sum()) == pytest.approx(float(partial.mass.sum()), rel=0.01)
+    missing = np.ones(full.n_points, dtype=bool)
     missing[kept] = False
     assert f1(~found, missing) >= 0.9
     assert f1(found, ~missing) >= 0.9
 
 
-def test_a_whole_shape_covers_itself_and_a_coarse_one_the_fine_one(make) -> None:
+def test_a_full_shape_covers_itself_and_a_coarse_one_the_fine_one(make) -> None:
     few = OperatorSettings(n_eigenpairs=5)
     coarse, fine = (compute_operators(make.sphere(level), settings=few) for level in (3, 4))
     identity = torch.arange(fine.n_points)
@@ -114,7 +116,7 @@ def test_a_whole_shape_covers_itself_and_a_coarse_one_the_fine_one(make) -> None
     assert overlap(fine, coarse, identity[: coarse.n_points]).float().mean() > 0.99
     nowhere = identity[: coarse.n_points].clone()
     nowhere[3] = -1
-    with pytest.raises(ArgumentError, match="partial_to_complete holds -1"):
+    with pytest.raises(ArgumentError, match="partial_to_full holds -1"):
         overlap(fine, coarse, nowhere)
 
 

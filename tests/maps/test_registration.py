@@ -32,6 +32,47 @@ def off(found: Tensor, true: Tensor) -> float:
     return (found - true).norm(dim=1).mean().item()
 
 
+def slow_drawn(points: np.ndarray, goals: np.ndarray) -> np.ndarray:
+    """One cloud drawn onto another, point by point; sums reach a hundredth of the points at first, then ever fewer."""
+    n = len(points)
+    near = [set(np.argsort(np.linalg.norm(points - point, axis=1))[:9]) for point in points]
+    around = [[j for j in range(n) if j in near[i] or i in near[j]] for i in range(n)]
+    size, aim = (np.sqrt(((cloud - cloud.mean(axis=0)) ** 2).sum(axis=1).mean()) for cloud in (points, goals))
+    positions = goals.mean(axis=0) + (points - points.mean(axis=0)) * aim / size
+    reach = round(0.01 * n)
+    while reach >= 1:
+        sums, counts = np.zeros((n, 3)), np.zeros(n)
+        for goal in goals:
+            pulled = np.argmin(np.linalg.norm(positions - goal, axis=1))
+            sums[pulled] += goal
+            counts[pulled] += 1
+        for _ in range(reach):
+            sums = np.array([sums[each].mean(axis=0) for each in around])
+            counts = np.array([counts[each].mean() for each in around])
+        moved = counts > 1e-6 * counts.mean()
+        positions[moved] = sums[moved] / counts[moved, None]
+        reach //= 2
+    return positions
+
+
+def slow_back(points: np.ndarray, others_on: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Beside the other point that came nearest, and as far away, in the other cloud's size."""
+    size, aim = (np.sqrt(((cloud - cloud.mean(axis=0)) ** 2).sum(axis=1).mean()) for cloud in (points, others))
+    nearest = [np.argmin(np.linalg.norm(others_on - point, axis=1)) for point in points]
+    return others[nearest] + (points - others_on[nearest]) * aim / size
+
+
+def test_it_is_the_slow_reference() -> None:
+    """Of so many points that there are three rounds: averages that reach four neighbours, two, and one."""
+    x, y = skin(400), bent(skin(450, seed=1))
+    found = registered_positions(x, y)
+    x, y = x.numpy(), y.numpy()
+    x_on_y, y_on_x = slow_drawn(x, y), slow_drawn(y, x)
+    expected = (x_on_y + slow_back(x, y_on_x, y)) / 2, (y_on_x + slow_back(y, x_on_y, x)) / 2
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-9)
+
+
 def test_a_cloud_stays_on_itself() -> None:
     x = skin(700)
     order = torch.randperm(700, generator=torch.Generator().manual_seed(1))

@@ -1,4 +1,4 @@
-"""The rigid motion between points and their places."""
+"""The rigid motion between points and their targets."""
 
 import numpy as np
 import pytest
@@ -19,23 +19,23 @@ def moved(points, seed):
 def test_found_exactly_though_many_places_are_wrong(seed, wrong):
     random = torch.Generator().manual_seed(seed)
     points = torch.randn(300, 3, generator=random, dtype=torch.float64)
-    rotation, shift, places = moved(points, seed)
+    rotation, shift, targets = moved(points, seed)
     n_wrong = int(wrong * len(points))
-    places[:n_wrong] = 3 * torch.randn(n_wrong, 3, generator=random, dtype=torch.float64)
-    found, away = rigid_motion(points, places)
+    targets[:n_wrong] = 3 * torch.randn(n_wrong, 3, generator=random, dtype=torch.float64)
+    found, away = rigid_motion(points, targets)
     torch.testing.assert_close(found, rotation, atol=1e-6, rtol=0)
     torch.testing.assert_close(away, shift, atol=1e-6, rtol=0)
 
 
 def test_without_weighting_it_is_least_squares():
-    """Against scipy's own solution of Wahba's problem, with noise on the places."""
+    """Against scipy's own solution of Wahba's problem, with noise on the targets."""
     random = np.random.default_rng(0)
     points = random.normal(size=(50, 3))
-    places = points @ Rotation.from_euler("xyz", [0.3, 1.0, -2.0]).as_matrix().T + random.normal(size=(50, 3))
-    found, away = rigid_motion(torch.from_numpy(points), torch.from_numpy(places), rounds=0)
-    expected, _ = Rotation.align_vectors(places - places.mean(axis=0), points - points.mean(axis=0))
+    targets = points @ Rotation.from_euler("xyz", [0.3, 1.0, -2.0]).as_matrix().T + random.normal(size=(50, 3))
+    found, away = rigid_motion(torch.from_numpy(points), torch.from_numpy(targets), rounds=0)
+    expected, _ = Rotation.align_vectors(targets - targets.mean(axis=0), points - points.mean(axis=0))
     np.testing.assert_allclose(found.numpy(), expected.as_matrix(), atol=1e-9)
-    np.testing.assert_allclose(away.numpy(), places.mean(axis=0) - expected.apply(points.mean(axis=0)), atol=1e-9)
+    np.testing.assert_allclose(away.numpy(), targets.mean(axis=0) - expected.apply(points.mean(axis=0)), atol=1e-9)
 
 
 def test_never_a_reflection():

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from homolog.core.errors import ArgumentError
 from homolog.core.memory import working_memory
+from homolog.maps import reference
 from homolog.maps.sinkhorn import Kernel, _Derivative, carried_over
 
 MEMORIES = (1e-6, 0.01, 1024.0)
@@ -21,15 +22,6 @@ def random(*shape: int, seed: int = 0) -> Tensor:
 
 def unit(*shape: int, seed: int = 0) -> Tensor:
     return torch.nn.functional.normalize(random(*shape, seed=seed), dim=1)
-
-
-def unrolled(y: Tensor, x: Tensor, functions: Tensor, iterations: int) -> Tensor:
-    """In the logarithm, columns first and rows last."""
-    logits = y @ x.T
-    for _ in range(iterations):
-        logits = logits - torch.logsumexp(logits, dim=0, keepdim=True)
-        logits = logits - torch.logsumexp(logits, dim=1, keepdim=True)
-    return logits.exp() @ functions
 
 
 def with_gradients(carry, y: Tensor, x: Tensor, functions: Tensor, weights: Tensor, iterations: int) -> list[Tensor]:
@@ -47,7 +39,7 @@ def assert_like_unrolled(y: Tensor, x: Tensor, *, iterations: int, memory: float
         return carried_over(y, x, functions, temperature=temperature, iterations=iterations)
 
     def truth(y: Tensor, x: Tensor, functions: Tensor, iterations: int) -> Tensor:
-        return unrolled(y / temperature, x, functions, iterations)
+        return reference.soft_map(y, x, temperature=temperature, iterations=iterations) @ functions
 
     expected = with_gradients(truth, y, x, functions, weights, iterations)
     with working_memory(memory):

@@ -8,13 +8,14 @@ import pytest
 import torch
 from scipy.spatial import ConvexHull, KDTree
 
-from homolog.features import DiffusionNet, NetworkSettings, WeightsInfo, save_weights
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, save_weights
 from homolog.geometry import OperatorCache, compute_operators
-from homolog.matching import Matcher, MatcherSettings
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape
 
 # Shapes stand as they like, so that the orientation is only looked at where a test asks for it.
-INFO = WeightsInfo(name="blobs", licence="none", upright=False, map_eigenpairs=40)
+INFO = FeatureInfo(name="blobs", licence="none", upright=False, map_eigenpairs=40)
 
 
 def _sphere(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

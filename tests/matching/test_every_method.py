@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homolog.geometry import compute_operators
-from homolog.matching import NEED_NO_WEIGHTS, Correspondence
+from homolog.matching import Match
 from homolog.shapes import Shape
 
 METHODS = ("functional-map", "nearest-features", "registration", "axiomatic")
@@ -28,7 +28,7 @@ def assert_equal_but_for_ties(found, plain, points):
     assert np.linalg.norm(points[found] - points[plain], axis=1).mean() < 0.05 * spacing
 
 
-def same_bits(a: Correspondence, b: Correspondence):
+def same_bits(a: Match, b: Match):
     return all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in ARRAYS)
 
 

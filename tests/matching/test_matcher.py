@@ -6,16 +6,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from homolog.matching.checks import doubts
 
 from homolog.core.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.core.progress import Steps
-from homolog.features import WeightsInfo
+from homolog.features import FeatureInfo
 from homolog.features import weights as weights_module
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.maps import normalised, sinkhorn_matches
-from homolog.matching import Correspondence, MapQuality, Matcher, MatcherSettings, Quality, choose_device
+from homolog.matching import MapQuality, Match, Matcher, Quality
 from homolog.matching import matcher as matcher_module
-from homolog.matching.checks import doubts
+from homolog.pairs import MatcherSettings, choose_device
 from homolog.shapes import Shape
 
 PAIRS = [("mesh", "mesh"), ("cloud", "cloud"), ("mesh", "cloud"), ("cloud", "mesh")]
@@ -31,7 +32,7 @@ def test_route_per_modality(build, source, target):
 
 
 def test_features_alone_say_what_goes_where_on_shapes_that_are_not_nearly_isometric(build, blobs):
-    info = WeightsInfo(upright=False, map_eigenpairs=40, near_isometric=False)
+    info = FeatureInfo(upright=False, map_eigenpairs=40, near_isometric=False)
     found = build(info=info).match(blobs.source, blobs.target)
     assert found.route == "nearest-features"
     matcher = build()
@@ -107,7 +108,7 @@ def test_prepared_shapes_can_be_matched_again(build, blobs):
 
 def test_functional_maps_have_the_size_asked_for(build, blobs, network):
     def size(partial=False, of_parts=False, **settings):
-        info = WeightsInfo(map_eigenpairs=40, partial=of_parts)
+        info = FeatureInfo(map_eigenpairs=40, partial=of_parts)
         matcher = Matcher(network, info, settings=MatcherSettings(**settings), device="cpu")
         prepared = [matcher.prepare(shape) for shape in (blobs.source, blobs.target)]
         c_st, c_ts = matcher.functional_maps(*prepared, partial=partial)
@@ -122,7 +123,7 @@ def test_functional_maps_have_the_size_asked_for(build, blobs, network):
 
 
 def test_operators_are_those_that_the_weights_were_trained_with(network):
-    info = WeightsInfo(n_eigenpairs=60, laplacian="cotangent", n_neighbours=20)
+    info = FeatureInfo(n_eigenpairs=60, laplacian="cotangent", n_neighbours=20)
     assert Matcher(network, info, device="cpu").operator_settings == OperatorSettings(60, "cotangent", 20)
     own = OperatorSettings(30)
     settings = MatcherSettings(operators=own)
@@ -147,7 +148,7 @@ def test_raw_products_skip_the_normalisation(build, blobs, network):
     shuffled = torch.randperm(len(source.features), generator=torch.Generator().manual_seed(0))
     for raw in (False, True):
         settings = MatcherSettings(method="nearest-features", raw_products=raw)
-        matcher = Matcher(network, WeightsInfo(upright=False), settings=settings, device="cpu")
+        matcher = Matcher(network, FeatureInfo(upright=False), settings=settings, device="cpu")
         stretch = torch.logspace(-1, 0.5, len(source.features))[shuffled, None]
         stretched = type(source)(source.repaired, source.operators, source.features * stretch)
         plain, found = (matcher.point_maps(each, target, partial=True) for each in (source, stretched))
@@ -190,7 +191,7 @@ def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method
         return ["it lies on its side"]
 
     monkeypatch.setattr(matcher_module, "orientation_warnings", one_warning)
-    matcher = build(method, info=WeightsInfo(upright=True, map_eigenpairs=40))
+    matcher = build(method, info=FeatureInfo(upright=True, map_eigenpairs=40))
     found = matcher.match(blobs.source, blobs.target, source_up="x", target_up="z")
     assert found.warnings[0] == "it lies on its side"
     scales = pytest.approx((unit_frame(blobs.source).scale, unit_frame(blobs.target).scale))
@@ -199,7 +200,7 @@ def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method
 
 def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_counterpart():
     """Three of four source points have none; the others and all target points are trusted."""
-    found = Correspondence(
+    found = Match(
         source_to_target=np.array([0, -1, -1, -1]),
         target_to_source=np.array([0, 0]),
         source_confidence=np.array([0.9, 0, 0, 0]),
@@ -213,9 +214,7 @@ def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_cou
 
 def test_maps_that_tear_are_doubted_however_sure_they_are():
     side = Quality(coverage=0.98, cycle_error=0.01, dirichlet_energy=2.0, flipped_triangles=0.05, confidence=0.9)
-    sure = Correspondence(
-        np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), route="nearest-features"
-    )
+    sure = Match(np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), route="nearest-features")
     torn = replace(side, dirichlet_energy=20.0)
     assert doubts(sure) == doubts(replace(sure, quality=MapQuality(side, side))) == ()
     for quality in (MapQuality(torn, side), MapQuality(side, torn), MapQuality(None, torn)):
@@ -236,7 +235,7 @@ def test_the_axiomatic_route_warns_by_its_own_lights(build, blobs, monkeypatch):
     monkeypatch.setattr(
         matcher_module, "axiomatic_warnings", lambda source, target, *, ups: [f"{len(source.points)} turned {ups}"]
     )
-    for matcher in (build("axiomatic", info=WeightsInfo(upright=True)), build("auto", with_network=False)):
+    for matcher in (build("axiomatic", info=FeatureInfo(upright=True)), build("auto", with_network=False)):
         found = matcher.match(blobs.source, blobs.target, target_up="x")
         assert found.warnings[0] == "480 turned ('y', 'x')"
 
@@ -244,7 +243,7 @@ def test_the_axiomatic_route_warns_by_its_own_lights(build, blobs, monkeypatch):
 @pytest.mark.parametrize("given", [None, OperatorSettings(n_eigenpairs=50)])
 def test_operators_are_those_the_weights_were_trained_with(blobs, network, given):
     """Unless the settings say otherwise."""
-    info = WeightsInfo(n_eigenpairs=60, upright=False)
+    info = FeatureInfo(n_eigenpairs=60, upright=False)
     matcher = Matcher(network, info, settings=MatcherSettings(operators=given), device="cpu")
     assert matcher.prepare(blobs.source).operators.n_eigenpairs == (50 if given else 60)
 
@@ -391,7 +390,7 @@ def test_arguments_of_another_kind(build, blobs, kind):
 
 def test_the_axiomatic_method_has_its_own_operators_whatever_weights_are_given(blobs, network):
     """Weights of other operators do not change what it finds."""
-    info = WeightsInfo(n_eigenpairs=60, laplacian="cotangent")
+    info = FeatureInfo(n_eigenpairs=60, laplacian="cotangent")
     settings = MatcherSettings(method="axiomatic")
     given, none = Matcher(network, info, settings=settings, device="cpu"), Matcher(settings=settings, device="cpu")
     assert given.operator_settings == none.operator_settings == OperatorSettings()

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from homolog.matching.axiomatic import axis_agreement
 
 from homolog.features import load_weights
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
-from homolog.matching.axiomatic import axis_agreement
 from homolog.matching.orientation import Turn, axiomatic_warnings, orientation_warnings
 from homolog.shapes import Shape, rotation_about, upright_rotation
 

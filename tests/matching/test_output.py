@@ -11,7 +11,7 @@ import trimesh
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.progress import Steps
-from homolog.matching import Correspondence, matched_colours, position_colours, read_result, write_result
+from homolog.matching import Match, matched_colours, position_colours
 from homolog.shapes import Shape, read_shape
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
@@ -32,7 +32,7 @@ def found(shapes):
     n, m = (shape.n_points for shape in shapes)
     forth, back = rng.integers(0, m, n), rng.integers(0, n, m)
     forth[[3, 100]], back[7] = -1, -1
-    return Correspondence(
+    return Match(
         forth,
         back,
         np.where(forth < 0, 0, rng.random(n)),
@@ -94,7 +94,7 @@ def test_the_four_files(shapes, found, tmp_path):
 
 def test_a_result_is_read_back(shapes, found, tmp_path):
     write_result(tmp_path, *shapes, found, {"route": "nearest-features", "warnings": ["look!"], "answer": 42})
-    result = read_result(tmp_path)
+    result = Match.load(tmp_path)
     assert result.report["answer"] == 42
     for name, value in asdict(found).items():
         np.testing.assert_array_equal(getattr(result.found, name), value)
@@ -108,7 +108,7 @@ def test_a_folder_that_lacks_a_file_is_no_result(shapes, found, tmp_path, name):
     write_result(tmp_path, *shapes, found, {"route": "nearest-features"})
     (tmp_path / name).unlink()
     with pytest.raises(DataError, match=f"has no {name}, so that it is no result"):
-        read_result(tmp_path)
+        Match.load(tmp_path)
 
 
 def change_maps(folder, **changes):
@@ -137,7 +137,7 @@ def test_results_that_are_spoilt_are_one_line(shapes, found, tmp_path, spoil, sa
     write_result(tmp_path, *shapes, found, {"route": "nearest-features"})
     spoil(tmp_path)
     with pytest.raises(DataError, match=said) as error:
-        read_result(tmp_path)
+        Match.load(tmp_path)
     assert "\n" not in str(error.value) and str(tmp_path) in str(error.value)
 
 

@@ -11,7 +11,8 @@ from scipy.spatial import KDTree
 from homolog.core.errors import ArgumentError
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import overlap
-from homolog.matching import Matcher, PointMaps
+from homolog.matching import Matcher
+from homolog.pairs import PointMaps
 from homolog.shapes import Shape, repair
 
 KINDS = [("mesh", None), ("cloud", "both")]
@@ -188,6 +189,17 @@ def test_a_part_in_other_units_is_named_and_scaled(build, cut, kind, as_cloud):
         assert none == []
         np.testing.assert_array_equal(found.source_to_target >= 0, plain.source_to_target >= 0)
         np.testing.assert_array_equal(found.target_to_source, plain.target_to_source)
+
+
+@pytest.mark.parametrize(
+    ("share", "warned"), [(0.005, True), (0.02, False), (0.9, False), (1.1, False), (1.3, True), (2.0, True)]
+)
+def test_only_what_can_be_no_parts_area_is_told(build, cut, share, warned):
+    """Parts may be nearly whole, and estimates of areas a tenth too large; a third more than the whole is none."""
+    area, whole = (unit_frame(shape).scale ** 2 for shape in (cut.part, cut.whole))
+    warnings, _ = told_units(build, cut, np.sqrt(share * whole / area))
+    assert len(warnings) == warned
+    assert all(("name the other shape" in warning) == (share > 1) for warning in warnings)
 
 
 def test_a_raw_cloud_as_part_is_judged_too(build, cut):

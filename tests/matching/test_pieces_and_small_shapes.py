@@ -7,7 +7,8 @@ from scipy.spatial import KDTree
 
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry import OperatorSettings
-from homolog.matching import Matcher, MatcherSettings, matcher
+from homolog.matching import Matcher, matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, check
 
 PIECES = 40

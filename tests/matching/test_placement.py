@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from homolog.matching.placement import _PART_SAMPLES, _samples, placed
 from scipy.spatial.transform import Rotation
 
 from homolog.features import DiffusionNet
 from homolog.geometry import compute_operators, unit_frame
-from homolog.matching import Matcher, MatcherSettings
-from homolog.matching.placement import _PART_SAMPLES, _samples, placed
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape
 
 

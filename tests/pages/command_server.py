@@ -7,7 +7,6 @@ Of what takes hours or never ends, it does a little, by the same road: trainings
 sets of made shapes have a few, made bodies are stand-ins for those of anny, and what serves ends once it does.
 """
 
-import importlib
 import json
 import os
 import signal
@@ -16,11 +15,12 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+from homolog import synthesis, training
 from homolog.cli.main import main
+from homolog.serving import PageServer
 from homolog.serving.server import MatchServer
 from homolog.synthesis import production, synthesize_people, write_view_dataset
 from homolog.training import builtin_recipes, read_recipe
-from homolog.viewing import LiveView
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "synthesis"))
 from stand_in import StandIn
@@ -61,12 +61,11 @@ def end_once_it_serves(server):
 
 def shorten():
     """Put a little in the place of much."""
-    # By their full names, as packages export functions under the names of some of these modules.
-    importlib.import_module("homolog.cli.train").read_recipe = read_short_recipe
-    importlib.import_module("homolog.cli.synth_people").synthesize_people = synthesize_few
-    importlib.import_module("homolog.cli.synth_views").write_view_dataset = write_few_views
+    training.read_recipe = read_short_recipe
+    synthesis.synthesize_people = synthesize_few
+    synthesis.write_view_dataset = write_few_views
     production._body_model = StandIn
-    end_once_it_serves(LiveView)
+    end_once_it_serves(PageServer)
     end_once_it_serves(MatchServer)
 
 

@@ -159,6 +159,7 @@ def give_blobs(folder, make):
             (folder / "FAUST_r" / "corres" / f"{number}.vts").write_text(lines)
 
 
+@pytest.mark.pages
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_blocks_run(page, programs, make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

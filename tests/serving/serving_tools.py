@@ -12,14 +12,14 @@ from homolog.serving import MatchCommand
 
 TRIANGLE = b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
 
-# Stands in for `homolog match`: says a step, starts a child, tells of both, and waits to be ended.
+# Stands in for `homolog match`: starts a child, writes the numbers of both processes and a step, and waits to be ended.
 STUCK = """
 import os, subprocess, sys, time
 child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
 with open("now", "w") as file:
     file.write(f"{os.getpid()} {child.pid}")
 os.rename("now", "pids")
-print("read source ...", file=sys.stderr, flush=True)
+print('{"step": "read source", "side": "source", "done": 0, "total": 9}', file=sys.stderr, flush=True)
 time.sleep(600)
 """
 
@@ -39,7 +39,7 @@ def program(text):
 
 
 class Listener:
-    """What a match tells, as it comes."""
+    """The events of a match, as they come."""
 
     def __init__(self, client, path, headers=()):
         self._connection = client.connection()
@@ -57,8 +57,8 @@ class Listener:
                 event = {}
 
     def until(self, *kinds):
-        """The first piece of news of these kinds."""
-        return next((kind, told) for kind, told, _ in self if kind in kinds)
+        """The first event of these kinds."""
+        return next((kind, data) for kind, data, _ in self if kind in kinds)
 
     def close(self):
         """As a page that is closed does."""
@@ -87,9 +87,22 @@ class Client:
         finally:
             connection.close()
 
-    def begin(self, **wishes):
-        """Ask for a match, and listen: its path, and what it tells."""
-        status, _, body = self.ask("POST", "/jobs", json.dumps(wishes))
+    def call(self, method, path, headers, body=None):
+        """Status, headers and body of an answer to a request with exactly these headers."""
+        connection = self.connection()
+        try:
+            connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+            for name, value in (headers | ({} if body is None else {"Content-Length": str(len(body))})).items():
+                connection.putheader(name, value)
+            connection.endheaders(body)
+            answer = connection.getresponse()
+            return answer.status, answer.headers, answer.read()
+        finally:
+            connection.close()
+
+    def begin(self, **request):
+        """Ask for a match, and listen: its path, and its events."""
+        status, _, body = self.ask("POST", "/jobs", json.dumps(request))
         assert status == 201, body
         path = f"/jobs/{json.loads(body)['id']}"
         self._open.append(Listener(self, f"{path}/events"))
@@ -100,9 +113,9 @@ class Client:
         status, _, body = self.ask("PUT", f"{path}/{side}?name={quote(name)}", content)
         return status, json.loads(body)["error"] if body else None
 
-    def match(self, source, target, **wishes):
+    def match(self, source, target, **request):
         """Ask for a match of two pairs of a name and a content."""
-        path, listener = self.begin(**wishes)
+        path, listener = self.begin(**request)
         for side, (name, content) in (("source", source), ("target", target)):
             assert self.send(path, side, name, content) == (204, None)
         return path, listener

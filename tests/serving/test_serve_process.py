@@ -12,7 +12,9 @@ from serving_tools import TRIANGLE, Client, gone, until
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
 
-from homolog.serving.folder import OwnFolder
+from homolog.serving.folder import ServerFolder
+
+pytestmark = pytest.mark.process
 
 # A server one of whose matches has begun, waiting to be ended.
 BUSY = """
@@ -27,6 +29,7 @@ main()
 """
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
 @pytest.mark.parametrize(
     ("number", "code", "said"),
@@ -62,14 +65,15 @@ def test_it_prints_its_address_and_leaves_nothing(tmp_path, number, code, said):
 # A server that is gone before it could clean up.
 KILLED = """
 import os, signal
-from homolog.serving.folder import OwnFolder
+from homolog.serving.folder import ServerFolder
 
-folder = OwnFolder()
+folder = ServerFolder()
 (folder.path / "shape.off").touch()
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
 def test_what_a_killed_server_left_goes_with_the_next_start(tmp_path, monkeypatch):
     """And nothing else: neither what a server holds, nor what is called like it, be it a folder, a file or a link."""
@@ -78,7 +82,7 @@ def test_what_a_killed_server_left_goes_with_the_next_start(tmp_path, monkeypatc
     subprocess.run([sys.executable, "-c", KILLED], check=False, timeout=120)
     (left,) = tmp_path.glob("homolog-serve-*")
     assert (left / "matches" / "shape.off").is_file()
-    with OwnFolder() as held:
+    with ServerFolder() as held:
         assert not left.exists()
         others = [tmp_path / f"homolog-serve-{name}" for name in ("folder", "file", "link")]
         (tmp_path / "elsewhere").mkdir()
@@ -86,7 +90,7 @@ def test_what_a_killed_server_left_goes_with_the_next_start(tmp_path, monkeypatc
         others[0].mkdir()
         others[1].touch()
         others[2].symlink_to(tmp_path / "elsewhere")
-        with OwnFolder() as second:
+        with ServerFolder() as second:
             assert held.is_dir() and second.is_dir() and held != second
         assert not second.exists() and all(other.exists() for other in others)
     assert {*tmp_path.iterdir()} == {*others, tmp_path / "elsewhere"}

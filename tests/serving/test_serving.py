@@ -17,14 +17,18 @@ import numpy as np
 import pytest
 from serving_tools import TRIANGLE, Listener, gone, pids, program, until
 
-from homolog.core.errors import ArgumentError
-from homolog.matching import RESULT_FILES, read_result
+from homolog.core.errors import ArgumentError, ShapeError
+from homolog.matching import Match, RESULT_FILES
 from homolog.serving import Limits, MatchCommand
+from homolog.serving.command import MatchRequest, public_error, read_message
+from homolog.serving.names import safe_file_name
+from homolog.shapes import read_shape
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
 
 AXIOMATIC = MatchCommand(("--method=axiomatic",))
 JOB = "/jobs/0123456789"
+OUTSIDE = b'{"asset":{"version":"2.0"},"buffers":[{"uri":"../target/one.off","byteLength":9}]}'
 FROM_ANN = {"X-Forwarded-For": "203.0.113.7"}
 FROM_BEN = {"X-Forwarded-For": "203.0.113.8"}
 
@@ -50,15 +54,16 @@ def assert_closed(connection):
 
 
 def failure(listener):
-    kind, told = listener.until("failed", "done")
+    kind, data = listener.until("failed", "done")
     assert kind == "failed"
-    assert "\n" not in told["error"]
-    return told["error"]
+    assert "\n" not in data["error"]
+    return data["error"]
 
 
 # ---- the whole road
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other homes")
 def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
     for place in ("home", "cwd", "tmp"):
@@ -70,17 +75,18 @@ def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
     server = serve(AXIOMATIC)
     user = client(server)
     path, listener = user.match(*uploads(blobs), source_up="y")
-    news = []
-    for kind, told, number in listener:
-        assert number == len(news)
-        news.append((kind, told))
+    events = []
+    for kind, data, number in listener:
+        assert number == len(events)
+        events.append((kind, data))
         if kind in ("done", "failed"):
             break
-    assert news[-1] == ("done", {"archive": "one to other.zip", "warnings": news[-1][1]["warnings"]})
-    steps = [told for kind, told in news if kind == "step"]
+    assert events[-1] == ("done", {"archive": "one to other.zip", "warnings": events[-1][1]["warnings"]})
+    steps = [data for kind, data in events if kind == "step"]
     assert [step["done"] for step in steps] == list(range(len(steps)))
-    assert {step["of"] for step in steps} == {AXIOMATIC.n_steps}
-    assert steps[0]["name"] == "read source" and steps[-1]["name"] == "write"
+    (total,) = {step["total"] for step in steps}
+    assert len(steps) <= total <= len(steps) + 2  # without weights, no features are computed
+    assert steps[0]["step"] == "read source" and steps[-1]["step"] == "write"
     status, headers, page = user.ask("GET", f"{path}/view.html")
     assert status == 200 and headers["Content-Security-Policy"].startswith("sandbox allow-scripts;")
     assert "<title>one.off → other.ply</title>" in page.decode()
@@ -91,7 +97,7 @@ def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
     got = tmp_path / "got" / "homolog-result"
     assert {file.name for file in got.iterdir()} == {*RESULT_FILES, "view.html"}
     assert (got / "view.html").read_bytes() == page
-    result = read_result(got)
+    result = Match.load(got)
     order = result.source.points[:, 0].argsort()
     assert np.mean(result.found.target_to_source == order) > 0.9
     assert result.report["inputs"]["source"]["file"] == str(Path("source", "one.off"))
@@ -104,11 +110,9 @@ def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
     assert not any((tmp_path / "home").iterdir()) and not any((tmp_path / "cwd").iterdir())
 
 
-def test_wishes_become_options():
-    from homolog.serving.command import Wishes
-
-    wishes = Wishes.of({"source_up": "z", "partial": "target"})
-    line = MatchCommand(("--method=auto",), program=("homolog",)).line({"source": "a.off", "target": "b.off"}, wishes)
+def test_a_request_becomes_options():
+    request, names = MatchRequest.of({"source_up": "z", "partial": "target"}), {"source": "a.off", "target": "b.off"}
+    line = MatchCommand(("--method=auto",), program=("homolog",)).line(names, request)
     files = [str(Path("source", "a.off")), str(Path("target", "b.off"))]
     assert line[:2] == ["homolog", "match"] and line[-3:] == ["--", *files]
     assert {"--no-cache", "--method=auto", "--source-up=z", "--target-up=y", "--partial=target"} <= {*line}
@@ -117,7 +121,7 @@ def test_wishes_become_options():
 @pytest.mark.parametrize(
     "body", ["", "[]", "{", '{"weights": "x"}', '{"partial": "both"}', '{"source_up": ["y"]}', "[" * 4000]
 )
-def test_other_wishes_are_refused(serve, client, stuck, body):
+def test_other_requests_are_refused(serve, client, stuck, body):
     status, _, said = client(serve(stuck)).ask("POST", "/jobs", body)
     assert status == 400 and len(json.loads(said)["error"]) < 120
 
@@ -130,7 +134,7 @@ def test_other_wishes_are_refused(serve, client, stuck, body):
     [
         ("claims.ply", b"ply\nformat ascii 1.0\nelement vertex 1000000000\nproperty float x\nproperty float y\n"
          b"property float z\nend_header\n0 0 0\n", "1000000000 elements vertex"),
-        ("outside.gltf", b'{"asset":{"version":"2.0"},"buffers":[{"uri":"../target/one.off","byteLength":9}]}',
+        ("outside.gltf", OUTSIDE,
          "refers to '../target/one.off' outside its own folder"),
         ("elsewhere.gltf", b'{"asset":{"version":"2.0"},"buffers":[{"uri":"https://a.org/b/c.bin","byteLength":9}]}',
          "refers to 'https://a.org/b/c.bin' outside its own folder"),
@@ -139,14 +143,27 @@ def test_other_wishes_are_refused(serve, client, stuck, body):
         ("<img src=x onerror=alert(1)>.off", b"\0" * 99, "binary data"),
     ],
 )  # fmt: skip
-def test_a_bad_file_is_one_clear_message(serve, client, blobs, name, content, said):
-    server = serve(AXIOMATIC)
-    _, listener = client(server).match((name, content), uploads(blobs)[0])
-    error = failure(listener)
-    shown = name.translate(dict.fromkeys(map(ord, "<>"), "_"))
-    assert error.startswith(f"{shown} ") and said in error
-    assert str(server.folder) not in error and "source" not in error
+def test_a_bad_file_is_one_clear_message(tmp_path, monkeypatch, name, content, said):
+    """That of its reader, without the server's folders."""
+    plain = safe_file_name(name)
+    (tmp_path / "source").mkdir()
+    (tmp_path / "source" / plain).write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ShapeError) as raised:
+        read_shape(Path("source", plain))
+    error = public_error(str(raised.value), tmp_path, {"source": plain, "target": "one.off"})
+    assert error.startswith(f"{name.translate(dict.fromkeys(map(ord, '<>'), '_'))} ") and said in error
+    assert str(tmp_path) not in error and "source" not in error
     assert os.sep not in error.replace(said, "")  # where the file says it
+
+
+@pytest.mark.process
+def test_the_command_says_what_is_wrong_with_a_file(serve, client, blobs):
+    server = serve(AXIOMATIC)
+    _, listener = client(server).match(("outside.gltf", OUTSIDE), uploads(blobs)[0])
+    kind, data = listener.until("failed", "done")
+    assert kind == "failed" and data["side"] == "source"
+    assert re.match(r"outside\.gltf .* refers to '\.\./target/one\.off' outside its own folder", data["error"])
     until(lambda: not any(server.folder.iterdir()))
 
 
@@ -188,45 +205,55 @@ def test_a_hostile_name_stays_in_its_folder(serve, client, stuck, name, stored):
     assert files == [("source", stored)]
 
 
-def test_no_path_of_the_server_is_told(tmp_path):
-    from homolog.serving.command import complaint_of
-
+def test_no_path_of_the_server_is_shown(tmp_path):
     names = {"source": "a b.off", "target": "a.off"}
-    for line, said in (
-        (f"Error: {tmp_path.resolve()}/source/a b.off is empty", "a b.off is empty"),
-        ("Error: target/a.off could not be read as OFF", "a.off could not be read as OFF"),
-        ("Error: /home/me/lions.safetensors is damaged (/opt/lib/x.so)", "lions.safetensors is damaged (x.so)"),
-        ("Error: C:\\Users\\me\\x.pth is damaged", "x.pth is damaged"),
-        ("Error: it does not end with </VTKFile>; 3 km/h", "it does not end with </VTKFile>; 3 km/h"),
-        ("Warning: /home/me", None),
-        (f"Error: target/a.off is bad ({tmp_path.resolve()}/target/a.off: line 3)", "a.off is bad (a.off: line 3)"),
+    for error, shown in (
+        (f"{tmp_path.resolve()}/source/a b.off is empty", "a b.off is empty"),
+        ("target/a.off could not be read as OFF", "a.off could not be read as OFF"),
+        ("/home/me/lions.safetensors is damaged (/opt/lib/x.so)", "lions.safetensors is damaged (x.so)"),
+        ("C:\\Users\\me\\x.pth is damaged", "x.pth is damaged"),
+        ("it does not end with </VTKFile>; 3 km/h", "it does not end with </VTKFile>; 3 km/h"),
+        (f"target/a.off is bad ({tmp_path.resolve()}/target/a.off: line 3)", "a.off is bad (a.off: line 3)"),
     ):
-        assert complaint_of(line, tmp_path, names) == said
+        assert public_error(error, tmp_path, names) == shown
 
 
 @pytest.mark.parametrize("uri", ["../a/b.bin", "./a/b/c.bin", "target/a.off", "https://a.org/b/c.bin", "a/b.bin"])
-def test_what_a_file_refers_to_is_told_as_it_says_it(tmp_path, uri):
-    from homolog.serving.command import complaint_of
-
+def test_what_a_file_refers_to_is_shown_as_it_says_it(tmp_path, uri):
     names = {"source": "a.gltf", "target": "a.off"}
-    said = f"a.gltf could not be read as GLTF: it refers to {uri!r}, which is not beside it"
-    assert complaint_of(f"Error: source/{said}", tmp_path, names) == said
+    error = f"a.gltf could not be read as GLTF: it refers to {uri!r}, which is not beside it"
+    assert public_error(f"source/{error}", tmp_path, names) == error
 
 
 @pytest.mark.parametrize(
-    ("step", "said", "told"),
+    ("line", "message"),
     [
-        ("read target", "target/a.off is empty", {"error": "the target a.off is empty", "side": "target"}),
-        ("operators of source", "a.off has no scale", {"error": "the source a.off has no scale", "side": "source"}),
-        ("map", "a.off or a.off cannot be", {"error": "a.off or a.off cannot be"}),
+        ('{"step": "map", "side": null, "done": 3, "total": 9}', {"step": "map", "side": None, "done": 3, "total": 9}),
+        ('{"error": "no"}', {"error": "no"}),
+        *[(line, {}) for line in ("", "map ...", "Error: no", "[1]", "3", '"step"', "{", '{"step"}', "[" * 5000)],
     ],
 )
-def test_which_shape_is_to_blame(serve, client, step, said, told):
-    """Though both files are called alike."""
-    lines = f"{step} ...\nError: {said}"
+def test_only_json_objects_are_messages(line, message):
+    assert read_message(line) == message
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("step", "side", "said", "data"),
+    [
+        ("read target", "target", "target/a.off is empty", {"error": "the target a.off is empty", "side": "target"}),
+        ("operators of source", "source", "a.off is flat", {"error": "the source a.off is flat", "side": "source"}),
+        ("map", None, "a.off or a.off cannot be", {"error": "a.off or a.off cannot be"}),
+    ],
+)
+def test_which_shape_is_to_blame(serve, client, step, side, said, data):
+    """Though both files have one name."""
+    messages = [{"step": step, "side": side, "done": 2, "total": 5}, {"error": said}]
+    lines = "\n".join(map(json.dumps, messages))
     server = serve(program(f"import sys; print({lines!r}, file=sys.stderr); sys.exit(2)"))
     _, listener = client(server).match(("x/a.off", TRIANGLE), ("y/a.off", TRIANGLE))
-    assert listener.until("failed", "done") == ("failed", told)
+    assert listener.until("step") == ("step", {"step": step, "done": 2, "total": 5})
+    assert listener.until("failed", "done") == ("failed", data)
 
 
 @pytest.mark.parametrize(("name", "status"), [("a.exe", 415), ("large.off", 413)])
@@ -280,26 +307,27 @@ def test_limits_are_positive_numbers():
     for wrong in ({"max_mb": 0}, {"minutes": float("nan")}, {"memory_gb": float("inf")}, {"jobs": 0}, {"queue": -1}):
         with pytest.raises(ArgumentError, match=next(iter(wrong))):
             Limits(**wrong)
-    assert Limits(jobs=2, queue=0).places == 2
+    assert Limits(jobs=2, queue=0).admitted == 2
 
 
 # ---- bounds on number, time and memory
 
 
+@pytest.mark.process
 def test_only_so_many_at_once(serve, client, stuck):
     server = serve(stuck, jobs=1, queue=1)
     first, second, third = client(server), client(server), client(server)
     shapes = ("a.off", TRIANGLE), ("b.off", TRIANGLE)
-    running, told = first.match(*shapes)
-    assert told.until("step")[1]["name"] == "read source"
-    _, told = second.match(*shapes)
-    assert told.until("waiting", "step") == ("waiting", {"before": 0})
+    running, events = first.match(*shapes)
+    assert events.until("step")[1]["step"] == "read source"
+    _, events = second.match(*shapes)
+    assert events.until("waiting", "step") == ("waiting", {"ahead": 0})
     status, _, body = third.ask("POST", "/jobs", "{}")
     assert status == 503 and "2 matches are under way here" in json.loads(body)["error"]
     first_pids = until(lambda: pids(server))
     assert len(first_pids) == 2
     first.ask("DELETE", running)
-    assert told.until("step", "failed")[0] == "step"  # its turn has come
+    assert events.until("step", "failed")[0] == "step"  # its turn has come
     until(lambda: gone(first_pids))
     assert third.ask("POST", "/jobs", "{}")[0] == 201
 
@@ -327,7 +355,7 @@ def test_a_place_is_free_before_the_folder_is_gone(serve, client, stuck, monkeyp
 
 
 def test_one_address_has_only_so_many(serve, client, stuck, monkeypatch):
-    monkeypatch.setattr("homolog.serving.jobs._GRACE_SECONDS", 600)
+    monkeypatch.setattr("homolog.serving.job._RECONNECT_SECONDS", 600)
     server = serve(stuck, per_address=1)
     user = client(server)
 
@@ -336,8 +364,8 @@ def test_one_address_has_only_so_many(serve, client, stuck, monkeypatch):
         return status, json.loads(body)
 
     first = ask(FROM_ANN)[1]
-    status, told = ask(FROM_ANN)
-    assert status == 429 and told["error"].startswith("1 match is under way from your address, ")
+    status, data = ask(FROM_ANN)
+    assert status == 429 and data["error"].startswith("1 match is under way from your address, ")
     assert [ask(other)[0] for other in (FROM_BEN, {}, {}, {})] == [201] * 4
     user.ask("DELETE", f"/jobs/{first['id']}")
     until(lambda: ask(FROM_ANN)[0] == 201)
@@ -358,11 +386,12 @@ def test_one_address_has_only_so_many(serve, client, stuck, monkeypatch):
     ],
 )
 def test_what_counts_as_one_address(host, counted):
-    from homolog.serving.addresses import household
+    from homolog.serving.addresses import client_network
 
-    assert household(host) == counted
+    assert client_network(host) == counted
 
 
+@pytest.mark.process
 def test_a_match_that_takes_too_long(serve, client, stuck):
     server = serve(stuck, minutes=0.05)
     _, listener = client(server).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
@@ -383,7 +412,7 @@ def test_files_that_stop_coming(serve, client, stuck, monkeypatch):
     server = serve(stuck)
     user = client(server)
     path, listener = user.begin()
-    monkeypatch.setattr("homolog.serving.jobs._SILENCE_SECONDS", 0.1)
+    monkeypatch.setattr("homolog.serving.upload._IDLE_SECONDS", 0.1)
     with raw(user) as connection:
         head = f"PUT {path}/source?name=a.off HTTP/1.1\r\n{host(user)}Content-Length: 99\r\n\r\n"
         connection.sendall(head.encode() + b"OFF")
@@ -402,7 +431,7 @@ def test_a_request_that_has_no_end(serve, client, stuck, monkeypatch):
 @pytest.mark.parametrize("sent", ["", "GET / HTT", "GET /absent HTTP/1.1\r\n{host}\r\nGET / HTT"])
 def test_a_connection_that_says_nothing_is_closed(serve, client, stuck, monkeypatch, sent):
     """Before its first request, within one, and within a later one."""
-    monkeypatch.setattr("homolog.serving.connection._PATIENCE_SECONDS", 0.1)
+    monkeypatch.setattr("homolog.serving.connection._IDLE_SECONDS", 0.1)
     user = client(serve(stuck))
     with raw(user) as connection:
         connection.sendall(sent.format(host=host(user)).encode())
@@ -413,7 +442,7 @@ def test_a_connection_that_takes_no_answer_is_closed(serve, client, stuck, monke
     server = serve(stuck)
     user = client(server)
     page = len(user.ask("GET", "/")[2])
-    monkeypatch.setattr("homolog.serving.connection._PATIENCE_SECONDS", 0.1)
+    monkeypatch.setattr("homolog.serving.connection._IDLE_SECONDS", 0.1)
     with raw(user) as connection:
         with suppress(OSError):  # answers that no buffers on the way hold, and no more of them read than that they come
             connection.sendall(f"GET / HTTP/1.1\r\n{host(user)}\r\n".encode() * (2**26 // page))
@@ -421,21 +450,22 @@ def test_a_connection_that_takes_no_answer_is_closed(serve, client, stuck, monke
         until(lambda: not server._server.server_state.connections)
 
 
+@pytest.mark.process
 def test_a_connection_that_waits_for_its_match_is_kept(serve, client):
     """However long that says nothing."""
     server = serve(program(SLOW))
     _, listener = client(server).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
     listener.until("step")
     for connection in list(server._server.server_state.connections):
-        connection.loop.call_soon_threadsafe(connection._give_up)
+        connection.loop.call_soon_threadsafe(connection._close_if_idle)
     (folder,) = server.folder.iterdir()
     (folder / "go").touch()
-    assert listener.until("step", "failed")[1]["name"] == "read target"
+    assert listener.until("step", "failed")[1]["step"] == "read target"
 
 
 def test_one_address_has_half_of_the_connections(serve, client, stuck, monkeypatch):
-    monkeypatch.setattr("homolog.serving.connection._PATIENCE_SECONDS", 600)
-    monkeypatch.setattr("homolog.serving.connection.household", lambda host: host)
+    monkeypatch.setattr("homolog.serving.connection._IDLE_SECONDS", 600)
+    monkeypatch.setattr("homolog.serving.connection.client_network", lambda host: host)
     user = client(serve(stuck, jobs=1, queue=0))
     with ExitStack() as held:
         *_, eighth, ninth = [held.enter_context(raw(user)) for _ in range(9)]
@@ -445,7 +475,7 @@ def test_one_address_has_half_of_the_connections(serve, client, stuck, monkeypat
 
 
 def test_a_match_that_no_one_listens_to_is_forgotten(serve, client, stuck, monkeypatch):
-    monkeypatch.setattr("homolog.serving.jobs._GRACE_SECONDS", 0.1)
+    monkeypatch.setattr("homolog.serving.job._RECONNECT_SECONDS", 0.1)
     server = serve(stuck)
     user = client(server)
     assert user.ask("POST", "/jobs", "{}")[0] == 201
@@ -454,10 +484,10 @@ def test_a_match_that_no_one_listens_to_is_forgotten(serve, client, stuck, monke
 
 SLOW = """
 import pathlib, sys, time
-print("read source ...", file=sys.stderr, flush=True)
+print('{"step": "read source", "side": "source", "done": 0, "total": 9}', file=sys.stderr, flush=True)
 while not pathlib.Path("go").exists():
     time.sleep(0.02)
-print("read target ...", file=sys.stderr, flush=True)
+print('{"step": "read target", "side": "target", "done": 1, "total": 9}', file=sys.stderr, flush=True)
 time.sleep(600)
 """
 GREEDY = """
@@ -471,23 +501,27 @@ import sys
 try:
     bytearray(2**30)
 except MemoryError:
-    print("Error: not enough memory", file=sys.stderr)
+    print('{"error": "not enough memory"}', file=sys.stderr)
     sys.exit(2)
 """
 
 
+@pytest.mark.process
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such limit")
 def test_the_system_keeps_a_match_to_its_memory(serve, client):
     _, listener = client(serve(program(REFUSED), memory_gb=0.25)).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
     assert failure(listener) == "not enough memory"
 
 
-def test_where_the_system_does_not_the_server_does(serve, client, monkeypatch):
-    monkeypatch.setattr("homolog.serving.process._limited", lambda command, limits: list(command))
+@pytest.mark.process
+def test_where_the_system_does_not_the_server_does(serve, client, monkeypatch, tmp_path):
+    (tmp_path / "unlimited.py").write_text("import os, sys; os.execv(sys.argv[2], sys.argv[2:])")
+    monkeypatch.setattr("homolog.serving.process._LIMITED", tmp_path / "unlimited.py")
     _, listener = client(serve(program(GREEDY), memory_gb=0.25)).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
     assert "needed more than 0.25 GB of memory" in failure(listener)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("ending", "said"),
     [("raise RuntimeError('/secret/place')", "for a reason that is not known"), ("os.abort()", "the match broke off")],
@@ -503,8 +537,9 @@ def test_an_end_that_no_one_foresaw(serve, client, ending, said, caplog):
 # ---- pages that are closed, and a server that ends
 
 
+@pytest.mark.process
 def test_a_page_that_closes_ends_its_match(serve, client, stuck, monkeypatch):
-    monkeypatch.setattr("homolog.serving.jobs._GRACE_SECONDS", 0.1)
+    monkeypatch.setattr("homolog.serving.job._RECONNECT_SECONDS", 0.1)
     server = serve(stuck)
     _, listener = client(server).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
     started = until(lambda: pids(server))
@@ -512,11 +547,12 @@ def test_a_page_that_closes_ends_its_match(serve, client, stuck, monkeypatch):
     until(lambda: gone(started) and not any(server.folder.iterdir()))
 
 
+@pytest.mark.process
 def test_a_connection_that_comes_back_keeps_the_match(serve, client, stuck):
     server = serve(stuck)
     user = client(server)
     path, listener = user.match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
-    *_, last = next(news for news in listener if news[0] == "step")
+    *_, last = next(event for event in listener if event[0] == "step")
     listener.close()
     again = Listener(user, f"{path}/events", {"Last-Event-ID": str(last - 1)})
     assert next(iter(again))[0] == "step"
@@ -534,12 +570,13 @@ def test_an_upload_that_breaks_off_ends_its_match(serve, client, stuck):
     until(lambda: not any(server.folder.iterdir()))
 
 
+@pytest.mark.process
 def test_the_end_of_the_server_ends_its_matches(serve, client, stuck):
     server = serve(stuck)
     _, listener = client(server).match(("a.off", TRIANGLE), ("b.off", TRIANGLE))
     started = until(lambda: pids(server))
     server.end()
-    assert [kind for kind, *_ in listener][-1:] in (["step"], ["waiting"])  # what is told comes to an end
+    assert [kind for kind, *_ in listener][-1:] in (["step"], ["waiting"])  # the events come to an end
     until(lambda: gone(started) and not server.folder.exists())
 
 
@@ -549,51 +586,14 @@ def test_the_end_of_the_server_ends_its_matches(serve, client, stuck):
 @pytest.mark.parametrize(
     ("headers", "status"),
     [
-        ({"Host": "127.0.0.1"}, 201),
-        ({"Host": "localhost:99"}, 201),
-        ({"Host": "[::1]:8080"}, 201),
-        ({"Host": "192.168.1.7"}, 201),
-        ({"Host": "Shapes.example.org."}, 201),
+        ({"Host": "Shapes.example.org.", "Origin": "https://shapes.example.org."}, 201),
         ({"Host": "evil.example"}, 403),
-        ({"Host": "localhost.evil.example"}, 403),
-        ({"Host": "127.0.0.1.evil.example"}, 403),
-        ({"Host": "127.0.0.1@evil.example"}, 403),
-        ({"Host": "["}, 403),
-        ({"Host": ""}, 403),
-        ({"Host": "localhost", "Origin": "http://localhost"}, 201),
-        ({"Host": "shapes.example.org", "Origin": "https://shapes.example.org"}, 201),
-        ({"Host": "shapes.example.org:443", "Origin": "https://shapes.example.org"}, 201),
-        ({"Host": "127.0.0.1:8080", "Origin": "https://shapes.example.org"}, 201),
-        ({"Host": "127.0.0.1:8080", "Origin": "https://shapes.example.org:8443"}, 403),
-        ({"Host": "localhost:443", "Origin": "http://localhost"}, 403),
-        ({"Host": "localhost:8080", "Origin": "http://localhost"}, 403),
         ({"Host": "localhost", "Origin": "http://evil.example"}, 403),
-        ({"Host": "localhost", "Origin": "http://localhost:3000"}, 403),
-        ({"Host": "localhost", "Origin": "null"}, 403),
-        ({"Host": "localhost", "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "no-cors"}, 403),
-        ({"Host": "localhost", "Sec-Fetch-Site": "same-origin"}, 201),
     ],
 )
-def test_who_may_ask(serve, client, stuck, headers, status):
-    user = client(serve(stuck, names=["shapes.example.org"]))
-    connection = user.connection()
-    connection.putrequest("POST", "/jobs", skip_host=True)
-    for name, value in (headers | {"Content-Length": "2"}).items():
-        connection.putheader(name, value)
-    connection.endheaders(b"{}")
-    assert connection.getresponse().status == status
-    connection.close()
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["https://shapes.example.org", "shapes.example.org:443", "example.org/match", "*.org", "a b", "::1", "", "."],
-)
-def test_a_name_is_a_name_alone(name):
-    from homolog.serving.guard import names_of
-
-    with pytest.raises(ArgumentError, match=f"^name is {re.escape(repr(name))}, but must be a host's name alone, such"):
-        names_of("127.0.0.1", [name])
+def test_other_sites_are_refused(serve, client, stuck, headers, status):
+    """As ``test_guard`` has it of each header."""
+    assert client(serve(stuck, names=["shapes.example.org"])).call("POST", "/jobs", headers, b"{}")[0] == status
 
 
 def test_every_answer_binds_the_browser(serve, client, stuck):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from serving_tools import gone, pids, program, until
 
-from homolog.matching import read_result
+from homolog.matching import Match
 from homolog.serving import MatchCommand
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
@@ -49,7 +49,7 @@ def download(page, folder):
     waited.value.save_as(folder / "got.zip")
     with zipfile.ZipFile(folder / "got.zip") as archive:
         archive.extractall(folder)
-    return waited.value.suggested_filename, read_result(folder / "homolog-result")
+    return waited.value.suggested_filename, Match.load(folder / "homolog-result")
 
 
 def seen(page):
@@ -92,7 +92,7 @@ def test_two_users_and_a_hostile_one(serve, user, blobs, demo_folder, demo, tmp_
             assert np.median(near) < 0.05 * np.ptp(demo.amber.points[:, 1])
         else:
             assert result.source.n_points == 162
-    # The pages have their results and told so: the server keeps nothing, though both are open.
+    # The pages have their results and said so: the server keeps nothing, though both are open.
     until(lambda: not any(server.folder.iterdir()))
     for one in (of_ann, of_ben, of_eve):
         assert one.complaints == []
@@ -101,7 +101,7 @@ def test_two_users_and_a_hostile_one(serve, user, blobs, demo_folder, demo, tmp_
 
 def test_the_zone_of_the_bad_file_is_marked(serve, user):
     """Though both files are called alike, and otherwise on the server than here."""
-    bad = "read source ...\nread target ...\nError: target/_a_.off is empty"
+    bad = '{"step": "read target", "side": "target", "done": 1, "total": 9}\n{"error": "target/_a_.off is empty"}'
     page, _ = user(serve(program(f"import sys; print({bad!r}, file=sys.stderr); sys.exit(2)")))
     for side in ("source", "target"):
         drop(page, side, "<a>.off", "OFF\n")

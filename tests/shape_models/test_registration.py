@@ -103,6 +103,7 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in (folder.root / "shapes").iterdir()}
 
 
+@pytest.mark.process
 def test_several_processes_give_the_same(family, gathered, tmp_path):
     template, files, _ = family
     alone, _ = gathered(template, files[:2], tmp_path / "alone")

@@ -1,6 +1,7 @@
 """A matcher that needs no weights, in a module that other processes can import."""
 
-from homolog.matching import Matcher, MatcherSettings
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
 
 
 def axiomatic():

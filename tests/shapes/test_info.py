@@ -57,7 +57,7 @@ def test_a_bad_file_is_one_line_and_the_others_still_show(run, files):
 
 
 def test_json(run, files):
-    done = run("--json", *files)
+    done = run("--json", "-", *files)
     assert done.exit_code == 2
     ball, bad, dots = json.loads(done.stdout)
     assert (ball["format"], ball["modality"], ball["n_clean_points"], ball["n_boundary_loops"]) == (

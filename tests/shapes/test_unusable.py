@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from homolog.core.errors import MissingExtraError, ShapeError
-from homolog.shapes import READABLE, WRITABLE, Shape, read_shape, write_shape
+from homolog.shapes import Shape, read_shape, readable_suffixes, writable_suffixes, write_shape
 
 MESH = Shape(
     [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]],
     [[0, 1, 2], [0, 1, 3], [1, 2, 4], [2, 3, 4], [0, 2, 3], [1, 3, 4]],
 )
-MESH_FORMATS = [s for s in WRITABLE if s not in (".xyz", ".txt", ".csv", ".npy", ".pcd")]
+MESH_FORMATS = [s for s in writable_suffixes() if s not in (".xyz", ".txt", ".csv", ".npy", ".pcd")]
 BILLION = 10**9
 
 
@@ -73,7 +73,7 @@ def test_missing_folder_and_unknown(tmp_path):
     (tmp_path / "folder.ply").mkdir()
     refused(tmp_path / "folder.ply", "folder")
     message = refused(put(tmp_path, "a.docx", "x"), "'.docx'")
-    assert all(suffix in message for suffix in READABLE)
+    assert all(suffix in message for suffix in readable_suffixes())
     refused(put(tmp_path, "ply", "x"), "no suffix")
     (tmp_path / "scans").mkdir()
     refused(tmp_path / "scans", "scans is a folder")
@@ -92,7 +92,7 @@ def test_forbidden(tmp_path):
     refused(tmp_path / "a.ply", "Permission denied")
 
 
-@pytest.mark.parametrize("suffix", READABLE)
+@pytest.mark.parametrize("suffix", readable_suffixes())
 def test_empty(tmp_path, suffix):
     refused(put(tmp_path, "a" + suffix, b""), "is empty")
 
@@ -109,13 +109,13 @@ RUBBISH = {
 }
 
 
-@pytest.mark.parametrize("suffix", READABLE)
+@pytest.mark.parametrize("suffix", readable_suffixes())
 @pytest.mark.parametrize("content", RUBBISH.values(), ids=RUBBISH)
 def test_rubbish(tmp_path, suffix, content):
     refused(put(tmp_path, "a" + suffix, content), suffix[1:].upper())
 
 
-@pytest.mark.parametrize("suffix", READABLE)
+@pytest.mark.parametrize("suffix", readable_suffixes())
 @pytest.mark.parametrize("start", [b"ply\n", b"OFF\n", b"glTF", b"solid\n", b"# vtk DataFile Version 3.0\n", b"PK\3\4"])
 def test_rubbish_after_the_right_start(tmp_path, suffix, start):
     refused(put(tmp_path, "a" + suffix, start + RUBBISH["binary"]))
@@ -394,6 +394,7 @@ def test_missing_package_names_its_extra(tmp_path, monkeypatch, suffix, module, 
     assert not (tmp_path / f"b{suffix}").exists()
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("suffix", [".vtk", ".vtp", ".ply", ".glb", ".stl"])
 def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
     """Some libraries set up their logging when they are first imported."""

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.files import atomic_path
-from homolog.shapes import READABLE, WRITABLE, Shape, read_shape, write_shape
+from homolog.shapes import Shape, read_shape, readable_suffixes, writable_suffixes, write_shape
 
 POINTS_ONLY = (".xyz", ".txt", ".csv", ".npy", ".pcd")
 SINGLE = (".stl", ".glb")
@@ -21,7 +21,7 @@ def awkward_mesh():
     return Shape(points, [[8, 0, 1], [1, 0, 2], [3, 4, 5], [5, 7, 3], [2, 2, 1]], name="awkward")
 
 
-@pytest.mark.parametrize("suffix", [s for s in WRITABLE if s not in (*POINTS_ONLY, ".stl")])
+@pytest.mark.parametrize("suffix", [s for s in writable_suffixes() if s not in (*POINTS_ONLY, ".stl")])
 def test_mesh_there_and_back(tmp_path, suffix):
     mesh = awkward_mesh()
     write_shape(tmp_path / f"a{suffix}", mesh)
@@ -32,7 +32,7 @@ def test_mesh_there_and_back(tmp_path, suffix):
     assert [p.name for p in tmp_path.iterdir()] == [f"a{suffix}"]
 
 
-@pytest.mark.parametrize("suffix", [s for s in WRITABLE if s != ".stl"])
+@pytest.mark.parametrize("suffix", [s for s in writable_suffixes() if s != ".stl"])
 def test_cloud_there_and_back(tmp_path, suffix):
     cloud = awkward_mesh().as_cloud()
     write_shape(tmp_path / f"a{suffix.upper()}", cloud)
@@ -109,7 +109,7 @@ def test_folder_that_does_not_exist(tmp_path):
 
 
 def test_all_that_is_written_can_be_read():
-    assert set(WRITABLE) <= set(READABLE)
+    assert set(writable_suffixes()) <= set(readable_suffixes())
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])

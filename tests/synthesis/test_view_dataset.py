@@ -13,7 +13,7 @@ from homolog.datasets import ShapeFolder
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.synthesis import ViewSettings, view, view_dataset, write_view_dataset
 from homolog.training.data import TrainingSet
-from homolog.training.recipe import read_recipe
+from homolog.training.recipes import read_recipe
 
 SMALL = ViewSettings(pixels=(30, 40))
 N_BODIES, N_VIEWS = 6, 15
@@ -119,6 +119,7 @@ def test_a_training_takes_the_set_as_it_is(written):
     assert found.pairs == tuple((entry["full"], entry["name"]) for entry in entries)
 
 
+@pytest.mark.process
 def test_the_same_seed_gives_the_same_bytes_in_several_processes(source, written, tmp_path):
     write_view_dataset(source, tmp_path / "again", views=N_VIEWS, seed=3, settings=SMALL, processes=2)
     assert contents(tmp_path / "again") == contents(written)

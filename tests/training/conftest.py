@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homolog.shapes import Shape, write_shape
-from homolog.training.recipe import recipe_from
+from homolog.training.recipes import recipe_from
 
 NAMES = ("ape", "bee", "cat", "dog")
 
@@ -27,6 +27,16 @@ def meshes(tmp_path_factory, make):
     for name, shape, order in bodies(make):
         write_shape(root / "off" / f"{name}.off", shape)
         (root / "corres" / f"{name}.vts").write_text("\n".join(map(str, np.argsort(order)[:100] + 1)))
+    return root
+
+
+@pytest.fixture(scope="session")
+def clouds(tmp_path_factory, make):
+    """Three clouds of differently stretched and relabelled surfaces."""
+    root, blob = tmp_path_factory.mktemp("clouds"), make.blob(3)
+    for number, name in enumerate(("ape", "bee", "cat")):
+        order = np.random.default_rng(number).permutation(blob.n_points)
+        write_shape(root / f"{name}.ply", Shape(blob.points[order] * [1 + 0.2 * number, 1, 1 - 0.1 * number]))
     return root
 
 

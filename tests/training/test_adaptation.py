@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from homolog.core.errors import ArgumentError, TrainingError
-from homolog.features import DiffusionNet, NetworkSettings, WeightsInfo
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings
 from homolog.geometry import OperatorSettings
-from homolog.matching import Matcher, MatcherSettings
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape
 from homolog.training import AdaptationSettings, LossSettings, TrainingShape, adapt_to_pair, adaptation, pair_losses
-from homolog.training.recipe import OptimiserSettings, SampleSettings
+from homolog.training.settings import OptimiserSettings, SampleSettings
 
 SETTINGS = AdaptationSettings(
     steps=8, optimiser=OptimiserSettings(learning_rate=3e-3), samples=SampleSettings(points=120, subsets=2)
@@ -23,7 +24,7 @@ SETTINGS = AdaptationSettings(
 def matcher():
     torch.manual_seed(0)
     network = DiffusionNet(NetworkSettings(width=16, out_channels=16, blocks=2))
-    info = WeightsInfo(upright=False, map_eigenpairs=12)
+    info = FeatureInfo(upright=False, map_eigenpairs=12)
     return Matcher(network, info, settings=MatcherSettings(operators=OperatorSettings(24), partial_eigenpairs=10))
 
 
@@ -38,7 +39,7 @@ def loss_of(matcher, source, target, *, partial=False):
     x, y = (TrainingShape("", shape.operators.basis, shape.operators.basis) for shape in (source, target))
     settings = LossSettings(map_eigenpairs=matcher.map_size(partial=partial))
     with torch.no_grad():
-        return float(pair_losses(matcher.network, x, y, settings=settings, partial=partial).total)
+        return float(pair_losses(matcher.network, x, y, settings=settings, partial=partial)["total"])
 
 
 def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_those_that_do(matcher, shapes):
@@ -49,7 +50,9 @@ def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_tho
     with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that keep no areas"):
         adapt_to_pair(for_organs, *pair, SETTINGS)
     registration = replace(
-        SETTINGS, steps=1, loss=LossSettings(bijectivity=0, orthogonality=0, alignment=0, registration=1.0)
+        SETTINGS,
+        steps=1,
+        loss=LossSettings(weights={"bijectivity": 0, "orthogonality": 0, "alignment": 0, "registration": 1.0}),
     )
     adapted = adapt_to_pair(for_organs, *pair, registration)[0]
     assert any(

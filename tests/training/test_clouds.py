@@ -6,16 +6,18 @@ import trimesh
 
 from homolog.shapes import face_areas
 from homolog.training.clouds import CloudVariant, cloud_variants, make_cloud
-from homolog.training.recipe import CloudSettings
+from homolog.training.settings import CloudSettings
 
 
 def test_the_clean_cloud_comes_first():
-    settings = CloudSettings((0.1, 0.2), subsampled=(0.5,), resampled=(300,), cut=(0.4,), holes=(9,), seen=(0.0,))
+    settings = CloudSettings(
+        noise=(0.1, 0.2), subsampled=(0.5,), resampled=(300,), cut=(0.4,), holes=(9,), views=(0.0,)
+    )
     found = cloud_variants(settings)
-    kinds = ["clean", "noisy", "noisy", "thinned", "resampled", "cut", "pierced", "seen"]
+    kinds = ["clean", "noise", "noise", "subsampled", "resampled", "cut", "holes", "views"]
     assert [variant.kind for variant in found] == kinds
     assert [variant.amount for variant in found[1:]] == [0.1, 0.2, 0.5, 300, 0.4, 9, 0.0]
-    assert [variant.is_part for variant in found] == [False] * 5 + [True] * 3
+    assert [variant.is_partial for variant in found] == [False] * 5 + [True] * 3
 
 
 def test_clean_and_noisy_clouds_keep_the_points(make):
@@ -23,22 +25,22 @@ def test_clean_and_noisy_clouds_keep_the_points(make):
     clean = make_cloud(blob, CloudVariant(), seed=0)
     assert clean.weights is None and clean.shape.faces is None
     assert np.array_equal(clean.shape.points, blob.points)
-    noisy = make_cloud(blob, CloudVariant("noisy", 0.02), seed=0)
+    noisy = make_cloud(blob, CloudVariant("noise", 0.02), seed=0)
     assert noisy.weights is None
     moved = noisy.shape.points - blob.points
     assert abs(moved.std() - 0.02) < 0.001
 
 
-def test_thinned_clouds_are_some_of_the_points(make):
+def test_subsampled_clouds_are_some_of_the_points(make):
     blob = make.blob(3)
-    cloud = make_cloud(blob, CloudVariant("thinned", 0.3), seed=1)
+    cloud = make_cloud(blob, CloudVariant("subsampled", 0.3), seed=1)
     assert cloud.shape.n_points == round(0.3 * blob.n_points)
     origin = cloud.weights.argmax(axis=1)
     assert np.all(np.diff(origin) > 0)
     assert np.array_equal(cloud.shape.points, blob.points[origin])
 
 
-@pytest.mark.parametrize("variant", [CloudVariant("cut", 0.4), CloudVariant("pierced", 5)])
+@pytest.mark.parametrize("variant", [CloudVariant("cut", 0.4), CloudVariant("holes", 5)])
 def test_parts_are_some_of_the_points_of_one_piece(make, variant):
     blob = make.blob(3)
     cloud = make_cloud(blob, variant, seed=1)
@@ -54,10 +56,10 @@ def test_parts_are_some_of_the_points_of_one_piece(make, variant):
         assert 0.5 < area < 0.98
 
 
-def test_seen_clouds_lie_on_one_side_of_the_surface(make):
+def test_views_lie_on_one_side_of_the_surface(make):
     """The inner side of a convex shape's surface is hidden: what is seen has a plane of its own that parts it off."""
     ball = make.sphere(3)
-    cloud = make_cloud(ball, CloudVariant("seen", 0.0), seed=1)
+    cloud = make_cloud(ball, CloudVariant("views", 0.0), seed=1)
     assert cloud.shape.faces is None and cloud.shape.n_points > ball.n_points
     np.testing.assert_allclose(cloud.weights @ ball.points, cloud.shape.points)
     np.testing.assert_allclose(cloud.weights.sum(axis=1), 1)
@@ -65,7 +67,7 @@ def test_seen_clouds_lie_on_one_side_of_the_surface(make):
     outwards = cloud.shape.points / np.linalg.norm(cloud.shape.points, axis=1, keepdims=True)
     camera = cloud.shape.points.mean(axis=0) / np.linalg.norm(cloud.shape.points.mean(axis=0))
     assert (outwards @ camera).min() > 0.2  # the camera is at least two radii away, so that it sees less than half
-    noisy = make_cloud(ball, CloudVariant("seen", 0.01), seed=1)
+    noisy = make_cloud(ball, CloudVariant("views", 0.01), seed=1)
     moved = np.linalg.norm(noisy.shape.points - noisy.weights @ ball.points, axis=1)
     assert abs(np.sqrt((moved**2).mean()) / (0.01 * np.sqrt(face_areas(ball.points, ball.faces).sum())) - 1) < 0.05
 
@@ -98,8 +100,8 @@ def test_resampled_clouds_are_even(make):
 
 def test_seeds(make):
     blob = make.blob(2)
-    variants = [CloudVariant("noisy", 0.1), CloudVariant("thinned", 0.5), CloudVariant("resampled", 200)]
-    for variant in (*variants, CloudVariant("cut", 0.5), CloudVariant("seen", 0.01)):
+    variants = [CloudVariant("noise", 0.1), CloudVariant("subsampled", 0.5), CloudVariant("resampled", 200)]
+    for variant in (*variants, CloudVariant("cut", 0.5), CloudVariant("views", 0.01)):
         first, again, other = (make_cloud(blob, variant, seed=seed).shape.points for seed in (0, 0, 1))
         assert np.array_equal(first, again)
         assert not np.array_equal(first, other)

@@ -11,7 +11,8 @@ from homolog.core.errors import ArgumentError, DataError
 from homolog.datasets import DatasetDescription, ShapeFolder, read_description
 from homolog.shapes import read_shape, stand_upright, write_shape
 from homolog.training.data import TrainingSet
-from homolog.training.recipe import PartialSettings, read_recipe
+from homolog.training.recipes import read_recipe
+from homolog.training.settings import PartialSettings
 
 
 @pytest.fixture
@@ -72,7 +73,7 @@ def test_splits(meshes, tmp_path, small):
     assert TrainingSet.open(tmp_path, small(data={"split": "train"})).names == ("bee", "dog")
 
 
-def test_parts_find_their_complete_shapes(parts, small):
+def test_parts_find_their_full_shapes(parts, small):
     found = TrainingSet.open(parts, small(partial={}))
     assert set(found.pairs) == {
         ("cat", "cuts_cat_shape_1"),
@@ -136,21 +137,21 @@ def test_parts_of_a_described_set(parts_set, small):
     assert set(found.pairs) == {(partner, name) for name, (partner, *_) in known.items()}
     assert found.up == "z" and found.truth.description == described
     assert found.files["dog"] == root / "null" / "dog.off"
-    assert recipe.for_set(described).partial.pre_aligned is True
-    assert small(partial={"pre_aligned": False}).for_set(described).partial.pre_aligned is False
-    assert recipe.for_set().partial == PartialSettings("null", "cuts", False)
-    with pytest.raises(ArgumentError, match="shrec16_cuts is a set of parts"):
+    assert recipe.for_dataset(described).partial.pre_aligned is True
+    assert small(partial={"pre_aligned": False}).for_dataset(described).partial.pre_aligned is False
+    assert recipe.for_dataset().partial == PartialSettings(full="null", parts="cuts", pre_aligned=False)
+    with pytest.raises(ArgumentError, match="shrec16_cuts is a dataset of partial shapes"):
         TrainingSet.open(root, small(), described)
-    with pytest.raises(ArgumentError, match=r"\[partial\] complete is 'whole', but shrec16_cuts has 'null'"):
-        TrainingSet.open(root, small(partial={"complete": "whole"}), described)
+    with pytest.raises(ArgumentError, match=r"\[partial\] full is 'whole', but shrec16_cuts has 'null'"):
+        TrainingSet.open(root, small(partial={"full": "whole"}), described)
 
 
 def test_recipes_for_shrec16_name_the_folders_of_its_sets():
     for kind in ("cuts", "holes"):
         recipe = read_recipe(kind)
-        own, described = recipe.for_set(), recipe.for_set(read_description(f"shrec16_{kind}"))
-        assert (own.partial.complete, own.partial.parts, own.data.up) == ("null", kind, "z")
-        assert (described.partial.complete, described.partial.parts, described.data.up) == ("null", kind, "z")
+        own, described = recipe.for_dataset(), recipe.for_dataset(read_description(f"shrec16_{kind}"))
+        assert (own.partial.full, own.partial.parts, own.data.up) == ("null", kind, "z")
+        assert (described.partial.full, described.partial.parts, described.data.up) == ("null", kind, "z")
 
 
 def test_shapes_of_one_class_make_a_pair(tmp_path, meshes, small):
@@ -193,7 +194,7 @@ def test_what_is_wrong_is_said(meshes, parts, tmp_path, small):
         (empty, {}, "no meshes"),
         (meshes, {"data": {"leave_out": ["[abc]*"]}}, "1 of its shapes are left"),
         (meshes, {"validation": {"shapes": 4}}, "0 of its shapes are left"),
-        (parts, {"partial": {"parts": "holes"}}, "no 'holes'"),
+        (parts, {"partial": {"parts": "holes"}}, "has full shapes, but no folder 'holes'"),
         (parts, {"partial": {}, "validation": {"shapes": 4}}, "no pair is left"),
     ]
     for root, changes, words in cases:

@@ -5,7 +5,10 @@ from dataclasses import fields, is_dataclass
 import pytest
 
 from homolog.core.errors import ArgumentError
-from homolog.training.recipe import CloudSettings, PartialSettings, Recipe, builtin_recipes, find_recipe, read_recipe
+from homolog.core.settings import read_toml
+from homolog.training.losses import BUILTIN_LOSSES
+from homolog.training.recipes import builtin_recipes, find_recipe, read_recipe, recipe_from
+from homolog.training.settings import CloudSettings, LossSettings, PartialSettings, Recipe
 
 
 def written(tmp_path, text):
@@ -56,26 +59,38 @@ MISTAKES = {
     "[training]\nsteps = 0": ["[training] steps is 0", "at least 1"],
     "[training]\nprecision = '16'": ["[training] precision is '16'", "32, bf16"],
     "[training]\nprecision = 32": ["[training] precision is 32", "one of '32', 'bf16'"],
-    "[optimiser]\nlearning_rate = nan": ["[optimiser] learning_rate is nan", "a positive number"],
+    "[optimiser]\nlearning_rate = nan": ["[optimiser] learning_rate is nan", "a number above 0"],
     "[optimiser]\nlearning_rate = 'high'": ["[optimiser] learning_rate is 'high'", "a number"],
     "[optimiser]\nbetas = [0.9]": ["[optimiser] betas is [0.9]", "a list of 2"],
-    "[optimiser]\nbetas = [0.9, 1.0]": ["[optimiser] betas is 1.0", "below 1"],
+    "[optimiser]\nbetas = [0.9, 1.0]": ["[optimiser] betas holds 1.0", "below 1"],
     "[optimiser]\nschedule = 'cosin'": ["[optimiser] schedule is 'cosin'", "did you mean 'cosine'?"],
     "[clouds]\nnoise = 0.01": ["[clouds] noise is 0.01", "a list, each of them a number"],
-    "[clouds]\nnoise = [0.01, 'x']": ["[clouds] noise", "a list, each of them a number"],
-    "[clouds]\ncut = [0.05]": ["[clouds] cut is 0.05", "from 0.1 to below 1"],
-    "[clouds]\npierced = [0]": ["[clouds] pierced is 0", "at least 1 each"],
-    "[clouds]\nseen = [-0.1]": ["[clouds] seen is -0.1", "at least 0"],
-    "[clouds]\nthinned = [1.5]": ["[clouds] thinned is 1.5", "between 0 and 1"],
+    "[clouds]\nnoise = [0.01, 'x']": ["[clouds] noise holds 'x'", "a list, each of them a number above 0"],
+    "[clouds]\ncut = [0.05]": ["[clouds] cut holds 0.05", "a number of at least 0.1 and below 1"],
+    "[clouds]\nholes = [0]": ["[clouds] holes holds 0", "each of them a whole number of at least 1"],
+    "[clouds]\nviews = [-0.1]": ["[clouds] views holds -0.1", "at least 0"],
+    "[clouds]\nsubsampled = [1.5]": ["[clouds] subsampled holds 1.5", "above 0 and below 1"],
     "[augmentation]\nturn = 'sideways'": ["[augmentation] turn is 'sideways'", "vertical"],
     "[validation]\nshapes = 1": ["[validation] shapes is 1", "at least 2"],
     "[network]\nwidth = -3": ["[network] width is -3", "at least 1"],
     "[network]\nin_channels = 16": ["[network] in_channels is 16", "3, for positions"],
     "[loss]\nmap_eigenpairs = 300": ["[loss] map_eigenpairs is 300", "at most n_eigenpairs, 128"],
+    "[loss]\nbijectivty = 1.0": ["[loss] has an unknown key 'bijectivty'", "did you mean 'bijectivity'?"],
+    "[loss]\nsoft_temprature = 1.0": [
+        "[loss] has an unknown key 'soft_temprature'",
+        "did you mean 'soft_temperature'?",
+    ],
+    "[loss]\ninfonce = -1": ["[loss] infonce is -1", "a number of at least 0"],
+    "[loss]\ninfonce = nan": ["[loss] infonce is nan", "a number of at least 0"],
+    "[loss]\ninfonce = 'much'": ["[loss] infonce is 'much'", "a number of at least 0"],
+    "[loss]\ninfonce = true": ["[loss] infonce is True", "a number of at least 0"],
+    "[loss.functions]\ninfonce = 'a:b'": ["[loss.functions] has 'infonce'", "give yours another name"],
+    "loss = 3": ["loss is 3", "a section [loss]"],
+    "upright = 1": ["upright is 1", "true or false"],
     "[samples]\npoints = 200": ["[samples] points is 200", "at least twice [operators] n_eigenpairs, 256"],
     "[data]\nup = 'Z'": ["[data] up is 'Z'", "x, y, z"],
     "training = 3": ["training is 3", "a section [training]"],
-    "[partial]\n[loss]\nelastic = 1.0": ["[loss] elastic is 1.0", "0 with a section [partial]"],
+    "[partial]\n[loss]\nregistration = 1.0": ["[loss] registration is 1.0", "0 with a section [partial]"],
     "seed = -1": ["seed is -1", "at least 0"],
     "name = 3": ["name is 3", "a text in quotes"],
     "seed = ": ["not valid TOML"],
@@ -125,3 +140,27 @@ def test_every_setting_is_documented():
 
     check(Recipe)
     check(PartialSettings)
+
+
+def test_built_in_recipes_say_what_their_weights_are_for():
+    """Both keys stand in each file, whatever its losses and its augmentation are."""
+    for path in builtin_recipes().values():
+        table = read_toml(path)
+        assert {"upright", "near_isometric"} <= table.keys(), path
+        assert table["near_isometric"] == (path.stem != "organs")
+
+
+def test_a_weight_that_is_absent_is_the_default_and_others_stay():
+    found = recipe_from({"loss": {"infonce": 5, "map_eigenpairs": 20}}, "f").loss
+    assert found == LossSettings(weights={"infonce": 5.0}, map_eigenpairs=20)
+    assert found.weights == {**LossSettings().weights, "infonce": 5.0}
+    assert {name: loss.weight for name, loss in BUILTIN_LOSSES.items()} == LossSettings().weights
+
+
+def test_the_schema_knows_every_key():
+    schema = Recipe.json_schema()
+    loss = schema["$defs"]["LossSettings"]
+    assert set(loss["properties"]) == {*BUILTIN_LOSSES, *(f.name for f in fields(LossSettings))} - {"weights"}
+    assert set(schema["properties"]) == {f.name for f in fields(Recipe)}
+    assert schema["$defs"]["OptimiserSettings"]["properties"]["schedule"]["enum"] == ["cosine", "constant", "one-cycle"]
+    assert schema["$defs"]["TrainingSettings"]["properties"]["steps"]["minimum"] == 1

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from homolog.training.recipe import OptimiserSettings
 from homolog.training.schedule import learning_rate
+from homolog.training.settings import OptimiserSettings
 
 
 def rates(steps=100, **settings):

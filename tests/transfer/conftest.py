@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from homolog.matching import Correspondence, MatchResult
+from homolog.matching import Match
 from homolog.shapes import Shape
 
 
 def correspondence(there, back):
     """Point maps that are trusted wherever there are any."""
     there, back = np.asarray(there, dtype=np.int64), np.asarray(back, dtype=np.int64)
-    return Correspondence(there, back, (there >= 0).astype(float), (back >= 0).astype(float), "nearest-features")
+    return Match(there, back, (there >= 0).astype(float), (back >= 0).astype(float), "nearest-features")
 
 
 def nearest(points, others):
@@ -35,7 +35,7 @@ class Pair:
 
     @property
     def result(self):
-        return MatchResult(self.source, self.target, self.found, {"route": "nearest-features"})
+        return Match(self.source, self.target, self.found, {"route": "nearest-features"})
 
 
 def bent(points):

@@ -1,11 +1,14 @@
 """Smooth maps between surfaces: exact where the truth is, better than the point maps that they come from elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, unit
-from homolog.matching import MatchResult
+from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer import SurfacePoints, SurfaceProjector, Transfer, surface_map
 
@@ -63,6 +66,23 @@ def test_wrong_patches_give_way(pair, matched):
     # Those to whom 250 points of the other shape point stay wrong.
     assert np.median(errors[wrong]) < 0.04 and errors.mean() < 0.1 * before.mean()
     assert flipped(found, pair.source.faces).mean() < 0.01
+
+
+def test_pairs_count_by_their_confidence(pair):
+    """One of the two maps is wrong all over, as if turned about the vertical axis; confidences say which."""
+    truth, turn = pair.bend(pair.source.points), np.array([[0.8, 0, 0.6], [0, 1, 0], [-0.6, 0, 0.8]])
+    right = pair.found
+    turned = cKDTree(pair.target.points).query(pair.bend(pair.source.points @ turn.T))[1]
+    wrong = np.linalg.norm(pair.target.points[turned] - truth, axis=1).mean()
+    errors = []
+    for there, back in ((0.05, 1.0), (1.0, 0.05)):
+        confidences = {
+            "source_confidence": np.full(pair.source.n_points, there),
+            "target_confidence": np.full(pair.target.n_points, back),
+        }
+        found = surface_map(pair.source, pair.target, replace(right, source_to_target=turned, **confidences))
+        errors.append(np.linalg.norm(found.positions - truth, axis=1).mean())
+    assert errors[0] < 0.1 * wrong and errors[1] > 0.8 * wrong
 
 
 def test_points_without_a_counterpart_have_no_place(pair, matched):
@@ -206,7 +226,7 @@ def test_the_label_of_points_without_a_counterpart_is_no_label_of_the_source(mak
     shape = make.blob(2)
     same = np.arange(shape.n_points)
     there = np.where(same < 20, -1, same)
-    transfer = Transfer(MatchResult(shape, shape, matched(there, there), {}))
+    transfer = Transfer(Match(shape, shape, matched(there, there), {}))
     for labels, none in ((same % 3, -1), (same % 3 - 1, -2), (same % 3 - 4, -1), (same % 5 - 3, -4)):
         found = transfer.labels(labels)
         np.testing.assert_array_equal(found[20:], labels[20:])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homolog.matching import Correspondence, MatchResult
+from homolog.matching import Match
 from homolog.shapes import Shape
 
 
@@ -20,9 +20,9 @@ def known(make):
     confidence = np.linspace(0.2, 1, blob.n_points)
     forth[[3, 5]] = -1
     confidence[[3, 5]] = 0
-    found = Correspondence(forth, back, confidence, np.full(blob.n_points, 0.5), "axiomatic")
+    found = Match(forth, back, confidence, np.full(blob.n_points, 0.5), "axiomatic")
     report = {"inputs": {"source": {"file": "/data/a blob.off"}, "target": {"file": "other.off"}}}
-    return MatchResult(blob, other, found, report)
+    return Match(blob, other, found, report)
 
 
 @pytest.fixture

@@ -1,14 +1,14 @@
-"""The page from disk and the live view, in Chromium: clicks land where the camera sees known points."""
+"""The page in Chromium, from disk and served: clicks land where the camera sees known points."""
 
 import re
-import socket
 import threading
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from homolog.viewing import LiveView, page_of, scene_of
+from homolog.serving import PageServer
+from homolog.viewing import page_of, scene_of
 
 pytestmark = pytest.mark.browser
 SIDES = ("source", "target")
@@ -17,9 +17,6 @@ SIDES = ("source", "target")
 def counterpart(result, side, point):
     found = result.found
     return int((found.source_to_target if side == "source" else found.target_to_source)[point])
-
-
-# ---- the page
 
 
 @pytest.fixture
@@ -123,7 +120,7 @@ def test_colours_and_sliders_of_the_page(opened, known):
     """A light confidence is light where it is drawn; above it, it is pale; a hidden point cannot be clicked."""
     one, scene = opened(known), scene_of(known)
     point, x, y = foremost(one.page, scene, "source")
-    ramp = scene.layer("Confidence").colours["source"][point].astype(float)
+    ramp = scene.layers[1].colours["source"][point].astype(float)
     one.page.select_option("#layer", "Confidence")
     one.page.wait_for_timeout(200)
     drawn = np.array(colour_at(one.page, x, y), dtype=float)
@@ -138,113 +135,134 @@ def test_colours_and_sliders_of_the_page(opened, known):
     assert one.complaints == []
 
 
-# ---- the live view
+def test_page_as_it_is_served(tab, known):
+    """Its policy has it from nowhere; it works all the same."""
+    server = PageServer(page_of(scene_of(known)), port=0)
+    thread = threading.Thread(target=server.serve)
+    thread.start()
+    try:
+        one = tab()
+        one.page.goto(server.address)
+        one.page.wait_for_selector("body[data-ready]")
+        check_clicks(one, known)
+        assert one.page.evaluate("window.origin") == "null"
+        assert [url.removeprefix(server.address) for url in one.requests] == ["/"]
+    finally:
+        server.end()
+        thread.join(timeout=60)
+        server.close()
+    assert not thread.is_alive()
+
+
+def test_a_click_on_a_large_shape_tells_the_number_of_the_file(opened, known, monkeypatch):
+    """Of those points that are shown; the counterpart is marked where it is, though it may not be shown itself."""
+    monkeypatch.setattr("homolog.viewing.page._MOST_POINTS", 80)
+    one, scene = opened(known), scene_of(known)
+    assert re.search(r"showing \d\d of 162 points", one.page.inner_text("#caption-0"))
+    shown = one.page.evaluate("[0, 1].map((side) => [...homolog.shown(side)])")
+    for side, index in zip(SIDES, shown, strict=True):
+        x, y, depth = on_page(one.page, scene, side, np.array(index))
+        first = int(depth.argmin())
+        one.page.mouse.click(float(x[first]), float(y[first]))
+        other = counterpart(known, side, index[first])
+        assert one.page.evaluate("homolog.marked()") == {"side": side, "point": index[first], "counterpart": other}
+        opposite = "target" if side == "source" else "source"
+        one.page.wait_for_timeout(200)
+        place = [float(at[0]) for at in on_page(one.page, scene, opposite, np.array([other]))[:2]]
+        assert magenta(one.page, *place)
+
+
+def test_a_point_without_a_counterpart(opened, known):
+    nowhere = np.full(known.source.n_points, -1)
+    result = replace(known, found=replace(known.found, source_to_target=nowhere))
+    one = opened(result)
+    point, x, y = foremost(one.page, scene_of(result), "source")
+    one.page.mouse.click(x, y)
+    assert one.page.evaluate("homolog.marked()") == {"side": "source", "point": point, "counterpart": -1}
+    told = dict(re.findall(r"(\w[\w ]*)\t(.*)", one.page.inner_text("#marked")))
+    assert told == {"source": f"point {point}", "target": "no counterpart"}
+
+
+# ---- picking, against triangles solved one by one and points looked at one by one
 
 
 @pytest.fixture
-def live():
-    """``live(result)`` is a live view of it, at a port that was free."""
-    pytest.importorskip("viser", reason="viser is missing; pip install 'homolog[view]'")
-    running = []
+def picking(opened, known):
+    """The page's functions, called with arrays; of many rays at once."""
+    page = opened(known).page
 
-    def start(result, port=0):
-        running.append(LiveView(scene_of(result), port=port))
-        return running[-1]
+    def surface(points, faces, rays):
+        body = {"points": np.ravel(points).tolist(), "faces": np.ravel(faces).tolist()}
+        return page.evaluate("([body, rays]) => rays.map((ray) => homolog.hitSurface(body, ray))", [body, rays])
 
-    yield start
-    for one in running:
-        one.stop()
+    def cloud(points, shown, ray, spacing, before=1e9):
+        body = {"points": np.ravel(points).tolist(), "spacing": spacing}
+        call = "([body, shown, ray, before]) => homolog.hitPoints(body, shown, ray, before)"
+        return page.evaluate(call, [body, np.asarray(shown).astype(int).tolist(), ray, before])
 
-
-@pytest.fixture
-def served(live):
-    """The same, being served."""
-    running = []
-
-    def start(result):
-        one = live(result)
-        running.append((one, threading.Thread(target=one.serve)))
-        running[-1][1].start()
-        return one
-
-    yield start
-    for one, thread in running:
-        one.end()
-        thread.join(timeout=30)
+    surface.of_points = cloud
+    return surface
 
 
-def on_live_page(server, box, place):
-    """Where a point is seen by the camera that the server knows, in a canvas: plain projective geometry."""
-    (client,) = server.get_clients().values()
-    camera = client.camera
-    forward = camera.look_at - camera.position
-    forward = forward / np.linalg.norm(forward)
-    right = np.cross(forward, [0, 1, 0])
-    right = right / np.linalg.norm(right)
-    seen = np.stack([right, np.cross(right, forward), forward]) @ (place - camera.position)
-    pixels = box["height"] / 2 / np.tan(camera.fov / 2)
-    x = box["x"] + box["width"] / 2 + pixels * seen[0] / seen[2]
-    return float(x), float(box["y"] + box["height"] / 2 - pixels * seen[1] / seen[2])
+def aimed(origin, place, slope=0.0):
+    direction = np.subtract(place, origin) / np.linalg.norm(np.subtract(place, origin))
+    return {"origin": list(map(float, origin)), "direction": direction.tolist(), "slope": slope}
 
 
-def test_live_view_marks_what_is_clicked(served, tab, known):
-    view, scene, one = served(known), scene_of(known), tab(800, 450)
-    one.page.goto(view.address)
-    one.page.wait_for_selector("text=Click a point to mark its counterpart.")
-    one.page.wait_for_selector("canvas")
-    one.page.wait_for_timeout(3000)  # until the canvas has its size and both shapes have come
-    box = one.page.locator("canvas").first.bounding_box()
-    for side in SIDES:
-        body = scene.bodies[side]
-        point = int(body.points[:, 2].argmax())
-        one.page.mouse.click(*on_live_page(view._server, box, body.points[point] + body.offset))
-        other = counterpart(known, side, point)
-        names = {side: f"point {point}", "target" if side == "source" else "source": f"point {other}"}
-        one.page.wait_for_selector(f"text=point {point}")
-        rows = dict(re.findall(r"(\w[\w ]*?)\s*\t(.*)", one.page.locator("table").first.inner_text()))
-        assert {name: rows[name] for name in SIDES} == names
-        places = scene.places(scene.mark(side, point))
-        for name in SIDES:
-            marker = view._server.scene.get_handle_by_name(f"/{name}/mark")
-            np.testing.assert_allclose(marker.position, places[name])
-    assert one.complaints == []
-    assert all(re.match(rf"(blob:)?{view.address}|data:", url) for url in one.requests)
+def slow_hit(points, faces, ray):
+    """A 3 x 3 system per triangle: origin + t direction = a + u (b - a) + v (c - a)."""
+    met = []
+    for face in faces:
+        a, b, c = points[face]
+        columns = [-np.array(ray["direction"]), b - a, c - a]
+        t, u, v = np.linalg.solve(np.stack(columns, axis=1), ray["origin"] - a)
+        if min(u, v, 1 - u - v) >= 0 and t > 0:
+            met.append((t, int(face[np.argmax([1 - u - v, u, v])])))
+    return min(met, default=None)
 
 
-def test_live_view_recolours_and_shows_points(live, known):
-    """Without a browser: what a control changes is sent anew."""
-    view, scene = live(known), scene_of(known)
-    view._choice.value, view._drawn.value, view._share.value = "Confidence", "points", 50
-    view._changed(None)
-    view.redraw()
-    for side in SIDES:
-        drawn = view._server.scene.get_handle_by_name(f"/{side}/shape")
-        half = scene.bodies[side].rank < np.ceil(len(scene.bodies[side].points) / 2)
-        np.testing.assert_allclose(drawn.points, scene.bodies[side].points[half], atol=1e-6)
-        np.testing.assert_array_equal(drawn.colors, scene.layer("Confidence").colours[side][half])
-        assert view._server.scene.get_handle_by_name(f"/{side}/beneath") is not None
-    view._drawn.value = "surfaces"
-    view._changed(None)
-    view.redraw()
-    assert view._server.scene.get_handle_by_name("/source/beneath") is None
+def test_rays_meet_a_surface_where_equations_say(picking, make):
+    """Of rays from anywhere to near the surface, some miss it and most meet it several times."""
+    blob, rng = make.blob(2), np.random.default_rng(0)
+    near = blob.points[rng.integers(blob.n_points, size=45)] + 0.1 * rng.standard_normal((45, 3))
+    rays = [aimed(4 * rng.standard_normal(3), place) for place in near]
+    found, expected = picking(blob.points, blob.faces, rays), [slow_hit(blob.points, blob.faces, ray) for ray in rays]
+    assert [hit is None for hit in found] == [hit is None for hit in expected]
+    met = [(hit, true) for hit, true in zip(found, expected, strict=True) if true]
+    assert 15 < len(met) < 45
+    for hit, (depth, point) in met:
+        assert hit["depth"] == pytest.approx(depth) and hit["point"] == point
 
 
-def test_live_view_reaches_a_few_pixels_around_a_click(live, known_clouds):
-    """A pixel of a tiny window is 0.08 wide at a distance of nine: seven reach to 0.56 from the leftmost point."""
-    view, body = live(known_clouds), scene_of(known_clouds).bodies["source"]
-    leftmost = int(body.points[:, 0].argmin())
-    camera = SimpleNamespace(fov=np.pi / 6, image_height=60)
-    for away, told in ((0.8, "Click a point"), (0.4, f"point {leftmost}<")):
-        origin = body.points[leftmost] + body.offset + np.array([-away, 0, 9])
-        view._clicked(
-            SimpleNamespace(client=SimpleNamespace(camera=camera), ray_origin=origin, ray_direction=(0, 0, -1))
-        )
-        assert told in view._told.content
+def test_a_surface_from_behind_and_through_an_edge(picking):
+    points, faces = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]
+    rays = [
+        aimed([0.9, 0.9, 2], [0.9, 0.9, 0]),
+        aimed([0.9, 0.9, -2], [0.9, 0.9, 0]),
+        aimed([0.2, 0.2, 1], [0.2, 0.2, 2]),  # it lies behind
+        aimed([-1, 0.5, 0], [1, 0.5, 0]),  # along the surface
+    ]
+    assert [hit and hit["point"] for hit in picking(points, faces, rays)] == [2, 2, None, None]
 
 
-def test_live_view_takes_the_next_free_port(live, known):
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        assert live(known, port).port > port
+def test_the_nearest_of_the_points_in_front(picking):
+    """Of two square grids of points, one eight units behind the other, shifted by half a spacing."""
+    x, y = np.meshgrid(np.arange(5.0), np.arange(5.0), indexing="ij")
+    front = np.stack([x.ravel(), y.ravel(), np.zeros(25)], axis=1)
+    points = np.concatenate([front, front + np.array([0.5, 0.5, -8.0])])
+    everything, rear = np.ones(50), np.arange(50) >= 25
+    for i in range(25):
+        near = points[i] + [0.2, 0.1, 0]
+        assert picking.of_points(points, everything, aimed(near + np.array([0, 0, 10]), near), 1.0)["point"] == i
+    # Past hidden points the ray goes on to those behind, unless a surface is before these.
+    behind = picking.of_points(points, rear, aimed([2.4, 2.4, 10], [2.4, 2.4, 0]), 1.0)
+    assert behind["point"] == 25 + 2 * 5 + 2 and behind["depth"] == pytest.approx(18)
+    assert picking.of_points(points, rear, aimed([2, 2, 10], [2, 2, 0]), 1.0, before=10) is None
+
+
+def test_points_are_met_within_a_spacing_or_some_pixels(picking):
+    """The slope is what a few pixels are at a distance of one."""
+    for slope, spacing, met in ((0, 0.5, False), (0, 1.1, True), (0.05, 0.5, False), (0.11, 0.5, True)):
+        found = picking.of_points([[0.0, 0, 0]], [1], aimed([1, 0, 10], [1, 0, 0], slope), spacing)
+        assert (found is not None) == met
+    assert picking.of_points([[0.0, 0, 0]], [1], aimed([0, 0, 10], [0, 0, 11]), 1.0) is None

@@ -4,11 +4,14 @@ import base64
 import json
 import re
 import zlib
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
 
+from homolog.matching import Match
+from homolog.shapes import Shape
 from homolog.viewing import page_of, scene_of
 from homolog.viewing.page import PackedArrays
 
@@ -50,21 +53,75 @@ def test_it_holds_the_scene(known):
     parts = Parts(page_of(scene))
     told, read = arrays_of(parts)
     assert parts.title == scene.title
-    assert told["route"] == "axiomatic"
+    assert told["method"] == "axiomatic"
     for side, written in zip(("source", "target"), told["bodies"], strict=True):
         body = scene.bodies[side]
         assert written["title"] == body.title
         np.testing.assert_allclose(read(written["points"]).reshape(-1, 3), body.points, atol=1e-6)
         np.testing.assert_array_equal(read(written["faces"]).reshape(-1, 3), body.faces)
         np.testing.assert_array_equal(read(written["counterpart"]), body.counterpart)
-        np.testing.assert_array_equal(read(written["rank"]), body.rank)
+        back = scene.bodies["target" if side == "source" else "source"].counterpart[body.counterpart]
+        np.testing.assert_array_equal(read(written["back"]), back)
+        np.testing.assert_array_equal(read(written["index"]), np.arange(len(body.points)))
+        np.testing.assert_array_equal(np.sort(read(written["rank"])), np.arange(len(body.points)))
+        assert written["total"] == len(body.points) and written["spacing"] == body.spacing
         np.testing.assert_allclose(read(written["confidence"]), body.confidence, atol=1e-6)
-    assert [layer["name"] for layer in told["layers"]] == ["Correspondence", "Confidence"]
+    assert [layer["name"] for layer in told["layers"]] == ["Match", "Confidence"]
     for layer, written in zip(scene.layers, told["layers"], strict=True):
         for number, side in enumerate(("source", "target")):
             np.testing.assert_array_equal(read(written["colours"][number]).reshape(-1, 3), layer.colours[side])
     assert told["layers"][0]["ramp"] is None and told["layers"][0]["values"] is None
     np.testing.assert_allclose(read(told["layers"][1]["values"][1]), 0.5)
+
+
+def test_of_a_large_shape_some_points_are_shown(known, monkeypatch):
+    """With all that a click on them tells, by the numbers of the files; a small one beside it is whole."""
+    monkeypatch.setattr("homolog.viewing.page._MOST_POINTS", 60)
+    half = np.flatnonzero(known.target.points[:, 0] < 0)[:50]  # of the target, so that it is small enough
+    few = Shape(known.target.points[half], None)
+    place = np.full(known.target.n_points, -1)
+    place[half] = np.arange(len(half))
+    found = replace(
+        known.found,
+        source_to_target=np.where(known.found.source_to_target < 0, -1, place[known.found.source_to_target]),
+        target_to_source=known.found.target_to_source[half],
+        target_confidence=known.found.target_confidence[half],
+    )
+    result = replace(known, target=few, found=found)
+    scene = scene_of(result)
+    told, read = arrays_of(Parts(page_of(scene)))
+    source, target = told["bodies"]
+    index = read(source["index"])
+    assert 30 < len(index) <= 60 and source["total"] == known.source.n_points
+    body = scene.bodies["source"]
+    np.testing.assert_allclose(read(source["points"]).reshape(-1, 3), body.points[index], atol=1e-6)
+    np.testing.assert_array_equal(read(source["counterpart"]), found.source_to_target[index])
+    assert source["place"] is None  # all of the target's points are there
+    np.testing.assert_array_equal(read(target["index"]), np.arange(50))
+    np.testing.assert_allclose(
+        read(target["place"]).reshape(-1, 3), body.points[read(target["counterpart"])], atol=1e-6
+    )
+    np.testing.assert_array_equal(read(target["back"]), found.source_to_target[found.target_to_source])
+    for layer, written in zip(scene.layers, told["layers"], strict=True):
+        np.testing.assert_array_equal(read(written["colours"][0]).reshape(-1, 3), layer.colours["source"][index])
+    faces = read(source["faces"]).reshape(-1, 3)
+    assert 0 < len(faces) < len(known.source.faces) and faces.max() < len(index)
+
+
+@pytest.mark.slow
+def test_a_match_of_a_million_points_is_a_page_that_can_be_sent(make):
+    grid = make.grid(1000)
+    everything, ones = np.arange(grid.n_points), np.ones(grid.n_points)
+    result = Match(grid, grid.as_cloud(), Match(everything, everything, ones, ones, "axiomatic"), {})
+    page = page_of(scene_of(result))
+    assert len(page) < 20e6
+    told, read = arrays_of(Parts(page))
+    for body in told["bodies"]:
+        index = read(body["index"])
+        assert 80_000 < len(index) <= 100_000 and body["total"] == 1_000_000
+        np.testing.assert_array_equal(read(body["counterpart"]), index)
+        np.testing.assert_allclose(body["spacing"], np.sqrt(2) / 999 * np.sqrt(1_000_000 / len(index)), rtol=0.5)
+    assert 150_000 < told["bodies"][0]["faces"]["length"] / 3 <= 220_000
 
 
 def test_a_cloud_has_no_faces(known_clouds):

@@ -9,7 +9,7 @@ import pytest
 from homolog.core.errors import ArgumentError, MissingExtraError
 from homolog.viewing import picture_of, scene_of, write_picture
 from homolog.viewing.drawing import SAMPLES
-from homolog.viewing.picture import _placed
+from homolog.viewing.picture import _projected
 
 WIDTH = 400
 SIZE = (WIDTH // 2 * SAMPLES, WIDTH * SAMPLES)
@@ -56,7 +56,7 @@ def test_colours_are_those_of_the_layer(scene):
 def test_the_foremost_point_has_its_colour(known):
     scene = scene_of(known)
     image = picture_of(scene, width=WIDTH)
-    places, _ = _placed(scene, SIZE)
+    places, _ = _projected(scene, SIZE)
     for side in ("source", "target"):
         front = int(places[side][:, 2].argmax())
         column, row = (places[side][front, :2] / SAMPLES).astype(int)
@@ -68,7 +68,7 @@ def test_the_foremost_point_has_its_colour(known):
 def test_lines_join_counterparts(known):
     scene = one_colour(scene_of(known), (40, 80, 240))
     plain, lined = picture_of(scene, width=WIDTH), picture_of(scene, width=WIDTH, lines=1)
-    places, _ = _placed(scene, SIZE)
+    places, _ = _projected(scene, SIZE)
     changed = np.argwhere((abs(plain.astype(int) - lined) > 20).any(axis=2))[:, ::-1]
     between = changed[(plain == 255).all(axis=2)[changed[:, 1], changed[:, 0]]] + 0.5
     assert len(between) > 20

@@ -6,53 +6,46 @@ from typing import Annotated
 
 import typer
 
-from homolog.cli.collection import collection
-from homolog.cli.data import data
-from homolog.cli.demo import demo
-from homolog.cli.doctor import doctor
-from homolog.cli.evaluate import evaluate
-from homolog.cli.help import help_of
-from homolog.cli.info import info
-from homolog.cli.match import match
-from homolog.cli.reconstruct import reconstruct
-from homolog.cli.serve import serve
-from homolog.cli.synth import synth
-from homolog.cli.train import train
-from homolog.cli.transfer import transfer
-from homolog.cli.view import view
-from homolog.cli.volume import volume
-from homolog.core.versions import version_of
+from homolog.cli.lazy import lazy_group
+
+
+def _print_version(*, asked: bool) -> None:
+    if asked:
+        from homolog.core.versions import version_of
+
+        typer.echo(f"homolog {version_of('homolog')}")
+        raise typer.Exit
+
 
 app = typer.Typer(
     name="homolog",
+    cls=lazy_group(
+        match="homolog.cli.match:match",
+        view="homolog.cli.view:view",
+        serve="homolog.cli.serve:serve",
+        transfer="homolog.cli.transfer:transfer",
+        collection="homolog.cli.collection:collection",
+        train="homolog.cli.train:train",
+        evaluate="homolog.cli.evaluate:evaluate",
+        reconstruct="homolog.cli.reconstruct:reconstruct",
+        info="homolog.cli.info:info",
+        doctor="homolog.cli.doctor:doctor",
+        demo="homolog.cli.demo:demo",
+        synth="homolog.cli.synth:synth",
+        volume="homolog.cli.volume:volume",
+        data="homolog.cli.data:data",
+    ),
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
 
 
-def _print_version(*, asked: bool) -> None:
-    if asked:
-        typer.echo(f"homolog {version_of('homolog')}")
-        raise typer.Exit
-
-
 @app.callback()
-def homolog(
+def options_of_homolog(
     *,
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Find dense correspondences between non-rigid 3D shapes: meshes and point clouds, whole or partial."""
-
-
-for command in (match, view, serve, transfer, collection, train, evaluate, reconstruct, info, doctor, demo):
-    app.command()(command)
-for group in (synth, volume, data):
-    app.add_typer(group)
-for each in (app, synth, volume, data):
-    for registered in each.registered_commands:
-        if registered.callback:
-            registered.help = help_of(registered.callback)
+    """Find dense correspondences between non-rigid 3D shapes: meshes and point clouds, full or partial."""

@@ -14,11 +14,31 @@ import typer
 
 from homolog.cli.progress import say
 
+PAGE = "Page"
+"""The group that these options stand in."""
 Host = Annotated[
-    str, typer.Option(metavar="ADDRESS", help="Where to listen; 0.0.0.0 lets other machines in, unprotected.")
+    str,
+    typer.Option(
+        "--host",
+        metavar="ADDRESS",
+        help="Where to listen; 0.0.0.0 lets other machines in, without a password.",
+        rich_help_panel=PAGE,
+    ),
 ]
-Port = Annotated[int, typer.Option(help="The port, or the next free one; 0 for any.", min=0, max=65535)]
-NoOpen = Annotated[bool, typer.Option("--no-open", help="Print the address only; open no browser.")]
+Port = Annotated[
+    int,
+    typer.Option(
+        "--port",
+        metavar="PORT",
+        help="The port, or the next free one; 0 for any.",
+        min=0,
+        max=65535,
+        rich_help_panel=PAGE,
+    ),
+]
+NoOpen = Annotated[
+    bool, typer.Option("--no-open", help="Print the address only; open no browser.", rich_help_panel=PAGE)
+]
 
 
 def announce(address: str, *, open_browser: bool, quiet: bool) -> None:

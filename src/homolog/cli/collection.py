@@ -1,83 +1,91 @@
-"""``homolog collection``: many shapes with the points and faces of one template, and their statistics."""
+"""``homolog collection``: one template registered to many shapes, and their shape model."""
 
 from __future__ import annotations
 
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+import homolog
 from homolog.cli.options import (
+    INPUT,
     ONE_PER_CORE,
+    OUTPUT,
     DeviceOption,
     MethodOption,
     NoCache,
     Processes,
     Quiet,
+    Seed,
     Verbose,
     Weights,
     build_matcher,
     check_folder,
-    described,
+    check_inputs,
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar, say
-from homolog.shape_models import (
-    MOST_SHOWN,
-    BuiltModel,
-    ModelSettings,
-    Outcome,
-    ShapeModelSettings,
-    build,
-    check_extra,
-)
-from homolog.shapes import Up
+from homolog.core.choices import Up
+
+if TYPE_CHECKING:
+    from homolog.shape_models import BuiltModel, Outcome
 
 Collected = Literal["template", "shapes", "both"]
 
 
 def collection(
     template: Annotated[
-        Path, typer.Argument(help="The shape whose points and faces all others get.", show_default=False)
+        Path,
+        typer.Argument(metavar="TEMPLATE", help="The shape that is registered to all others.", show_default=False),
     ],
     shapes: Annotated[
-        list[Path], typer.Argument(metavar="SHAPES...", help="Meshes or clouds in any format.", show_default=False)
+        list[Path], typer.Argument(metavar="SHAPES...", help="Meshes and point clouds.", show_default=False)
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to go on with.")
+        Path,
+        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
     ] = Path("collection"),
     weights: Weights = None,
     method: MethodOption = "auto",
-    as_cloud: Annotated[Collected | None, typer.Option(help="Match by points alone; faces are still written.")] = None,
-    up: Annotated[Up, typer.Option(help="The axis that points up in all files.")] = "y",
-    template_up: Annotated[
-        Up | None, typer.Option(help="The axis that points up in the template, if it differs.")
+    as_cloud: Annotated[
+        Collected | None,
+        typer.Option(
+            help="Use only the points of the template, of the shapes, or of both; faces are still written.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
-    scale: Annotated[
-        bool, typer.Option("--scale", help="Bring shapes to one size before their modes are found, too.")
+    up: Annotated[Up, typer.Option(help="The axis that points up in all files.", rich_help_panel=INPUT)] = "y",
+    template_up: Annotated[
+        Up | None,
+        typer.Option(help="The axis that points up in the template, if it differs.", rich_help_panel=INPUT),
+    ] = None,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="Refuse shapes with anything to repair or to warn of.", rich_help_panel=INPUT),
     ] = False,
-    seed: Annotated[int, typer.Option(help="Of the random shapes that measure specificity.", min=0)] = 0,
+    scale: Annotated[
+        bool,
+        typer.Option("--scale", help="Remove size as well before the modes are computed.", rich_help_panel=OUTPUT),
+    ] = False,
+    seed: Seed = 0,
     processes: Processes = ONE_PER_CORE,
     device: DeviceOption = "auto",
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Refuse shapes with anything to repair or to warn of.")
-    ] = False,
     no_cache: NoCache = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Match shapes to one template, and give each the template's points and faces; then find how they vary.
+    """Register a template to many shapes, and compute their statistical shape model.
 
     Needs the extra `collection`. Writes DIR/shapes/NAME.ply (the template's points, registered smoothly to each
     shape's surface, in its own coordinates), DIR/points.npy (shapes, points, 3), DIR/quality.csv (a row per shape),
     DIR/contact_sheet.png (the worst first), DIR/model (the mean, the principal modes, curves, and modes.html to drag
     through), DIR/shapeworks and DIR/scalismo (for these programs), and DIR/report.json.
 
-    The same command goes on where it was stopped, and does anew what changed; more shapes can be given then. A shape
-    that cannot be matched is one line on stderr and in quality.csv; the others are still written, and the exit code
-    is 2.
+    The same command resumes where it was stopped, and redoes what changed; more shapes can be given then. A shape that
+    cannot be matched is one line on stderr and in quality.csv; the others are still written, and the exit code is 2.
 
     Examples:
       homolog collection template.ply scans/*.ply -o people
@@ -87,23 +95,33 @@ def collection(
       homolog collection lung.csv lungs/*.csv -o lungs_model --method registration --up z --scale
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_extra()
+    check_inputs(template, weights=weights)
+    models = homolog.shape_models
+    models.check_extra()
     check_folder(output)
-    settings = ShapeModelSettings(
+    settings = models.ShapeModelSettings(
         template_up=template_up or up,
         shapes_up=up,
         template_as_cloud=as_cloud in ("template", "both"),
         shapes_as_cloud=as_cloud in ("shapes", "both"),
         strict=strict,
     )
-    model = ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
+    model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
-    report = {"command": ["homolog", *sys.argv[1:]], **described(make_matcher(), weights)}
+    report = {"command": ["homolog", *sys.argv[1:]], **make_matcher().describe()}
     with progress_bar(quiet=quiet) as progress:
-        built = build(
-            template, shapes, output, make_matcher,
-            settings=settings, model=model, processes=processes, progress=progress, listener=_tell, report=report,
-        )  # fmt: skip
+        built = models.build(
+            template,
+            shapes,
+            output,
+            make_matcher,
+            settings=settings,
+            model=model,
+            processes=processes,
+            progress=progress,
+            listener=_tell,
+            report=report,
+        )
     if not quiet:
         _summary(built)
     if any(outcome.error for outcome in built.outcomes):
@@ -125,8 +143,9 @@ def _summary(built: BuiltModel) -> None:
     others = folder.others([outcome.subject for outcome in outcomes])
     if others:
         say(f"Not given this time, and not counted: {len(others)} of the shapes in {folder.root / 'shapes'}.")
-    if len(outcomes) > MOST_SHOWN:
-        say(f"contact_sheet.png shows the worst {MOST_SHOWN} of {len(outcomes)} shapes.")
+    most_shown = homolog.shape_models.MOST_SHOWN
+    if len(outcomes) > most_shown:
+        say(f"contact_sheet.png shows the worst {most_shown} of {len(outcomes)} shapes.")
     failed = len(outcomes) - len(registered)
     say(f"Registered {len(registered)} of {len(outcomes)} shapes: {failed} failed, {len(warned)} with warnings.")
     for path in built.files:

@@ -1,4 +1,4 @@
-"""``homolog demo``: match the two bodies that ship with the package."""
+"""``homolog demo``: match the two bodies that come with the package."""
 
 from __future__ import annotations
 
@@ -7,17 +7,11 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from homolog.cli.match import Job, counted
-from homolog.cli.options import Quiet, build_matcher, check_folder, described
+import homolog
+from homolog.cli.options import OUTPUT, Quiet, build_matcher, check_folder
 from homolog.cli.progress import progress_bar
 from homolog.core.progress import Steps
-from homolog.datasets import ShapeFolder
-from homolog.evaluation import geodesic_errors
-from homolog.matching import RESULT_FILES, Correspondence, Side
-from homolog.shapes import Shape
 
 _DATA = Path(__file__).parents[1] / "demo_data"
 _SOURCE, _TARGET = "amber", "boris"
@@ -27,30 +21,30 @@ _LATERAL = 0.1
 
 
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="Folder for the result.")] = Path(
-        "homolog-demo"
-    ),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
+    ] = Path("homolog-demo"),
     quiet: Quiet = False,
 ) -> None:
-    """Match two bodies that ship with the package, and compare with the truth.
+    """Match the two bodies that come with the package, and compare with the ground truth.
 
-    Two different people in different poses, meshed separately (CC0). Fails if the mean error is above 5 (x100).
+    Two different people in different poses, meshed separately (CC0). Fails if the mean geodesic error x100 is above 5.
 
-    Example:
+    Examples:
       homolog demo -o homolog-demo
     """
-    check_folder(output, names=RESULT_FILES)
-    folder = ShapeFolder.open(_DATA)
-    files: dict[Side, Path] = {"source": _DATA / "off" / f"{_SOURCE}.off", "target": _DATA / "off" / f"{_TARGET}.off"}
-    job = Job(files, {"source": "y", "target": "y"}, build_matcher(None, "auto", "auto", no_cache=True))
+    from homolog.cli.match import counted
+
+    check_folder(output, names=homolog.matching.RESULT_FILES)
+    folder = homolog.datasets.ShapeFolder.open(_DATA)
+    files = [_DATA / "off" / f"{name}.off" for name in (_SOURCE, _TARGET)]
     with progress_bar(quiet=quiet) as progress:
         steps = Steps(listener=counted(progress))
-        outcome = job.run(steps)
-        paths = outcome.write(output, steps, described(job.matcher, None))
-    found = outcome.found
+        found = build_matcher(None, "auto", "auto", no_cache=True).match(files[0], files[1], steps=steps)
+        paths = homolog.matching.write_folder(output, found, steps=steps)
     source = folder.shape(_SOURCE)
     truth, asked = folder.template_correspondence(_SOURCE), folder.template_correspondence(_TARGET)
-    errors = 100 * geodesic_errors(source, truth, found.target_to_source[asked])
+    errors = 100 * homolog.evaluation.geodesic_errors(source, truth, found.target_to_source[asked])
     sides = _same_side(source, truth, found.target_to_source[asked])
     if not quiet:
         _show(found, errors, sides, steps, output, paths)
@@ -59,7 +53,7 @@ def demo(
         raise typer.Exit(1)
 
 
-def _same_side(source: Shape, truth: np.ndarray, mapped: np.ndarray) -> float:
+def _same_side(source: homolog.Shape, truth: np.ndarray, mapped: np.ndarray) -> float:
     """Share of clearly left or right points that are mapped to their own side of the source."""
     across = source.points[:, 0] - np.median(source.points[:, 0])
     lateral = np.abs(across[truth]) > _LATERAL * np.ptp(across)
@@ -67,16 +61,19 @@ def _same_side(source: Shape, truth: np.ndarray, mapped: np.ndarray) -> float:
 
 
 def _show(
-    found: Correspondence, errors: np.ndarray, sides: float, steps: Steps, output: Path, paths: list[Path]
+    found: homolog.Match, errors: np.ndarray, sides: float, steps: Steps, output: Path, paths: list[Path]
 ) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table(title=f"{_SOURCE} to {_TARGET}", show_header=False, title_justify="left")
     table.add_row("points", f"{len(found.source_to_target)} and {len(found.target_to_source)}")
-    table.add_row("route", found.route)
+    table.add_row("method", found.method)
     table.add_row("mean geodesic error x100", f"{errors.mean():.2f}")
     table.add_row("median, 95th percentile", f"{np.median(errors):.2f}, {np.percentile(errors, 95):.2f}")
     verdict = "right" if sides > 0.95 else "mixed up"
     table.add_row("left and right", f"{verdict}: {100 * sides:.1f} % of lateral points on their own side")
-    table.add_row("seconds", f"{sum(step.seconds for step in steps.finished):.1f}")
+    table.add_row("seconds, from reading to writing", f"{sum(step.seconds for step in steps.finished):.1f}")
     console = Console()
     console.print(table)
     console.print(f"Look at it: homolog view {output} --html view.html", highlight=False, soft_wrap=True)

@@ -3,78 +3,150 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
+import homolog
 from homolog.cli.options import (
+    INPUT,
+    OUTPUT,
+    PARTIAL,
     Adapt,
+    DatasetOption,
     DeviceOption,
+    Json,
     MethodOption,
     NoCache,
     Quiet,
-    SetOption,
+    Seed,
     Verbose,
     Weights,
     build_matcher,
     check_file,
-    described,
+    check_inputs,
+    check_json,
+    on_stdout,
     set_verbosity,
+    write_figures,
 )
 from homolog.cli.progress import progress_bar
-from homolog.core.files import write_json
+from homolog.core.choices import Modalities, Split, Up
+from homolog.core.errors import ArgumentError
+from homolog.core.files import write_csv
 from homolog.core.versions import versions
-from homolog.datasets import DatasetDescription, ShapeFolder, Split, read_description
-from homolog.evaluation import Detection, Evaluation, MatchPair, Modalities, Protocol
-from homolog.evaluation import evaluate as evaluate_folder
-from homolog.matching import Correspondence, Matcher, Prepared, Side
-from homolog.shapes import Up
-from homolog.training import AdaptationSettings, adapt_to_pair
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from homolog.datasets import ShapeFolder
+    from homolog.evaluation import Detection, Evaluation, Protocol
+    from homolog.matching import Match, Matcher
+    from homolog.pairs import Pair
 
 
 def evaluate(
     data: Annotated[
-        Path, typer.Argument(metavar="DIR", help="A set's folder, or one with off/ and corres/.", show_default=False)
+        Path,
+        typer.Argument(metavar="DATA", help="A dataset's folder, or one with off/ and corres/.", show_default=False),
     ],
-    name: SetOption = None,
+    dataset: DatasetOption = None,
     weights: Weights = None,
     method: MethodOption = "auto",
     adapt: Adapt = 0,
     modality: Annotated[
         Modalities | None,
-        typer.Option(help="What source and target are used as.", show_default="mesh, or cloud for sets of clouds"),
+        typer.Option(
+            metavar="MODALITY",
+            help="What source and target are used as: mesh, cloud, mesh-to-cloud or cloud-to-mesh.",
+            show_default="mesh, or cloud for datasets of clouds",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
-    split: Annotated[Split, typer.Option(help="Which shapes: train.txt or test.txt, or by order of name.")] = "test",
-    pairs: Annotated[Path | None, typer.Option(help="A file of SOURCE,TARGET lines to use instead.")] = None,
+    split: Annotated[
+        Split, typer.Option(help="Which shapes: by train.txt and test.txt, or by order of name.", rich_help_panel=INPUT)
+    ] = "test",
+    pairs: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Lines of SOURCE,TARGET: the pairs to match instead.", rich_help_panel=INPUT),
+    ] = None,
     n_pairs: Annotated[
-        int | None, typer.Option(help="Draw so many pairs of different shapes at random, by the seed.", min=1)
+        int | None,
+        typer.Option(
+            "--n-pairs",
+            "-n",
+            metavar="N",
+            help="Draw so many pairs of different shapes at random.",
+            min=1,
+            rich_help_panel=INPUT,
+        ),
     ] = None,
+    up: Annotated[
+        Up | None,
+        typer.Option(
+            help="The axis that points up in the files.",
+            show_default="as the dataset has it, or y",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    noise: Annotated[
+        float,
+        typer.Option(
+            metavar="SIGMA",
+            help="Noise added to the points of clouds, in units of sqrt(area).",
+            min=0.0,
+            rich_help_panel=INPUT,
+        ),
+    ] = 0.0,
     partial: Annotated[
         bool | None,
         typer.Option(
-            "--partial/--whole",
-            help="Each target is a part of a shape like its source, in the same units.",
-            show_default="as the set has it",
+            "--partial/--full",
+            help="Each target is a partial view or a part of a shape like its source, in the same units.",
+            show_default="as the dataset has it",
+            rich_help_panel=PARTIAL,
         ),
     ] = None,
     pre_aligned: Annotated[
         bool | None,
         typer.Option(
-            "--pre-aligned/--not-in-place",
-            help="Parts lie in the coordinates of their complete shapes, about where they belong.",
-            show_default="as the set has it",
+            "--pre-aligned/--not-pre-aligned",
+            help="Partial shapes lie in the coordinates of their full shapes, about where they belong.",
+            show_default="as the dataset has it",
+            rich_help_panel=PARTIAL,
         ),
     ] = None,
-    up: Annotated[
-        Up | None, typer.Option(help="The axis that points up in the files.", show_default="as the set has it, or y")
+    maps: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Score point maps that another program computed: a file per pair, SOURCE_TARGET.txt (.vts, .map, "
+            ".mat, .npz), with the source point of each target point. No weights are used.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
-    noise: Annotated[float, typer.Option(help="Noise on cloud points, in units of sqrt(area).", min=0.0)] = 0.0,
-    seed: Annotated[int, typer.Option(help="Seed of the noise, of pairs drawn, and of orders shuffled.")] = 0,
-    json: Annotated[Path | None, typer.Option(metavar="OUT", help="Also write everything as JSON.")] = None,
+    base: Annotated[
+        int | None,
+        typer.Option(
+            help="The first index in the files of --maps, 0 or 1.",
+            min=0,
+            max=1,
+            show_default="0 for .txt and .npz, else 1",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    json: Json = None,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a table of the pairs.", rich_help_panel=OUTPUT)
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Draw the PCK curve, as .png, .pdf or .svg.", rich_help_panel=OUTPUT),
+    ] = None,
+    seed: Seed = 0,
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -82,19 +154,19 @@ def evaluate(
 ) -> None:
     """Score maps on a folder of shapes with ground truth.
 
-    The score is the mean geodesic error x100 of the map that gives each target point its source point, over all points
-    of all pairs together, in units of the square root of the source's area. Of sets of clouds it is the mean straight
-    distance in the files' unit. Of parts, it is also said how well points without a counterpart are found.
+    The score is the mean geodesic error x100 of the map from target to source, over all points of all pairs together,
+    in units of the square root of the source's area. For datasets of clouds it is the mean Euclidean distance in the
+    files' unit. For partial shapes, precision and recall of points without a counterpart are printed as well.
 
-    With --dataset, the axis that points up, whether targets are parts and where these lie are as the set's description
-    says; options that are given count more.
+    With --dataset, the up axis, whether targets are partial and whether these are pre-aligned come from the dataset's
+    description, unless options say otherwise.
 
     Examples:
       homolog evaluate FAUST_r --weights people.safetensors
 
-      homolog evaluate FAUST_r --weights people.safetensors --n-pairs 20
+      homolog evaluate FAUST_r --weights people.safetensors -n 20
 
-      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 --n-pairs 20
+      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 -n 20
 
       homolog evaluate SHREC16 --dataset shrec16_cuts --weights cuts.safetensors
 
@@ -103,11 +175,17 @@ def evaluate(
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    if json is not None:
-        check_file(json)
-    description = DatasetDescription() if name is None else read_description(name)
+    check_json(json)
+    for file in (csv, plot):
+        if file is not None:
+            check_file(file)
+    if maps is not None and (weights is not None or adapt):
+        raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
+    check_inputs(weights=weights)
+    known = homolog.datasets
+    description = known.DatasetDescription() if dataset is None else known.read_description(dataset)
     partial = description.partial if partial is None else partial
-    protocol = Protocol(
+    protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
         split=split,
         pairs_file=None if pairs is None else str(pairs),
@@ -117,12 +195,21 @@ def evaluate(
         noise=noise,
         seed=seed,
     )
-    matcher = build_matcher(weights, method, device, no_cache=no_cache)
-    folder = ShapeFolder.open(data, description, up=up)
+    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache)
+    folder = known.ShapeFolder.open(data, description, up=up)
     with progress_bar(quiet=quiet) as progress:
-        evaluation = evaluate_folder(
-            matcher, folder, protocol, match=_match_by(matcher, adapt, partial=partial), progress=progress
+        evaluation = homolog.evaluation.evaluate(
+            matcher,
+            folder,
+            protocol,
+            match=None if maps is None else homolog.evaluation.MapsFolder(maps, base=base),
+            match_pair=None if matcher is None else _adapting(matcher, adapt),
+            progress=progress,
         )
+    if csv is not None:
+        write_csv(csv, evaluation.rows())
+    if plot is not None:
+        homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
     if json is not None:
         report = {
             **evaluation.to_dict(),
@@ -131,29 +218,34 @@ def evaluate(
             "up": folder.up,
             "protocol": asdict(protocol),
             "adapt": adapt,
-            **described(matcher, weights),
+            **({"maps": str(maps)} if matcher is None else matcher.describe()),
             "command": ["homolog", *sys.argv[1:]],
             "versions": versions(),
         }
-        write_json(json, report)
-    if not quiet:
+        write_figures(json, report)
+    if not quiet and not on_stdout(json):
+        from rich.console import Console
+
         Console().print(_table(evaluation, folder, protocol))
 
 
-def _match_by(matcher: Matcher, steps: int, *, partial: bool) -> MatchPair | None:
+def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:
     """How a pair is matched: as it is, or after the network is adapted to it."""
     if not steps:
         return None
-    side: Side | None = "target" if partial else None
 
-    def match(source: Prepared, target: Prepared) -> Correspondence:
-        adapted, *pair = adapt_to_pair(matcher, source, target, AdaptationSettings(steps=steps), partial=side)
-        return adapted.match_prepared(*pair, partial=side)
+    settings = homolog.training.AdaptationSettings(steps=steps)
+
+    def match(pair: Pair) -> Match:
+        adapted, pair = homolog.training.adapt_to_pair(matcher, pair, settings)
+        return adapted.find(pair)
 
     return match
 
 
 def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> Table:
+    from rich.table import Table
+
     found = evaluation.to_dict()
     table = Table(title=_title(folder, protocol), show_header=False, title_justify="left")
     kind = evaluation.error_kind
@@ -166,15 +258,19 @@ def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> T
         table.add_row("points without a counterpart", _described_detection(evaluation.missing))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
-        table.add_row("points without a match, left out", str(found["unmatched_points"]))
-    table.add_row("route", found["route"])
-    table.add_row("seconds", f"{found['seconds']['total']:.0f}")
+        without = found[f"mean_{kind}_error_of_matched_points"]
+        count = f"{found['unmatched_points']}, counted as the diameter ({without:.2f} without them)"
+        table.add_row("points without a match", count)
+    table.add_row("method", found["method"])
+    if evaluation.n_doubtful:
+        table.add_row("doubtful matches", f"{evaluation.n_doubtful} of {len(evaluation.pairs)}")
+    table.add_row("seconds (preparing, matching, measuring)", f"{found['seconds']['total']:.0f}")
     return table
 
 
 def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     name = folder.description.name or folder.root.name
-    partial = (", partial, in place" if protocol.pre_aligned else ", partial") if protocol.partial else ""
+    partial = (", partial, pre-aligned" if protocol.pre_aligned else ", partial") if protocol.partial else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
     return f"{name}, {protocol.modality}{partial}{noise}"
 

@@ -2,47 +2,53 @@
 
 from __future__ import annotations
 
-from json import dumps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
+import homolog
+from homolog.cli.options import Json, check_json, on_stdout, write_figures
+from homolog.cli.progress import stderr_console
 from homolog.core.errors import HomologError
-from homolog.shapes import Report, check, read_shape
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 def info(
-    files: Annotated[list[Path], typer.Argument(help="Meshes and point clouds in any format.", show_default=False)],
-    json: Annotated[bool, typer.Option("--json", help="Print one JSON list instead of tables.")] = False,
+    files: Annotated[
+        list[Path], typer.Argument(metavar="SHAPES...", help="Meshes and point clouds.", show_default=False)
+    ],
+    json: Json = None,
 ) -> None:
     """Show what is in each file and what would be repaired before matching.
 
     Examples:
       homolog info horse.ply
-      homolog info scans/*.obj --json > scans.json
+
+      homolog info scans/*.obj --json scans.json
 
     A file that cannot be used is one line on stderr; the others are still shown, and the exit code is 2.
     """
-    out, errors = Console(), Console(stderr=True)
+    from rich.console import Console
+    from rich.markup import escape
+
+    check_json(json)
     entries, failed = list[dict[str, Any]](), False
     for file in files:
         try:
-            report = check(read_shape(file))
+            report = homolog.check(homolog.read_shape(file))
         except HomologError as error:
             failed = True
-            errors.print(f"[bold red]Error:[/] {escape(str(error))}", soft_wrap=True, highlight=False)
+            stderr_console().print(f"[bold red]Error:[/] {escape(str(error))}", soft_wrap=True)
             entries.append({"file": str(file), "error": str(error)})
             continue
         failed |= not report.usable
         entries.append({"file": str(file), "format": _format(file), **report.to_dict()})
-        if not json:
-            out.print(_table(file, report))
-    if json:
-        typer.echo(dumps(entries, indent=2, allow_nan=False))
+        if not on_stdout(json):
+            Console().print(_table(file, report))
+    write_figures(json, entries)
     if failed:
         raise typer.Exit(2)
 
@@ -51,7 +57,10 @@ def _format(file: Path) -> str:
     return file.suffix[1:].upper()
 
 
-def _table(file: Path, report: Report) -> Table:
+def _table(file: Path, report: homolog.Report) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(title=escape(str(file)), show_header=False, title_justify="left", title_style="bold")
     for label, value in _rows(file, report):
         table.add_row(label, escape(value))
@@ -61,7 +70,7 @@ def _table(file: Path, report: Report) -> Table:
     return table
 
 
-def _rows(file: Path, report: Report) -> list[tuple[str, str]]:
+def _rows(file: Path, report: homolog.Report) -> list[tuple[str, str]]:
     rows = [
         ("format", _format(file)),
         ("modality", report.modality),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import re
@@ -13,6 +14,7 @@ from types import FrameType
 from typing import NoReturn
 
 from homolog.core.errors import HomologError
+from homolog.core.threads import tune_threads
 
 # What PyTorch says, in a plain RuntimeError, where there is not enough memory for an array.
 _OUT_OF_MEMORY = re.compile("out of memory|not enough memory|can't allocate memory")
@@ -43,14 +45,15 @@ def main() -> None:
         # What libraries tell programmers is noise to users; `python -W default -m homolog` shows it.
         warnings.simplefilter("ignore")
     _hear(_leave)
+    tune_threads()
     try:
-        # Only now, as loading PyTorch takes seconds in which Ctrl-C must work, too.
+        # Only now, as Ctrl-C must work while the commands are loaded, too.
         from homolog.cli.app import app
 
         _hear(_interrupt)
-        status = app(standalone_mode=False)
+        status = app(prog_name="homolog", standalone_mode=False)
     except HomologError as error:
-        _end(f"Error: {error}", 2)
+        _fail(str(error))
     except _Interrupted as interrupted:
         _end(_INTERRUPTED, interrupted.exit_code)
     except BrokenPipeError:
@@ -61,7 +64,7 @@ def main() -> None:
         complaint = _complaint(error)
         if complaint is None:
             raise
-        _end(f"Error: {complaint}", 2)
+        _fail(complaint)
     sys.exit(status if isinstance(status, int) else 0)
 
 
@@ -70,7 +73,8 @@ def _complaint(error: Exception) -> str | None:
     # Mistakes in options are exceptions of the command-line library, which keeps their class to itself.
     if hasattr(error, "format_message"):
         said = error.format_message().replace("Value error, ", "").rstrip(".") or "a command is missing"
-        return f"{said}; see homolog --help"
+        context = getattr(error, "ctx", None)
+        return f"{said}; see {context.command_path if context else 'homolog'} --help"
     said = " ".join(str(error).split())
     if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and _OUT_OF_MEMORY.search(said)):
         way_out = "use --device cpu, smaller shapes" if "CUDA" in said else "use smaller shapes"
@@ -97,6 +101,15 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     raise _Interrupted(number)
+
+
+def _fail(error: str) -> NoReturn:
+    """End with a user's mistake, in JSON for programs that ask for it: see ``cli.progress``.
+
+    The arguments are looked at as they are, as the mistake may be in them.
+    """
+    as_json = " --progress json" in " ".join(sys.argv).replace("=", " ")
+    _end(json.dumps({"error": error}) if as_json else f"Error: {error}", 2)
 
 
 def _end(message: str, code: int) -> NoReturn:

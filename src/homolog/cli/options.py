@@ -1,106 +1,211 @@
-"""Options that several commands share."""
+"""Options that several commands share. What they may be is known without loading PyTorch."""
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import stat
 from collections.abc import Iterable
-from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homolog.core.errors import ArgumentError
-from homolog.core.files import expanded
-from homolog.features import DEFAULT_WEIGHTS
-from homolog.geometry import OperatorCache, compute_operators
-from homolog.matching import NEED_NO_WEIGHTS, Device, Matcher, MatcherSettings, Method
-from homolog.viewing import WIDTHS, check_picture
+import homolog
+from homolog.cli.lazy import OTHER
+from homolog.core.choices import PICTURE_WIDTHS, Device
+from homolog.core.errors import ArgumentError, bad_choice
+from homolog.core.files import expanded, write_json
+from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
+from homolog.methods import method_names
+
+if TYPE_CHECKING:
+    from homolog.matching import Matcher
+
+# The groups that options stand in.
+INPUT, METHOD, PARTIAL, OUTPUT = "Input", "Method", "Partial shapes", "Output"
 
 Weights = Annotated[
     str | None,
     typer.Option(
         "--weights",
         metavar="NAME|FILE",
-        help="Trained weights: a name that ships with the package, a .safetensors file, or a .pth that the paper's "
-        "authors released. Those for people know no other shapes.",
+        help="Trained weights: the name of pretrained ones, a .safetensors file, or a .pth that the paper's authors "
+        "released. Those for people know no other shapes.",
         show_default=DEFAULT_WEIGHTS,
+        rich_help_panel=METHOD,
     ),
 ]
+
+
+def _checked_method(name: str) -> str:
+    if name not in method_names():
+        raise bad_choice("--method", name, method_names())
+    return name
+
+
 MethodOption = Annotated[
-    Method,
+    str,
     typer.Option(
-        help="How maps are found. auto: functional maps between meshes, features wherever a cloud takes part or the "
-        "weights are for shapes that stretch. elastic draws shapes that stand alike onto each other, such as organs, "
-        "and axiomatic goes by form alone: they need no weights."
+        "--method",
+        metavar="METHOD",
+        callback=_checked_method,
+        help="functional-map: functional maps, for two meshes. nearest-features: the most similar features, for clouds "
+        "and for shapes that stretch. registration: fits the source to the target, for shapes in the same pose, such "
+        "as organs; needs no weights. axiomatic: wave kernel signatures; needs no weights. auto: functional-map for "
+        "two meshes, nearest-features otherwise. Installed packages may offer others.",
+        rich_help_panel=METHOD,
     ),
 ]
-DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
+DeviceOption = Annotated[
+    Device, typer.Option("--device", help="Where to compute; auto: on a GPU if there is one.", rich_help_panel=OTHER)
+]
 Adapt = Annotated[
     int,
     typer.Option(
+        "--adapt",
         metavar="STEPS",
-        help="Go on training a copy of the weights on each pair for so many steps, before it is matched; 0 for none.",
+        help="Train a copy of the weights on each pair for so many steps before it is matched; 0 for none.",
         min=0,
+        rich_help_panel=METHOD,
     ),
 ]
 PreAligned = Annotated[
     bool,
     typer.Option(
         "--pre-aligned",
-        help="The partial shape lies in the complete one's coordinates, about where it belongs, as a scan that was "
-        "registered does. Without it only its form counts.",
+        help="The partial shape lies in the full one's coordinates, about where it belongs, like a registered scan. "
+        "Without it the partial shape is aligned to the full one first.",
+        rich_help_panel=PARTIAL,
     ),
 ]
-SetOption = Annotated[
+DatasetOption = Annotated[
     str | None,
     typer.Option(
         "--dataset",
         metavar="NAME|FILE",
-        help="Which set the folder holds: a name that homolog data list knows, or a TOML file. "
-        "Without it the folder is one's own.",
+        help="The dataset that DATA holds: a name from homolog data list, or a TOML file. Without it, DATA is a folder "
+        "of your own.",
         show_default=False,
+        rich_help_panel=INPUT,
     ),
 ]
-Processes = Annotated[int, typer.Option(help="Processes that share the work.", min=1, show_default="one per core")]
+ResultFolder = Annotated[
+    Path, typer.Argument(metavar="RESULT", help="A folder that homolog match wrote.", show_default=False)
+]
+Json = Annotated[
+    Path | None,
+    typer.Option(
+        "--json",
+        metavar="FILE",
+        help="Write all figures as JSON; - for standard output, in place of the table.",
+        rich_help_panel=OUTPUT,
+    ),
+]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of all random choices.", min=0, rich_help_panel=OTHER)]
+Processes = Annotated[
+    int,
+    typer.Option(
+        "--processes",
+        help="How many processes work at once.",
+        min=1,
+        show_default="one per core",
+        rich_help_panel=OTHER,
+    ),
+]
 Page = Annotated[
     Path | None,
-    typer.Option("--html", metavar="FILE", help="Write one page of both shapes; it opens from disk, without network."),
+    typer.Option(
+        "--html",
+        metavar="FILE",
+        help="Write one page that shows both shapes; it opens from disk, without network.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 Picture = Annotated[
     Path | None,
-    typer.Option("--picture", metavar="FILE.png", help="Write one image of both shapes; no screen needed."),
+    typer.Option(
+        "--picture",
+        metavar="FILE.png",
+        help="Write one image of both shapes; no screen needed.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 PICTURE_WIDTH = 2000
-Lines = Annotated[int, typer.Option(metavar="N", help="Lines between counterparts in the picture.", min=0)]
+Lines = Annotated[
+    int,
+    typer.Option(
+        "--lines",
+        metavar="N",
+        help="Draw so many lines between corresponding points in the picture.",
+        min=0,
+        rich_help_panel=OUTPUT,
+    ),
+]
 PictureWidth = Annotated[
     int,
     typer.Option(
-        "--picture-width", metavar="PIXELS", help="Of the picture, twice its height.", min=WIDTHS[0], max=WIDTHS[1]
+        "--picture-width",
+        metavar="PIXELS",
+        help="Width of the picture, twice its height.",
+        min=PICTURE_WIDTHS[0],
+        max=PICTURE_WIDTHS[1],
+        rich_help_panel=OUTPUT,
     ),
 ]
 ONE_PER_CORE = os.cpu_count() or 1
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Also print each step, its time and memory.")]
-NoCache = Annotated[bool, typer.Option("--no-cache", help="Neither read nor write cached operators.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.", rich_help_panel=OTHER)]
+Verbose = Annotated[
+    bool,
+    typer.Option("--verbose", "-v", help="Also print each step, its time and its memory.", rich_help_panel=OTHER),
+]
+NoCache = Annotated[
+    bool, typer.Option("--no-cache", help="Neither read nor write cached operators.", rich_help_panel=OTHER)
+]
 
 
-def build_matcher(weights: str | None, method: Method, device: Device, *, no_cache: bool) -> Matcher:
+def build_matcher(weights: str | None, method: str, device: Device, *, no_cache: bool) -> Matcher:
     """The matcher that the shared options ask for; some methods need no weights."""
+    from homolog.geometry import OperatorCache, compute_operators
+    from homolog.matching import Matcher, needs_features
+    from homolog.pairs import MatcherSettings
+
     operators = compute_operators if no_cache else OperatorCache.default().operators
     settings = MatcherSettings(method=method)
-    if weights is None and method in NEED_NO_WEIGHTS:
+    if weights is None and not needs_features(settings):
         return Matcher(settings=settings, device=device, operators=operators)
     return Matcher.from_weights(weights or DEFAULT_WEIGHTS, settings=settings, device=device, operators=operators)
 
 
-def described(matcher: Matcher, weights: str | None) -> dict[str, Any]:
-    """Weights, settings and device, for reports."""
-    info = None if matcher.network is None else {"given": weights or DEFAULT_WEIGHTS, **asdict(matcher.info)}
-    settings = {**asdict(matcher.settings), "operators": asdict(matcher.operator_settings)}
-    return {"weights": info, "settings": settings, "device": str(matcher.device)}
+def check_inputs(*shapes: Path, weights: str | None = None) -> None:
+    """Refuse files that are not there, or that no shape is read from, before PyTorch is loaded."""
+    if weights is not None:
+        weights_file(weights)
+    for file in shapes:
+        homolog.shapes.files_of_shape(file)
+        homolog.shapes.check_suffix(file)
+
+
+def check_json(output: Path | None) -> None:
+    """Refuse a JSON file that cannot be written."""
+    if output is not None and not on_stdout(output):
+        check_file(output)
+
+
+def on_stdout(output: Path | None) -> bool:
+    """Whether ``--json -`` is given."""
+    return output is not None and str(output) == "-"
+
+
+def write_figures(output: Path | None, figures: Any) -> None:
+    """Write what ``--json`` asks for."""
+    if output is None:
+        return
+    if on_stdout(output):
+        typer.echo(json.dumps(figures, indent=1, allow_nan=False))
+    else:
+        write_json(output, figures)
 
 
 def set_verbosity(*, quiet: bool, verbose: bool) -> None:
@@ -137,8 +242,8 @@ def check_file(output: Path) -> None:
 def check_picture_file(output: Path | None, lines: int, width: int) -> None:
     """Refuse a picture that cannot be written, or what says how to draw one that is not wanted, before any work."""
     if output is not None:
-        check_picture(output)
         check_file(output)
+        homolog.viewing.check_picture(output)
     elif lines or width != PICTURE_WIDTH:
         option = "--lines" if lines else "--picture-width"
         raise ArgumentError(f"{option} is about a picture, but none is to be written; add --picture FILE.png")

@@ -1,19 +1,29 @@
-"""What is said on stderr while a command works: progress, where that is a terminal, and lines above it."""
+"""What a command writes on stderr while it works: a progress bar or lines, or JSON for the program that runs it."""
 
 from __future__ import annotations
 
+import json
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from functools import cache
-from typing import Protocol
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+import typer
+
+if TYPE_CHECKING:  # help and mistakes in arguments do without
+    from rich.console import Console
 
 # Between lines where there is no terminal to show a bar.
 _SECONDS_PER_LINE = 30.0
+
+
+ProgressFormat = Literal["bar", "json"]
+ProgressOption = Annotated[
+    ProgressFormat, typer.Option("--progress", hidden=True, help="json: one JSON object a line, for other programs.")
+]
 
 
 class Report(Protocol):
@@ -26,6 +36,8 @@ class Report(Protocol):
 @cache
 def stderr_console() -> Console:
     """The one console on stderr: only it can print while it shows a bar without tearing that."""
+    from rich.console import Console
+
     return Console(stderr=True, highlight=False)
 
 
@@ -64,13 +76,47 @@ class Lines:
         return f", about {timedelta(seconds=round(seconds))} left"
 
 
+class JsonProgress:
+    """Progress as one JSON object a line: ``{"step": "read source", "side": "source", "done": 0, "total": 11}``.
+
+    ``side`` is the shape that the step is about, or null. With ``--progress=json`` an error is ``{"error": "..."}``.
+    """
+
+    def __call__(self, done: int, total: int, what: str) -> None:
+        """Write the state."""
+        last = what.rpartition(" ")[2]
+        message = {"step": what, "side": last if last in ("source", "target") else None, "done": done, "total": total}
+        print(json.dumps(message), file=sys.stderr, flush=True)
+
+
 @contextmanager
-def progress_bar(*, quiet: bool) -> Iterator[Report]:
-    """A bar with the time left, on stderr; now and then a line where that is no terminal; silent if ``quiet``."""
-    console = stderr_console()
-    if not quiet and not console.is_terminal:
+def progress_bar(*, quiet: bool, form: ProgressFormat = "bar") -> Iterator[Report]:
+    """A bar with the time left, on stderr; now and then a line where that is no terminal; silent if ``quiet``.
+
+    With the form ``"json"`` it is a ``JsonProgress``, quiet or not.
+    """
+    if form == "json":
+        yield JsonProgress()
+    elif quiet:
+        yield lambda done, total, what: None
+    elif stderr_console().is_terminal:
+        with _bar() as report:
+            yield report
+    else:
         yield Lines()
-        return
+
+
+@contextmanager
+def _bar() -> Iterator[Report]:
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -78,7 +124,7 @@ def progress_bar(*, quiet: bool) -> Iterator[Report]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
+    with Progress(*columns, console=stderr_console(), transient=True) as progress:
         task = progress.add_task("starting", total=None)
 
         def report(done: int, total: int, what: str) -> None:

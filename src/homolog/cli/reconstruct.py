@@ -7,34 +7,42 @@ from typing import Annotated
 
 import typer
 
-from homolog.cli.options import Quiet, check_folder
+import homolog
+from homolog.cli.options import OUTPUT, Quiet, check_folder
 from homolog.cli.progress import progress_bar, say
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.files import expanded
-from homolog.shapes import read_shape, write_shape
-from homolog.volumes import reconstruct_surface
 
 
 def reconstruct(
-    clouds: Annotated[list[Path], typer.Argument(help="Point clouds in any format.", show_default=False)],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Where the meshes go.")] = Path(
-        "surfaces"
-    ),
-    points: Annotated[int, typer.Option(help="About how many points each mesh has; 0 for all.", min=0)] = 5000,
-    resolution: Annotated[int, typer.Option(help="Voxels along a cloud's longest side.", min=16)] = 128,
+    clouds: Annotated[list[Path], typer.Argument(metavar="CLOUDS...", help="Point clouds.", show_default=False)],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the meshes.", rich_help_panel=OUTPUT)
+    ] = Path("surfaces"),
+    points: Annotated[
+        int,
+        typer.Option(
+            metavar="N", help="About how many points each mesh has; 0 for all.", min=0, rich_help_panel=OUTPUT
+        ),
+    ] = 5000,
+    resolution: Annotated[
+        int,
+        typer.Option(metavar="N", help="Voxels along a cloud's longest side.", min=16, rich_help_panel=OUTPUT),
+    ] = 128,
     quiet: Quiet = False,
 ) -> None:
-    """Make closed surfaces of clouds that lie all around a solid: DIR/NAME.ply of each NAME, in its coordinates.
+    """Reconstruct closed surfaces from point clouds.
 
-    Needs the extra `volumes`. Training takes meshes: this makes them where there are only points. Normals are not
-    needed. What is narrower than a cloud's widest holes is filled: organs and bones come out well, hands do not.
+    Writes DIR/NAME.ply for each cloud, in its coordinates. Needs the extra `volumes`. The points must lie all around a
+    solid; normals are not needed. Gaps narrower than a cloud's widest holes are filled: organs and bones come out well,
+    hands do not.
 
     Examples:
       homolog reconstruct lung.csv
 
       homolog reconstruct lungs/*.csv -o lung_surfaces
 
-      homolog train quick --data lung_surfaces --out run
+      homolog train lung_surfaces -o run
 
     A cloud that does not close is one line on stderr; the others are still written, and the exit code is 2.
     """
@@ -45,13 +53,15 @@ def reconstruct(
         for done, (cloud, place) in enumerate(zip(clouds, places, strict=True)):
             progress(done, len(clouds), cloud.name)
             try:
-                found = reconstruct_surface(read_shape(cloud), points=points or None, resolution=resolution)
+                found = homolog.volumes.reconstruct_surface(
+                    homolog.read_shape(cloud), points=points or None, resolution=resolution
+                )
             except ShapeError as error:
                 failed = True
                 say(f"Error: {error}")
                 continue
             expanded(output).mkdir(parents=True, exist_ok=True)
-            write_shape(place, found)
+            homolog.write_shape(place, found)
     if failed:
         raise typer.Exit(2)
     if not quiet:

@@ -8,15 +8,14 @@ from typing import Annotated
 
 import typer
 
-from homolog.cli.browsing import Host, NoOpen, Port, announce, interrupt_ends
-from homolog.cli.match import STEPS
-from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher
+import homolog
+from homolog.cli.browsing import PAGE, Host, NoOpen, Port, announce, interrupt_ends
+from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher, check_inputs
 from homolog.core.errors import needs_extra
 from homolog.core.files import expanded
-from homolog.features import DEFAULT_WEIGHTS, pretrained_weights
-from homolog.matching import NEED_NO_WEIGHTS, Method
-from homolog.serving import Limits, MatchCommand
+from homolog.core.pretrained import DEFAULT_WEIGHTS, pretrained_weights
 
+_LIMITS = "Limits"
 _AT_ONCE = min(2, os.cpu_count() or 1)
 
 
@@ -27,26 +26,46 @@ def serve(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="A name that browsers may call this server by, as that of a proxy before it, alone; can be repeated.",
+            help="A host name that browsers may use for this server, such as that of a reverse proxy. Can be repeated.",
             show_default=False,
+            rich_help_panel=PAGE,
         ),
     ] = None,
-    max_mb: Annotated[float, typer.Option(help="The largest file, in MB.", min=0.001)] = 100.0,
-    jobs: Annotated[int, typer.Option(help="Matches at once; they share the cores.", min=1)] = _AT_ONCE,
-    queue: Annotated[int, typer.Option(help="Matches that may wait for their turn.", min=0)] = 8,
-    per_address: Annotated[int, typer.Option(help="Matches of one address; this machine's are free.", min=1)] = 3,
-    minutes: Annotated[float, typer.Option(help="How long a match may take.", min=0.01)] = 15.0,
-    memory_gb: Annotated[float, typer.Option(help="Memory that a match may take, in GB.", min=0.1)] = 4.0,
+    no_open: NoOpen = False,
+    max_mb: Annotated[
+        float, typer.Option(metavar="MB", help="The largest file.", min=0.001, rich_help_panel=_LIMITS)
+    ] = 100.0,
+    jobs: Annotated[
+        int, typer.Option(metavar="N", help="Matches at once; they share the cores.", min=1, rich_help_panel=_LIMITS)
+    ] = _AT_ONCE,
+    queue: Annotated[
+        int, typer.Option(metavar="N", help="Matches that may wait in the queue.", min=0, rich_help_panel=_LIMITS)
+    ] = 8,
+    per_address: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            help="Matches per address; this machine's are not limited.",
+            min=1,
+            rich_help_panel=_LIMITS,
+        ),
+    ] = 3,
+    minutes: Annotated[
+        float, typer.Option(metavar="MIN", help="Time that a match may take.", min=0.01, rich_help_panel=_LIMITS)
+    ] = 15.0,
+    memory_gb: Annotated[
+        float, typer.Option(metavar="GB", help="Memory that a match may take.", min=0.1, rich_help_panel=_LIMITS)
+    ] = 4.0,
     weights: Weights = None,
     method: MethodOption = "auto",
     device: DeviceOption = "auto",
-    no_open: NoOpen = False,
     quiet: Quiet = False,
 ) -> None:
-    """Serve a page that matches shapes: drop a source and a target, watch the steps, see the map, download the result.
+    """Serve a page that matches two shapes that are dropped on it.
 
-    Each match runs in a process of its own, bounded in time and memory, and ends when its page is closed. Nothing is
-    written outside a temporary folder, which is removed; nothing that was uploaded is kept. Prints the address and
+    The page shows the steps and the map, and gives the result to download. Each match runs in its own process, bounded
+    in time and memory, and ends when its page is closed. Nothing is written outside a temporary folder, which is
+    removed; nothing that was uploaded is kept. Prints the address and
     serves until Ctrl-C. Needs the extra `serve`.
 
     Examples:
@@ -60,11 +79,12 @@ def serve(
 
     On a remote machine: run it there, run `ssh -L 8080:127.0.0.1:8080 MACHINE` here, and open the address here.
     """
+    check_inputs(weights=weights)
     with needs_extra("homolog serve", "serve"):
         from homolog.serving.server import MatchServer
     build_matcher(weights, method, device, no_cache=True)  # says now what would be wrong with each match
-    command = MatchCommand(_options(weights, method, device), n_steps=STEPS)
-    limits = Limits(
+    command = homolog.serving.MatchCommand(_options(weights, method, device))
+    limits = homolog.serving.Limits(
         max_mb=max_mb, jobs=jobs, queue=queue, per_address=per_address, minutes=minutes, memory_gb=memory_gb
     )
     server = MatchServer(command, limits, host=host, port=port, names=name or (), made_with=_made_with(weights, method))
@@ -73,7 +93,7 @@ def serve(
         server.serve()
 
 
-def _options(weights: str | None, method: Method, device: str) -> tuple[str, ...]:
+def _options(weights: str | None, method: str, device: str) -> tuple[str, ...]:
     """What every match is told; its process runs elsewhere."""
     given = (f"--method={method}", f"--device={device}")
     if weights is None:
@@ -82,7 +102,7 @@ def _options(weights: str | None, method: Method, device: str) -> tuple[str, ...
     return (*given, f"--weights={place}")
 
 
-def _made_with(weights: str | None, method: Method) -> str:
-    if weights is None and method in NEED_NO_WEIGHTS:
+def _made_with(weights: str | None, method: str) -> str:
+    if weights is None and not homolog.matching.needs_features(homolog.MatcherSettings(method=method)):
         return method
     return f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"

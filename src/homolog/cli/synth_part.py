@@ -1,18 +1,22 @@
-"""``homolog synth part``: a part of one shape, with the way back."""
+"""``homolog synth part``: a partial shape, with the indices of its points in the full one."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
 import typer
 
-from homolog.cli.options import Quiet
+import homolog
+from homolog.cli.options import OUTPUT, Quiet, Seed, check_inputs
 from homolog.core.errors import ArgumentError
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder
-from homolog.shapes import Repaired, Shape, read_shape, repair, write_shape
-from homolog.synthesis import PartialShape, cut, cut_holes, view
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from homolog.shapes import Repaired, Shape
+    from homolog.synthesis import PartialShape
 
 Kind = Literal["cut", "holes", "view"]
 
@@ -21,32 +25,39 @@ _FILES = ("part.ply", "part.npz", "cloud.ply", "cloud.npz")
 
 
 def part(
-    file: Annotated[Path, typer.Argument(help="A complete mesh in any format.", show_default=False)],
-    kind: Annotated[Kind, typer.Option(help="What takes the rest away: a plane, discs, or what a camera cannot see.")],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="A folder.")] = Path("part"),
-    seed: Annotated[int, typer.Option(help="Of all that is drawn.", min=0)] = 0,
+    file: Annotated[Path, typer.Argument(metavar="SHAPE", help="A full mesh.", show_default=False)],
+    kind: Annotated[
+        Kind, typer.Option(help="cut: cut by a plane. holes: discs are removed. view: what a camera sees.")
+    ],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files.", rich_help_panel=OUTPUT)
+    ] = Path("part"),
+    seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Make a part of a mesh, and the indices that lead back to it.
+    """Make a partial shape from a full mesh, with the indices of its points in the full one.
 
-    Writes DIR/part.ply and DIR/part.npz, whose full_index holds for each point of the part the point of FILE that
-    it is. A view (of a shape that stands +y up) also gives what a depth camera takes, DIR/cloud.ply and DIR/cloud.npz:
-    there full_index is the nearest corner, and corners and weights tell the exact place. In Python,
-    homolog.synthesis also takes how much is cut away, how many holes and which camera, and adds noise, outliers and
-    uneven density.
+    Writes DIR/part.ply and DIR/part.npz; full_index there holds for each point the index of the same point in
+    SHAPE. A view (of a shape that stands +y up) also gives a depth camera's cloud, DIR/cloud.ply and DIR/cloud.npz:
+    there full_index is the nearest vertex, and corners and weights are the exact barycentric coordinates. In
+    Python, homolog.synthesis also takes how much is cut away, how many holes and which camera, and adds noise, outliers
+    and uneven density.
 
     Examples:
       homolog synth part horse.ply --kind cut --seed 3 -o half_a_horse
 
       homolog synth part body.off --kind view -o scan
     """
+    import numpy as np
+
+    check_inputs(file)
     _check_folder(output)
-    repaired = repair(read_shape(file))
+    repaired = homolog.repair(homolog.read_shape(file))
     parts = _parts(repaired.shape, kind, seed)
     place = made_folder(output)
     with all_or_nothing():
         for name, made in parts.items():
-            write_shape(place / f"{name}.ply", made.shape)
+            homolog.write_shape(place / f"{name}.ply", made.shape)
             with atomic_path(place / f"{name}.npz") as temporary:
                 np.savez_compressed(temporary, allow_pickle=False, **_way_back(made, repaired))
     for name in _FILES:
@@ -65,9 +76,10 @@ def _check_folder(output: Path) -> None:
 def _parts(shape: Shape, kind: Kind, seed: int) -> dict[str, PartialShape]:
     """What is to be written, by the names of the files."""
     if kind == "view":
-        seen = view(shape, seed=seed)
+        seen = homolog.synthesis.view(shape, seed=seed)
         return {"part": seen.mesh, "cloud": seen.cloud}
-    return {"part": cut(shape, seed=seed) if kind == "cut" else cut_holes(shape, seed=seed)}
+    make = homolog.synthesis.cut if kind == "cut" else homolog.synthesis.cut_holes
+    return {"part": make(shape, seed=seed)}
 
 
 def _way_back(made: PartialShape, repaired: Repaired) -> dict[str, np.ndarray]:

@@ -1,4 +1,4 @@
-"""``homolog synth people``: sets of bodies with ground truth."""
+"""``homolog synth people``: datasets of synthetic people with ground truth."""
 
 from __future__ import annotations
 
@@ -7,44 +7,49 @@ from typing import Annotated
 
 import typer
 
-from homolog.cli.options import ONE_PER_CORE, Processes, Quiet, Verbose, set_verbosity
+import homolog
+from homolog.cli.options import ONE_PER_CORE, OUTPUT, Processes, Quiet, Seed, Verbose, set_verbosity
 from homolog.cli.progress import progress_bar
-from homolog.synthesis import MeshSettings, PeopleSettings, synthesize_people
 
 
 def people(
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to go on with.")
+        Path,
+        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
     ] = Path("people"),
-    number: Annotated[int, typer.Option("--number", "-n", help="How many bodies.", min=1)] = 500,
-    seed: Annotated[int, typer.Option(help="Another seed, other bodies.", min=0)] = 0,
-    vertices: Annotated[int, typer.Option(help="About how many vertices each mesh has.", min=500)] = 5000,
+    n_bodies: Annotated[int, typer.Option("--n-bodies", "-n", metavar="N", help="How many bodies.", min=1)] = 500,
+    vertices: Annotated[int, typer.Option(metavar="N", help="About how many vertices each mesh has.", min=500)] = 5000,
     stretch: Annotated[
         float,
         typer.Option(
-            help="How much longer than wide triangles are, in a direction of each body's own.", min=1.0, max=5.0
+            metavar="FACTOR",
+            help="How much longer than wide triangles are, in a direction that each body has of its own.",
+            min=1.0,
+            max=5.0,
         ),
     ] = 1.0,
+    seed: Seed = 0,
     processes: Processes = ONE_PER_CORE,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Make people of any age, sex and build in any pose, each with a mesh of its own.
+    """Make synthetic people of any age, sex and build in any pose, each with its own mesh.
 
     Needs the extra `synth`. Writes DIR/off/NAME.off and DIR/corres/NAME.vts, which train and evaluate read, and
-    DIR/places, DIR/records, DIR/template and DIR/manifest.json: places on the common template, how each body was made,
-    and licences. The same command goes on where it was stopped; a larger -n adds bodies to those that are there.
+    DIR/places, DIR/records, DIR/template and DIR/manifest.json: barycentric coordinates on the common template, how
+    each body was made, and licences. The same command resumes where it was stopped; a larger -n adds bodies.
 
     Examples:
       homolog synth people -n 500 -o people
 
       homolog synth people -n 500 -o stretched --stretch 3 --seed 1
 
-      homolog train quick --data people --out run
+      homolog train people -o run
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    settings = PeopleSettings(seed, MeshSettings(vertices, stretch))
+    synthesis = homolog.synthesis
+    settings = synthesis.PeopleSettings(seed, synthesis.MeshSettings(vertices, stretch))
     with progress_bar(quiet=quiet) as progress:
-        folder = synthesize_people(output, number, settings, processes=processes, progress=progress)
+        folder = synthesis.synthesize_people(output, n_bodies, settings, processes=processes, progress=progress)
     if not quiet:
         typer.echo(folder.root)

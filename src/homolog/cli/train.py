@@ -7,31 +7,44 @@ from typing import Annotated
 
 import typer
 
-from homolog.cli.options import DeviceOption, Quiet, SetOption, Verbose, set_verbosity
+import homolog
+from homolog.cli.options import DatasetOption, DeviceOption, Quiet, Verbose, set_verbosity
 from homolog.cli.progress import progress_bar
 from homolog.core.errors import HomologError
 from homolog.core.files import expanded
-from homolog.datasets import read_description
-from homolog.training import WEIGHTS, is_first_process, is_started_by_another, read_recipe
-from homolog.training import train as train_network
 
 
 def train(
-    recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="A TOML file, or the name of a recipe that ships.")],
     data: Annotated[
-        Path, typer.Option(help="A folder of meshes, or one with off/ and perhaps corres/.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="DATA", help="Folder of meshes, or one with off/ and perhaps corres/.", show_default=False
+        ),
     ],
-    out: Annotated[Path, typer.Option(metavar="RUN", help="Folder for checkpoints and weights.", show_default=False)],
-    name: SetOption = None,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="RUN",
+            help="Folder for checkpoints and weights; new, or empty.",
+            show_default=False,
+        ),
+    ],
+    recipe: Annotated[
+        str, typer.Option("--recipe", metavar="NAME|FILE", help="A built-in recipe, or a TOML file.")
+    ] = "quick",
+    dataset: DatasetOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from RUN's last checkpoint, or begin where there is none.")
     ] = False,
     weights: Annotated[
         str | None,
         typer.Option(
+            "--weights",
             metavar="NAME|FILE",
-            help="Begin with these weights instead of random ones: fewer shapes and steps will do. Where a training "
-            "is gone on with, they have had their say.",
+            help="Start from these weights instead of random ones: fewer shapes and steps are then enough. "
+            "Ignored with --resume.",
         ),
     ] = None,
     device: DeviceOption = "auto",
@@ -44,32 +57,32 @@ def train(
 
     Writes RUN/weights.safetensors (for match and evaluate), RUN/last.safetensors and RUN/best.safetensors
     (checkpoints), RUN/report.json, and curves for TensorBoard. Ctrl-C saves first, and --resume goes on from there.
-    With --dataset, the test shapes that its description names stay out, and the axis that points up and where
+    With --dataset, the test shapes that its description names are left out, and the axis that points up and where
     partial shapes lie are as it says, unless the recipe says so itself.
 
     Examples:
-      homolog train quick --data FAUST_r --out run
+      homolog train FAUST_r -o run
 
-      homolog train faust --data FAUST_r --dataset faust_r --out run
+      homolog train FAUST_r -o run --dataset faust_r --recipe faust
 
-      homolog train organs --data lungs --out run
+      homolog train lungs -o run --recipe organs
 
-      homolog train my_recipe.toml --data scans --out run --resume
+      homolog train scans -o run --recipe my_recipe.toml --resume
 
-      homolog train quick --data scans --out run --weights trained_on_others.safetensors
+      homolog train scans -o run --weights trained_on_others.safetensors
 
       tensorboard --logdir run
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    settings = read_recipe(recipe)
-    description = None if name is None else read_description(name)
-    first = is_first_process()
+    settings = homolog.training.read_recipe(recipe)
+    description = None if dataset is None else homolog.datasets.read_description(dataset)
+    first = homolog.training.is_first_process()
     try:
         with progress_bar(quiet=quiet or not first) as progress:
-            state = train_network(
+            state = homolog.training.train(
                 settings,
                 data,
-                out,
+                output,
                 description=description,
                 resume=resume,
                 weights=weights,
@@ -82,7 +95,7 @@ def train(
         if first:
             raise
         # The first process says it. It must have the time: one that sees those it started fail ends at once, killed.
-        raise typer.Exit(0 if is_started_by_another() else 2) from None
+        raise typer.Exit(0 if homolog.training.is_started_by_another() else 2) from None
     if first and not quiet:
         typer.echo(f"Trained {state.step} steps in {state.seconds / 60:.1f} minutes.", err=True)
-        typer.echo(expanded(out) / WEIGHTS)
+        typer.echo(expanded(output) / homolog.training.WEIGHTS)

@@ -1,72 +1,101 @@
-"""``homolog transfer``: carry textures, colours, labels, landmarks, skins and arrays along a match."""
+"""``homolog transfer``: transfer textures, colours, labels, landmarks, skins and arrays along a match."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
-from homolog.cli.options import Quiet, check_folder
+import homolog
+from homolog.cli.options import INPUT, OUTPUT, Quiet, ResultFolder, check_folder
 from homolog.cli.progress import progress_bar, say
+from homolog.core.choices import TEXTURE_SIZE, Side, System
 from homolog.core.errors import ArgumentError
 from homolog.core.versions import versions
-from homolog.matching import Side, read_result
-from homolog.transfer import (
-    OUTPUT_NAMES,
-    TEXTURE_SIZE,
-    Delivery,
-    Kind,
-    System,
-    Transfer,
-    check_output_names,
-    read_original,
-)
+
+if TYPE_CHECKING:
+    from homolog.transfer import Delivery, Kind
+
+_WHAT = "What to transfer"
 
 _Files = list[Path] | None
 
 
 def transfer(
-    result: Annotated[
-        Path, typer.Argument(metavar="OUT", help="A folder that homolog match wrote.", show_default=False)
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Where the files go.")] = Path(
-        "transfer"
-    ),
-    texture: Annotated[bool, typer.Option("--texture", help="Carry the texture of the source's file.")] = False,
-    colours: Annotated[bool, typer.Option("--colours", help="Carry the colours of its points.")] = False,
-    skin: Annotated[bool, typer.Option("--skin", help="Carry the skeleton and weights of a GLB or glTF.")] = False,
+    result: ResultFolder,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files.", rich_help_panel=OUTPUT)
+    ] = Path("transfer"),
+    texture: Annotated[
+        bool, typer.Option("--texture", help="The texture of the source's file.", rich_help_panel=_WHAT)
+    ] = False,
+    colours: Annotated[
+        bool, typer.Option("--colours", help="The colours of its points.", rich_help_panel=_WHAT)
+    ] = False,
+    skin: Annotated[
+        bool,
+        typer.Option("--skin", help="The skeleton and skinning weights of a GLB or glTF.", rich_help_panel=_WHAT),
+    ] = False,
     checker: Annotated[
-        bool, typer.Option("--checker", help="Paint squares on the source, and carry these: to look at a match.")
+        bool,
+        typer.Option("--checker", help="A checkerboard that is painted on the source.", rich_help_panel=_WHAT),
     ] = False,
     array: Annotated[
-        _Files, typer.Option(metavar="NPY", help="Carry numbers, a row per source point; more than once if need be.")
+        _Files,
+        typer.Option(
+            metavar="FILE.npy",
+            help="Numbers, a row per source point; they are interpolated. Can be repeated.",
+            rich_help_panel=_WHAT,
+        ),
     ] = None,
     labels: Annotated[
-        _Files, typer.Option(metavar="NPY", help="Carry whole numbers, of which no two are ever mixed, likewise.")
+        _Files,
+        typer.Option(
+            metavar="FILE.npy",
+            help="Whole numbers, one per source point; they are never interpolated. Can be repeated.",
+            rich_help_panel=_WHAT,
+        ),
     ] = None,
     landmarks: Annotated[
-        _Files, typer.Option(metavar="FILE", help="Carry points on the source: .csv, .mrk.json or .fcsv, likewise.")
+        _Files,
+        typer.Option(
+            metavar="FILE",
+            help="Points on the source: .csv, .mrk.json or .fcsv. Can be repeated.",
+            rich_help_panel=_WHAT,
+        ),
     ] = None,
-    reverse: Annotated[bool, typer.Option("--reverse", help="Carry from the target to the source.")] = False,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="Transfer from the target to the source.", rich_help_panel=INPUT)
+    ] = False,
     origin: Annotated[
         Path | None,
-        typer.Option("--from", metavar="FILE", help="Where the file that is carried from is, if it was moved since."),
+        typer.Option(
+            "--from",
+            metavar="FILE",
+            help="The source's file (with --reverse, the target's), if it was moved since the match.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
+    axes: Annotated[
+        System,
+        typer.Option(help="The shapes' coordinate system, for landmark files that have one.", rich_help_panel=INPUT),
+    ] = "LPS",
     texture_size: Annotated[
-        int, typer.Option(metavar="TEXELS", help="Width of the new texture.", min=16, max=16384)
+        int,
+        typer.Option(metavar="TEXELS", help="Width of the new texture.", min=16, max=16384, rich_help_panel=OUTPUT),
     ] = TEXTURE_SIZE,
-    axes: Annotated[System, typer.Option(help="The shapes' coordinates, for landmarks that have a system.")] = "LPS",
     quiet: Quiet = False,
 ) -> None:
-    """Carry what the source of a match has to its target, along a smooth map between their surfaces.
+    """Transfer textures, colours, skins, landmarks and arrays from the source of a match to its target.
 
-    Without options: the texture, colours and skin that the source's file holds. Writes into DIR textured.obj, .mtl and
-    .png (the target with an atlas of its own), coloured.ply, carried.glb (texture or colours, and skin), arrays and
-    landmarks under their files' names, and transfer.json. Textures need the extra `transfer`.
+    They follow a smooth map between the surfaces. Without options: the texture, colours and skin that the source's file
+    holds. Writes into DIR textured.obj, .mtl and .png (the target with an atlas of its own), coloured.ply, carried.glb
+    (texture or colours, and skin), arrays and landmarks under their files' names, and transfer.json. Textures need the
+    extra `transfer`.
 
-    What has no counterpart gets NaN, the label -1, or grey; as a landmark nan in tables, the status undefined in
-    .mrk.json and no row in .fcsv; in a skin it moves with its nearest neighbour that has one.
+    Points without a counterpart get NaN, the label -1, or grey; landmarks are nan in tables, undefined in .mrk.json and
+    left out in .fcsv; in a skin such points move with the nearest point that has a counterpart.
 
     Examples:
       homolog transfer result -o carried
@@ -81,18 +110,19 @@ def transfer(
     """
     kinds = _asked(texture=texture, colours=colours, skin=skin)
     files = [*(array or []), *(labels or []), *(landmarks or [])]
-    check_output_names(files)
+    transfers = homolog.transfer
+    transfers.check_output_names(files)
     side: Side = "target" if reverse else "source"
-    match = read_result(result)
+    match = homolog.Match.load(result)
     match = match.inverse() if reverse else match
     if checker and kinds:
         raise ArgumentError(f"--checker and --{kinds[0]} write the same files; give one at a time")
     contents = bool(kinds) or not (files or checker)
-    original = read_original(match, side, origin) if contents or origin is not None else None
+    original = transfers.read_original(match, side, origin) if contents or origin is not None else None
     inputs = files if original is None else [*files, *original.files]
-    check_folder(output, inputs=inputs, names=[*OUTPUT_NAMES, *(file.name for file in files)])
-    along = Transfer(match, source=None if original is None else original.shape)
-    delivery = Delivery(along, axes=axes, texture_size=texture_size)
+    check_folder(output, inputs=inputs, names=[*transfers.OUTPUT_NAMES, *(file.name for file in files)])
+    along = transfers.Transfer(match, source=None if original is None else original.shape)
+    delivery = transfers.Delivery(along, axes=axes, texture_size=texture_size)
     for paths, add in (
         (array, delivery.add_array),
         (labels, delivery.add_labels),
@@ -105,14 +135,14 @@ def transfer(
     if checker:
         delivery.add_checkerboard()
     with progress_bar(quiet=quiet) as progress:
-        progress(0, 1, "carry")
+        progress(0, 1, "transfer")
         written = delivery.write(output, {"result": str(result), "from": side, "versions": versions()})
     if not quiet:
         _tell(delivery, written)
 
 
 def _asked(**flags: bool) -> list[Kind]:
-    return [kind for kind in get_args(Kind) if flags[kind]]
+    return [kind for kind in get_args(homolog.transfer.Kind) if flags[kind]]
 
 
 def _tell(delivery: Delivery, written: list[Path]) -> None:

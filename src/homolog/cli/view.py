@@ -1,14 +1,14 @@
-"""``homolog view``: a result in the browser, served or as one page."""
+"""``homolog view``: a match in the browser, as a page that is served or written, or as a picture."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+import homolog
 from homolog.cli.browsing import Host, NoOpen, Port, announce, interrupt_ends
-from homolog.cli.match import counted
 from homolog.cli.options import (
     PICTURE_WIDTH,
     Lines,
@@ -16,35 +16,25 @@ from homolog.cli.options import (
     Picture,
     PictureWidth,
     Quiet,
+    ResultFolder,
     build_matcher,
     check_file,
     check_picture_file,
 )
 from homolog.cli.progress import progress_bar
 from homolog.core.progress import Steps
-from homolog.datasets import read_truth
-from homolog.matching import MatchResult, read_result
-from homolog.viewing import (
-    Layer,
-    LiveView,
-    Scene,
-    error_layer,
-    feature_layer,
-    map_errors,
-    pair_features,
-    scene_of,
-    write_page,
-    write_picture,
-)
 
+if TYPE_CHECKING:
+    from homolog.matching import Match
+    from homolog.viewing import Layer, Scene
+
+COLOURS = "Colours"
 # repair, operators and features for each shape
 _STEPS = 6
 
 
 def view(
-    result: Annotated[
-        Path, typer.Argument(metavar="OUT", help="A folder that homolog match wrote.", show_default=False)
-    ],
+    result: ResultFolder,
     page: Page = None,
     picture: Picture = None,
     lines: Lines = 0,
@@ -53,13 +43,16 @@ def view(
         tuple[Path, Path] | None,
         typer.Option(
             metavar="SOURCE.vts TARGET.vts",
-            help="Ground truth, to colour by error: line i of each file is the vertex of the i-th common point.",
+            help="Ground truth, to colour by error: line i of each file is the vertex of the i-th template point.",
+            rich_help_panel=COLOURS,
         ),
     ] = None,
     weights: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME|FILE", help="Weights, to colour by their features; computed anew, in the time of a match."
+            metavar="NAME|FILE",
+            help="Weights, to colour by their features; these are computed again, which takes as long as a match.",
+            rich_help_panel=COLOURS,
         ),
     ] = None,
     host: Host = "127.0.0.1",
@@ -67,12 +60,12 @@ def view(
     no_open: NoOpen = False,
     quiet: Quiet = False,
 ) -> None:
-    """Look at a match in the browser: both shapes side by side, the same colours on the same points.
+    """Show a match in the browser: both shapes side by side, the same colours on corresponding points.
 
     Click a point to mark its counterpart. Colours show the correspondence, the confidence, with --truth the error, and
-    with --weights the features. Sliders choose how confident points must be, and how many are drawn. Prints the address
-    and serves until Ctrl-C; that needs the extra `view`, which --html and --picture do not; --picture needs the extra
-    `picture`.
+    with --weights the features. Sliders set the least confidence and the number of points. Of more than 100,000 points
+    as many are shown. Prints the address and serves until Ctrl-C; --html writes the same page to a file. --picture
+    needs the extra `picture`.
 
     Examples:
       homolog view result
@@ -88,36 +81,39 @@ def view(
     if page is not None:
         check_file(page)
     check_picture_file(picture, lines, picture_width)
-    found = read_result(result)
-    scene = scene_of(found, _layers(found, truth, weights, quiet=quiet))
+    found = homolog.Match.load(result)
+    scene = homolog.viewing.scene_of(found, _layers(found, truth, weights, quiet=quiet))
     if picture is not None:
-        write_picture(picture, scene, width=picture_width, lines=lines)
+        homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
         typer.echo(picture)
     if page is None and picture is None:
         _serve(scene, host, port, open_browser=not no_open, quiet=quiet)
     if page is not None:
-        write_page(page, scene)
+        homolog.viewing.write_page(page, scene)
         typer.echo(page)
 
 
-def _layers(result: MatchResult, truth: tuple[Path, Path] | None, weights: str | None, *, quiet: bool) -> list[Layer]:
+def _layers(result: Match, truth: tuple[Path, Path] | None, weights: str | None, *, quiet: bool) -> list[Layer]:
     """What can be coloured by besides what is in the result."""
-    layers = []
+    from homolog.cli.match import counted
+
+    viewing, layers = homolog.viewing, []
     if truth is not None:
-        layers.append(error_layer(*map_errors(result, read_truth(truth, (result.source, result.target)))))
+        known = homolog.datasets.read_truth(truth, (result.source, result.target))
+        layers.append(viewing.error_layer(*viewing.map_errors(result, known)))
     if weights is not None:
         with progress_bar(quiet=quiet) as progress:
             steps = Steps(listener=counted(progress, _STEPS))
             matcher = build_matcher(weights, "auto", "auto", no_cache=False)
-            layers.append(feature_layer(*pair_features(result, matcher, steps=steps)))
+            layers.append(viewing.feature_layer(*viewing.pair_features(result, matcher, steps=steps)))
     return layers
 
 
 def _serve(scene: Scene, host: str, port: int, *, open_browser: bool, quiet: bool) -> None:
-    live = LiveView(scene, host, port)
+    server = homolog.serving.PageServer(homolog.viewing.page_of(scene), host, port)
     try:
-        announce(live.address, open_browser=open_browser, quiet=quiet)
-        with interrupt_ends(live.end):
-            live.serve()
+        announce(server.address, open_browser=open_browser, quiet=quiet)
+        with interrupt_ends(server.end):
+            server.serve()
     finally:
-        live.stop()
+        server.close()

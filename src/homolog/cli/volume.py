@@ -7,29 +7,40 @@ from typing import Annotated
 
 import typer
 
-from homolog.cli.options import Quiet
-from homolog.shapes import write_shape
-from homolog.volumes import mask_surface, read_mask, slice_cloud
+import homolog
+from homolog.cli.lazy import lazy_typer
+from homolog.cli.options import OUTPUT, Quiet, Seed
+from homolog.cli.progress import progress_bar
 
-volume = typer.Typer(name="volume", no_args_is_help=True, help="Make shapes of segmentation masks.")
+volume = lazy_typer(
+    "volume",
+    help="Make shapes from segmentation masks.",
+    surface="homolog.cli.volume:surface",
+    slices="homolog.cli.volume:slices",
+)
 
 MaskFile = Annotated[
     Path,
     typer.Argument(metavar="MASK", help="A .mhd, .mha, .nii, .nii.gz, .nrrd or .nhdr file.", show_default=False),
 ]
-Label = Annotated[int | None, typer.Option(help="The value of the voxels that are meant.", show_default="all but 0")]
+Label = Annotated[
+    int | None, typer.Option(metavar="VALUE", help="The value of the voxels to take.", show_default="all but 0")
+]
 
 
-@volume.command()
 def surface(
     mask: MaskFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A mesh.")] = Path("surface.ply"),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="The mesh to write.", rich_help_panel=OUTPUT)
+    ] = Path("surface.ply"),
     label: Label = None,
-    points: Annotated[int, typer.Option(help="About how many points; 0 for all that there are.", min=0)] = 5000,
-    smoothing: Annotated[float, typer.Option(help="Blur of the mask, in voxels.", min=0.0)] = 1.0,
+    points: Annotated[int, typer.Option(metavar="N", help="About how many points; 0 for all.", min=0)] = 5000,
+    smoothing: Annotated[
+        float, typer.Option(metavar="SIGMA", help="Gaussian smoothing of the mask, in voxels.", min=0.0)
+    ] = 1.0,
     quiet: Quiet = False,
 ) -> None:
-    """Make the surface of what a mask marks, in millimetres.
+    """Extract the surface of a segmentation mask as a mesh, in millimetres.
 
     Needs the extra `volumes`. Patients lie along +z in such files: match their surfaces with --up z.
 
@@ -38,37 +49,45 @@ def surface(
 
       homolog volume surface femur.nii.gz -o femur.ply --points 20000
     """
-    write_shape(output, mask_surface(read_mask(mask, label=label), points=points or None, smoothing=smoothing))
+    volumes = homolog.volumes
+    with progress_bar(quiet=quiet) as progress:
+        progress(0, 2, "read")
+        found = volumes.read_mask(mask, label=label)
+        progress(1, 2, "surface")
+        homolog.write_shape(output, volumes.mask_surface(found, points=points or None, smoothing=smoothing))
     if not quiet:
         typer.echo(output)
 
 
-@volume.command()
 def slices(
     mask: MaskFile,
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="A cloud.")] = Path("slices.ply"),
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE", help="The cloud to write.", rich_help_panel=OUTPUT)
+    ] = Path("slices.ply"),
     label: Label = None,
-    axis: Annotated[int, typer.Option(help="Which axis of the volume runs through the slices.", min=0, max=2)] = 2,
-    every: Annotated[int, typer.Option(help="Take every so many-th slice.", min=1)] = 1,
+    axis: Annotated[
+        int, typer.Option(metavar="AXIS", help="The axis of the volume across the slices: 0, 1 or 2.", min=0, max=2)
+    ] = 2,
+    every: Annotated[int, typer.Option(metavar="N", help="Take every N-th slice.", min=1)] = 1,
     span: Annotated[
-        tuple[float, float], typer.Option(help="Of the slices that the object is in, those between these shares.")
+        tuple[float, float],
+        typer.Option(metavar="LOW HIGH", help="Of the slices through the object, those between these fractions."),
     ] = (0.0, 1.0),
-    points: Annotated[int, typer.Option(help="How many points to keep; 0 for all.", min=0)] = 0,
-    seed: Annotated[int, typer.Option(help="Of the choice of points.", min=0)] = 0,
+    points: Annotated[int, typer.Option(metavar="N", help="How many points to keep; 0 for all.", min=0)] = 0,
+    seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Make a cloud of the outlines in some slices of a mask, in millimetres.
+    """Make a point cloud of the outlines in some slices of a segmentation mask, in millimetres.
 
-    Needs the extra `volumes`. What lies outside the slices is missing: match such a cloud with --partial.
+    Needs the extra `volumes`. Where slices are left out the cloud is partial: match it with --partial.
 
     Examples:
       homolog volume slices lungs.mhd --label 3 --every 4 -o lung.ply
 
       homolog volume slices lungs.mhd --label 3 --span 0 0.6 --points 3000 -o lower_lung.ply
     """
-    found = slice_cloud(
-        read_mask(mask, label=label), axis=axis, every=every, span=span, points=points or None, seed=seed
-    )
-    write_shape(output, found)
+    found = homolog.volumes.read_mask(mask, label=label)
+    cloud = homolog.volumes.slice_cloud(found, axis=axis, every=every, span=span, points=points or None, seed=seed)
+    homolog.write_shape(output, cloud)
     if not quiet:
         typer.echo(output)

@@ -1,4 +1,4 @@
-"""What an argument must be before any work begins: of a kind, a number, a whole number, indices of points."""
+"""Checks of arguments before any work begins: their class, numbers, counts, indices of points."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from homolog.core.errors import ArgumentError, bad_value
 if TYPE_CHECKING:  # reading a shape does without torch, which takes long to load
     from torch import Tensor
 
-# For each class, by its name, what to give and how to come by it: the classes live on floors above this one.
+# For each class, by name, what to give and how to get it. The classes are defined on floors above this one.
 _WAYS_TO = {
     "Shape": "a Shape; read files with homolog.read_shape, or make one with homolog.Shape(points, faces)",
     "Operators": "Operators; compute them with Matcher.operators or homolog.compute_operators",
     "OperatorSettings": "OperatorSettings; make them with homolog.geometry.OperatorSettings(...), or leave them out",
+    "RefinementSettings": "RefinementSettings; make them with homolog.maps.RefinementSettings(...), or leave them out",
+    "ConfidenceSettings": "ConfidenceSettings; make them with homolog.maps.ConfidenceSettings(...), or leave them out",
+    "RegistrationSettings": "RegistrationSettings; make them with homolog.maps.RegistrationSettings(...), or leave "
+    "them out",
     "Prepared": "a prepared shape; make one with Matcher.prepare",
     "MatcherSettings": "MatcherSettings; make them with homolog.MatcherSettings(...), or leave them out",
     "DiffusionNet": "a network; give weight files to Matcher.from_weights, or read them with homolog.load_weights",
@@ -25,18 +29,15 @@ _WAYS_TO = {
 
 
 def check_kind(name: str, found: object, *kinds: type) -> None:
-    """Refuse an argument of none of these classes, and say how to come by the first of them."""
+    """Refuse an argument of none of these classes, and say how to get one of the first."""
     if not isinstance(found, kinds):
-        raise ArgumentError(f"{name} is {_described(found)}, but must be {_WAYS_TO[kinds[0].__name__]}")
-
-
-def _described(found: object) -> str:
-    kind = type(found).__name__
-    return "None" if found is None else f"{'an' if kind[0] in 'aeiouAEIOU' else 'a'} {kind}"
+        kind = type(found).__name__
+        given = "None" if found is None else f"{'an' if kind[0] in 'aeiouAEIOU' else 'a'} {kind}"
+        raise ArgumentError(f"{name} is {given}, but must be {_WAYS_TO[kinds[0].__name__]}")
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a real number, be it infinite or NaN."""
+    """Whether a value is a real number, infinite and NaN included."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
@@ -51,7 +52,7 @@ def is_count(value: Any, *, least: int = 1) -> bool:
 
 
 def check_count(name: str, value: Any, *, least: int = 1) -> None:
-    """Refuse what is no whole number, or a smaller one."""
+    """Refuse what is not a whole number of at least ``least``."""
     if not is_count(value, least=least):
         raise bad_value(name, value, f"a whole number of at least {least}")
 
@@ -63,7 +64,7 @@ def check_finite(name: str, values: Tensor) -> None:
 
 
 def check_indices(name: str, indices: Tensor, n_points: int) -> None:
-    """Refuse a point map that leaves the points it leads to, -1 for "none" included."""
+    """Refuse a point map with an index outside the shape that it leads to, -1 for "none" included."""
     low, high = int(indices.min()), int(indices.max())
     if low < 0 or high >= n_points:
         found = f"{name} holds {low if low < 0 else high}"

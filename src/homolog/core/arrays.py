@@ -6,7 +6,7 @@ import functools
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any, ParamSpec, TypeVar, get_type_hints
+from typing import Any, ParamSpec, Protocol, TypeVar, get_type_hints, overload
 
 import numpy as np
 import torch
@@ -16,45 +16,70 @@ from homolog.core.errors import ArgumentError
 
 P = ParamSpec("P")
 R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
+N_co = TypeVar("N_co", covariant=True)
+
+Array = TypeVar("Array", Tensor, np.ndarray)
+"""Either kind of array: what a dataclass holds that comes out of a function of tensors or of numpy arrays."""
 
 
-def takes_arrays(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function of tensors take numpy arrays: if any argument is one, its results are numpy arrays too.
+class ArrayFunction(Protocol[P, R_co, N_co]):
+    """A function of tensors that takes numpy arrays as well, and then returns numpy arrays."""
 
-    Arguments that are annotated as ``Float[Tensor, "n d"]`` or ``Int[Tensor, " n"]`` are checked by that: dimensions,
-    none of them empty, equal where they have one name; and all real ones must have one type.
+    @overload
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R_co: ...
 
-    Raises:
-        ArgumentError: if an argument does not fit.
-    """
-    return _taking(function, one_type=True)
+    @overload
+    def __call__(self, *args: np.ndarray, **kwargs: Any) -> N_co: ...
 
 
-def takes_arrays_of_any_precision(function: Callable[P, R]) -> Callable[P, R]:
-    """The same for a function that does not mind if its arguments differ in precision."""
-    return _taking(function, one_type=False)
+class _TakesArrays(Protocol):
+    """A decorator that turns functions of tensors into an ``ArrayFunction``."""
+
+    @overload
+    def __call__(self, function: Callable[P, Tensor]) -> ArrayFunction[P, Tensor, np.ndarray]: ...
+
+    @overload
+    def __call__(
+        self, function: Callable[P, tuple[Tensor, Tensor]]
+    ) -> ArrayFunction[P, tuple[Tensor, Tensor], tuple[np.ndarray, np.ndarray]]: ...
+
+    @overload
+    def __call__(self, function: Callable[P, R]) -> ArrayFunction[P, R, Any]: ...
 
 
-def _taking(function: Callable[P, R], *, one_type: bool) -> Callable[P, R]:
-    names, wanted = list(inspect.signature(function).parameters), _wanted(function)
+def _taking(function: Callable[..., Any], *, one_type: bool) -> Any:
+    names, annotations = list(inspect.signature(function).parameters), _annotations(function)
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> Any:
         if not any(isinstance(value, np.ndarray) for value in (*args, *kwargs.values())):
-            _check(wanted, dict(zip(names, args, strict=False)) | kwargs, one_type=one_type)
+            _check(annotations, dict(zip(names, args, strict=False)) | kwargs, one_type=one_type)
             return function(*args, **kwargs)
         # More than there are names for is for Python itself to refuse.
         given = [_to_tensor(name, value) for name, value in zip([*names, *args], args, strict=False)]
         named = {name: _to_tensor(name, value) for name, value in kwargs.items()}
-        _check(wanted, dict(zip(names, given, strict=False)) | named, one_type=one_type)
+        _check(annotations, dict(zip(names, given, strict=False)) | named, one_type=one_type)
         return _to_numpy(function(*given, **named))
 
     return wrapper
 
 
+takes_arrays: _TakesArrays = functools.partial(_taking, one_type=True)
+"""Let a function of tensors take numpy arrays: if any argument is one, its results are numpy arrays too.
+
+Arguments that are annotated as ``Float[Tensor, "n d"]`` or ``Int[Tensor, " n"]`` are checked by that: dimensions, none
+of them empty, equal where they have one name; and all real ones must have one type. What does not fit is an
+``ArgumentError`` of one line.
+"""
+
+takes_arrays_of_any_precision: _TakesArrays = functools.partial(_taking, one_type=False)
+"""The same for a function that does not mind if its arguments differ in precision."""
+
+
 @dataclass(frozen=True)
-class _Wanted:
-    """What an annotation asks of a tensor: real numbers or whole ones, and the names of its dimensions."""
+class _Annotation:
+    """What an annotation asks of a tensor: real numbers or integers, and the names of its dimensions."""
 
     real: bool
     dimensions: tuple[str, ...]
@@ -74,20 +99,20 @@ class _Wanted:
         return f"({', '.join(names)}{',' if len(names) == 1 else ''})"
 
 
-def _wanted(function: Callable[..., Any]) -> dict[str, _Wanted]:
-    """What is asked of the arguments of a function that are annotated as tensors of some shape."""
+def _annotations(function: Callable[..., Any]) -> dict[str, _Annotation]:
+    """What is asked of each argument that is annotated as a tensor of some shape."""
     hints = {name: hint for name, hint in get_type_hints(function).items() if name != "return"}
     return {
-        name: _Wanted("float32" in hint.dtypes, tuple(hint.dim_str.split()))
+        name: _Annotation("float32" in hint.dtypes, tuple(hint.dim_str.split()))
         for name, hint in hints.items()
         if getattr(hint, "array_type", None) is Tensor
     }
 
 
-def _check(wanted: Mapping[str, _Wanted], values: Mapping[str, Any], *, one_type: bool) -> None:
+def _check(annotations: Mapping[str, _Annotation], values: Mapping[str, Any], *, one_type: bool) -> None:
     sizes: dict[str, tuple[int, str]] = {}
     first: str | None = None
-    for name, asked in wanted.items():
+    for name, asked in annotations.items():
         if name not in values:
             continue
         _check_tensor(name, values[name], asked)
@@ -98,7 +123,7 @@ def _check(wanted: Mapping[str, _Wanted], values: Mapping[str, Any], *, one_type
             first = name
 
 
-def _check_tensor(name: str, value: Any, asked: _Wanted) -> None:
+def _check_tensor(name: str, value: Any, asked: _Annotation) -> None:
     if not isinstance(value, Tensor):
         raise ArgumentError(f"{name} is a {type(value).__name__}, but must be a tensor or numpy array of shape {asked}")
     fits = value.is_floating_point() if asked.real else value.dtype in (torch.int32, torch.int64)
@@ -107,7 +132,7 @@ def _check_tensor(name: str, value: Any, asked: _Wanted) -> None:
         raise ArgumentError(f"{name} holds {_dtype(value)}, but must hold {allowed}")
 
 
-def _check_sizes(name: str, value: Tensor, asked: _Wanted, sizes: dict[str, tuple[int, str]]) -> None:
+def _check_sizes(name: str, value: Tensor, asked: _Annotation, sizes: dict[str, tuple[int, str]]) -> None:
     """Compare with what is asked and with ``sizes``: for each name of a dimension its size, and who had it first."""
     n_dimensions, shape = len(asked.names), tuple(value.shape)
     if len(shape) < n_dimensions or (len(shape) > n_dimensions and not asked.open_ended):

@@ -1,4 +1,4 @@
-"""The errors a user can cause, each one line that says what is wrong and what to do."""
+"""Errors that a user can cause, each one line that says what is wrong and what to do."""
 
 from __future__ import annotations
 
@@ -9,10 +9,18 @@ from typing import Any
 
 
 class HomologError(Exception):
-    """A mistake in what was given to Homolog, not in Homolog itself.
+    """Base of all errors that a user can cause: a mistake in what was given to Homolog, not in Homolog itself.
 
     The message is one line: the file or argument, what was found, what is allowed, what to do. The command line
     prints it without a traceback and exits with code 2.
+
+    Examples:
+        >>> import homolog
+        >>> try:
+        ...     homolog.set_working_memory(-1)
+        ... except homolog.HomologError as error:
+        ...     print(error)
+        working memory is -1, but must be a positive number of mebibytes
     """
 
 
@@ -47,7 +55,7 @@ class MissingExtraError(HomologError, ImportError):
 
 @contextmanager
 def needs_extra(need: str, extra: str) -> Iterator[None]:
-    """Around imports of what an extra brings: say which one, and for what, where they fail.
+    """Around imports of an optional package: name the extra that installs it, and what needs it, if it is missing.
 
     Raises:
         MissingExtraError: if a package is missing.
@@ -59,9 +67,13 @@ def needs_extra(need: str, extra: str) -> Iterator[None]:
 
 
 def bad_choice(name: str, found: str, allowed: Sequence[str], hint: str = "") -> ArgumentError:
-    """Build the error for a word that is not among those allowed, naming the nearest one.
+    """Build the error for a word that is not among those allowed, with the nearest one as a suggestion.
 
-    ``name`` is the argument as the caller wrote it, ``found`` its value, ``hint`` what else to do.
+    Args:
+        name: the argument as the caller wrote it.
+        found: its value.
+        allowed: the words.
+        hint: what else to do.
     """
     near = get_close_matches(found, allowed, n=1)
     guess = f"; did you mean {near[0]!r}?" if near else ""

@@ -12,12 +12,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from jaxtyping import Shaped
+from typing import TYPE_CHECKING, Any
 
 from homolog.core.errors import ArgumentError
+
+if TYPE_CHECKING:  # commands find out where files are before they load numpy
+    import numpy as np
+    from jaxtyping import Shaped
 
 # Temporary files, each with the place that it is to take.
 _Moves = dict[Path, Path]
@@ -188,8 +189,8 @@ def _blamed(path: str | Path) -> Iterator[None]:
         raise ArgumentError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def write_json(path: str | Path, content: dict[str, Any]) -> None:
-    """Write an object for people and programs to read.
+def write_json(path: str | Path, content: Any) -> None:
+    """Write an object or a list for people and programs to read.
 
     Raises:
         ArgumentError: as ``atomic_path`` does.
@@ -231,6 +232,8 @@ def write_npy(path: str | Path, values: Shaped[np.ndarray, ...]) -> None:
     Raises:
         ArgumentError: as ``atomic_path`` does.
     """
+    import numpy as np
+
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.save(file, values, allow_pickle=False)
 

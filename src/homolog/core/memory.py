@@ -1,4 +1,4 @@
-"""The working-memory bound: no n x n array is made unless it fits. And how a process keeps memory that it frees."""
+"""The working-memory bound: an n_y x n_x array is made only if it fits. And how a process keeps freed memory."""
 
 from __future__ import annotations
 
@@ -20,13 +20,24 @@ _ENOUGH_ROWS = (128, 16)
 
 
 def set_working_memory(mebibytes: float) -> None:
-    """Bound the temporary memory of every product between all points of one shape and all of another.
+    """Bound the temporary memory of products between all points of one shape and all of another.
 
     Args:
-        mebibytes: the bound, 1024 by default. Results do not depend on it beyond rounding; speed does.
+        mebibytes: the bound, above 0; 1024 by default, 256 to 8192 are sensible. Results do not depend on it beyond
+            rounding; speed does.
 
     Raises:
         ArgumentError: if it is not a positive number.
+
+    Examples:
+        >>> import homolog
+        >>> homolog.set_working_memory(512)
+        >>> homolog.get_working_memory()
+        512.0
+        >>> homolog.set_working_memory(1024)
+
+    See Also:
+        ``working_memory`` sets it for a ``with`` block.
     """
     if not (is_number(mebibytes) and mebibytes > 0):
         raise bad_value("working memory", mebibytes, "a positive number of mebibytes")
@@ -35,13 +46,31 @@ def set_working_memory(mebibytes: float) -> None:
 
 
 def get_working_memory() -> float:
-    """The bound in mebibytes; see ``set_working_memory``."""
+    """The working-memory bound in mebibytes; see ``set_working_memory``.
+
+    Examples:
+        >>> import homolog
+        >>> homolog.get_working_memory()
+        1024.0
+    """
     return _bound
 
 
 @contextmanager
 def working_memory(mebibytes: float) -> Iterator[None]:
-    """Set the bound within a ``with`` block, for the whole process."""
+    """Set the working-memory bound within a ``with`` block, for all threads of the process.
+
+    Args:
+        mebibytes: the bound, above 0.
+
+    Examples:
+        >>> import homolog
+        >>> with homolog.working_memory(64):
+        ...     homolog.get_working_memory()
+        64.0
+        >>> homolog.get_working_memory()
+        1024.0
+    """
     before = get_working_memory()
     set_working_memory(mebibytes)
     try:
@@ -51,7 +80,7 @@ def working_memory(mebibytes: float) -> Iterator[None]:
 
 
 def fits(n_bytes: float) -> bool:
-    """Whether an array of so many bytes may be made whole."""
+    """Whether an array of so many bytes fits the bound."""
     return n_bytes <= get_working_memory() * _MEBIBYTE
 
 

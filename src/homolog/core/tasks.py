@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-import itertools
+import multiprocessing
+import os
 import signal
 import sys
+import threading
+import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import get_context
-from typing import TypeVar
+from typing import Any, TypeVar
+
+import psutil
+from joblib import Parallel, delayed
+from joblib.externals.loky.backend import resource_tracker
+from joblib.parallel import LokyBackend
 
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Progress, ignore
@@ -26,16 +33,16 @@ def run_tasks(
     *,
     processes: int,
     progress: Progress,
-    told: Callable[[T], None] = ignore,
+    told: Callable[[T], Any] = ignore,
 ) -> None:
     """Run all tasks of a phase, in any order, before those of the next phase.
 
-    On an error or an interrupt no further task begins. One process is this one; several begin by importing the program
-    that calls this, so that a script must call it below ``if __name__ == "__main__":``.
+    On an error or an interrupt no further task begins, and those that are being done end. Several processes share the
+    cores: NumPy and PyTorch take fewer threads in each, unless ``OMP_NUM_THREADS`` and the like are set.
 
     Args:
         phases: the tasks.
-        processes: how many work at once.
+        processes: how many work at once; one is this one.
         progress: told of each task before it is waited for.
         told: what each task gives, in this process and in the order of the tasks.
 
@@ -43,45 +50,57 @@ def run_tasks(
         ArgumentError: if one of several processes is ended from outside.
     """
     names = [name for tasks in phases for name, _ in tasks]
-    functions = [[function for _, function in tasks] for tasks in phases]
-    done = itertools.chain.from_iterable(map(_each, functions)) if processes == 1 else _shared(functions, processes)
+    results = (result for tasks in phases for result in _results([function for _, function in tasks], processes))
     for number, name in enumerate(names):
         progress(number, len(names), name)
-        told(next(done))
+        told(next(results))
     progress(len(names), len(names), "done")
 
 
-def _each(functions: Sequence[Callable[[], T]]) -> Iterator[T]:
-    return map(_call, functions)
-
-
-def _shared(phases: Sequence[Sequence[Callable[[], T]]], processes: int) -> Iterator[T]:
-    # Processes that are forked from one with threads, as PyTorch has, may hang.
-    pool = ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_leave_interrupts_to_parent)
+def _results(functions: Sequence[Callable[[], T]], processes: int) -> Iterator[T]:
+    if processes == 1:
+        yield from (function() for function in functions)
+        return
+    backend = _Backend(initializer=_begin_worker, initargs=(os.getpid(),))
+    # Joblib would map large arrays to files, and they could not be written to.
+    parallel = Parallel(processes, backend=backend, return_as="generator", batch_size=1, max_nbytes=None)
+    with _unheard_interrupts():
+        results = parallel(map(delayed(_in_worker), functions))
     try:
-        for functions in phases:
-            with _unheard_interrupts():
-                results = pool.map(_call, functions)
-            yield from results
+        yield from results
     except BrokenProcessPool:
         raise ArgumentError(
             "a process was ended from outside, perhaps for want of memory; run the same command again, "
             "with fewer --processes"
         ) from None
     finally:
-        pool.shutdown(cancel_futures=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # joblib says that it cancels tasks
+            results.close()
+
+
+class _Backend(LokyBackend):  # type: ignore[misc]
+    """Joblib's processes; on an error or an interrupt their tasks may remove what they are writing."""
+
+    def abort_everything(self, ensure_ready: bool = True) -> None:
+        workers = [child for child in multiprocessing.active_children() if child.name.startswith("LokyProcess")]
+        for worker in workers:
+            worker.terminate()
+        for worker in workers:
+            worker.join(timeout=2)
+        super().abort_everything(ensure_ready)  # which kills what is left
 
 
 @contextmanager
 def _unheard_interrupts() -> Iterator[None]:
-    """Let processes that begin in this block hear nothing of Ctrl-C from their first moment on.
-
-    A terminal sends it to all of them, and loading PyTorch takes seconds, before which they can say so themselves.
-    What is blocked is inherited; here it is heard once the block ends.
-    """
+    """Have processes that begin in this block hear nothing of Ctrl-C, which a terminal sends to all of them."""
     if sys.platform == "win32":  # which has no such thing
         yield
         return
+    from multiprocessing import resource_tracker as another  # which Windows lacks, too
+
+    for tracker in (resource_tracker, another):
+        tracker.ensure_running()  # else it would begin in this block, and unblock what is blocked here
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -89,9 +108,21 @@ def _unheard_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _leave_interrupts_to_parent() -> None:
+def _begin_worker(parent: int) -> None:
+    """Leave interrupts to the parent, which ends its workers by SIGTERM, and end with it if it is killed."""
+
+    def watch() -> None:
+        while os.getppid() == parent and psutil.pid_exists(parent):
+            time.sleep(1)
+        os._exit(1)
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    threading.Thread(target=watch, daemon=True).start()
 
 
-def _call(function: Callable[[], T]) -> T:
-    return function()
+def _in_worker(function: Callable[[], T]) -> T:
+    try:
+        return function()
+    except SystemExit:  # by SIGTERM: the task has removed what it was writing, and the worker must not take another
+        os._exit(1)

@@ -1,10 +1,20 @@
-"""Datasets: folders of shapes with splits, pairs and ground truth, read by descriptions."""
+"""Datasets: folders of shapes with splits, pairs and ground truth, read by descriptions.
 
-from homolog.datasets.checking import DatasetReport, check_dataset, counted
-from homolog.datasets.description import DatasetDescription, builtin_descriptions, read_description
-from homolog.datasets.files import mesh_files
-from homolog.datasets.folder import Pair, ShapeFolder, Split, drawn_pairs, partner
-from homolog.datasets.truth import Counterparts, GroundTruth, Truth, read_truth
+
+A name is imported when it is first used: a description is read without loading what reads shapes.
+"""
+
+from typing import TYPE_CHECKING
+
+from homolog.core.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from homolog.core.choices import Split
+    from homolog.datasets.checking import DatasetReport, check_dataset, counted
+    from homolog.datasets.description import DatasetDescription, builtin_descriptions, read_description
+    from homolog.datasets.files import mesh_files
+    from homolog.datasets.folder import Pair, ShapeFolder, drawn_pairs, partner
+    from homolog.datasets.truth import Counterparts, GroundTruth, Truth, read_truth
 
 __all__ = [
     "Counterparts",
@@ -24,3 +34,23 @@ __all__ = [
     "read_description",
     "read_truth",
 ]
+
+_MODULES = {
+    "Counterparts": "truth",
+    "DatasetDescription": "description",
+    "DatasetReport": "checking",
+    "GroundTruth": "truth",
+    "Pair": "folder",
+    "ShapeFolder": "folder",
+    "Split": "folder",
+    "Truth": "truth",
+    "builtin_descriptions": "description",
+    "check_dataset": "checking",
+    "counted": "checking",
+    "drawn_pairs": "folder",
+    "mesh_files": "files",
+    "partner": "folder",
+    "read_description": "description",
+    "read_truth": "truth",
+}
+__getattr__ = lazy_names(__name__, _MODULES)

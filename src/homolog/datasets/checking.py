@@ -10,11 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import get_args
 
+from homolog.core.choices import Split
 from homolog.core.errors import DataError, HomologError
 from homolog.core.files import expanded, sha256
 from homolog.core.progress import Progress, ignore
 from homolog.datasets.description import DatasetDescription
-from homolog.datasets.folder import Pair, ShapeFolder, Split, class_of, names_at, partner, path_of
+from homolog.datasets.folder import Pair, ShapeFolder, class_of, names_at, partner, path_of
 from homolog.shapes import Shape
 
 

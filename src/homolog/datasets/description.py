@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, get_args
 
+from homolog.core.choices import Up
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded
-from homolog.core.tables import read_table, read_toml
-from homolog.shapes import Up
+from homolog.core.settings import read_settings, read_toml
 
 Holds = Literal["meshes", "clouds", "volumes"]
 TruthKind = Literal["template-correspondence", "barycentric", "same-numbering", "pair-maps", "none"]
@@ -216,4 +216,4 @@ def _builtin_files() -> dict[str, Path]:
 
 
 def _read(path: Path) -> DatasetDescription:
-    return read_table(DatasetDescription, {"name": path.stem, **read_toml(path)}, f"{path}:")
+    return read_settings(DatasetDescription, {"name": path.stem, **read_toml(path)}, f"{path}:")

@@ -5,13 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from homolog.core.errors import DataError
-from homolog.shapes import READABLE
-
-# Suffixes of files without faces, and of files that may hold anything, such as the lists of a dataset.
-_CLOUDS = (".xyz", ".csv", ".npy", ".npz", ".pcd")
-_ANYTHING = (".txt",)
-_SHAPES = tuple(suffix for suffix in READABLE if suffix not in _ANYTHING)
-_MESHES = tuple(suffix for suffix in _SHAPES if suffix not in _CLOUDS)
+from homolog.shapes import folder_suffixes
 
 
 def mesh_files(folder: Path, *, clouds: bool = False) -> dict[str, Path]:
@@ -20,7 +14,7 @@ def mesh_files(folder: Path, *, clouds: bool = False) -> dict[str, Path]:
     Raises:
         DataError: if there is none, or two have one name.
     """
-    suffixes = _SHAPES if clouds else _MESHES
+    suffixes = folder_suffixes(clouds=clouds)
     found = sorted(path for path in folder.glob("[!.]*") if path.suffix.lower() in suffixes)
     files = {path.stem: path for path in found}
     if not files:

@@ -10,21 +10,20 @@ import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Int
 
+from homolog.core.choices import Split, Up
 from homolog.core.errors import DataError, bad_choice, bad_value
 from homolog.core.files import expanded
 from homolog.datasets.description import DatasetDescription, read_description
 from homolog.datasets.truth import GroundTruth, read_vertices
-from homolog.shapes import Shape, Up, read_shape, stand_upright
+from homolog.shapes import Shape, read_shape, stand_upright
 
 _log = logging.getLogger(__name__)
 
-Split = Literal["train", "test", "all"]
-"""Which shapes of a dataset."""
 Pair = tuple[str, str]
 """Names of source and target."""
 

@@ -1,18 +1,37 @@
 """How good maps are: metrics and the field's protocol."""
 
-from homolog.evaluation.metrics import PCK_THRESHOLD, Detection, area_under_pck, least_confident_share, pck_curve
-from homolog.evaluation.protocol import Evaluation, MatchPair, Modalities, Protocol, evaluate, geodesic_errors
+from homolog.core.choices import Modalities
+from homolog.evaluation.maps_folder import MapsFolder
+from homolog.evaluation.metrics import (
+    PCK_THRESHOLD,
+    Detection,
+    area_under_pck,
+    geodesic_diameter,
+    geodesic_errors,
+    least_confident_share,
+    pck_curve,
+)
+from homolog.evaluation.plot import plot_pck
+from homolog.evaluation.protocol import Protocol
+from homolog.evaluation.result import Evaluation, PairErrors
+from homolog.evaluation.runner import MatchShapes, Metric, ScoredPair, evaluate
 
 __all__ = [
     "PCK_THRESHOLD",
     "Detection",
     "Evaluation",
-    "MatchPair",
+    "MapsFolder",
+    "MatchShapes",
+    "Metric",
     "Modalities",
+    "PairErrors",
     "Protocol",
+    "ScoredPair",
     "area_under_pck",
     "evaluate",
+    "geodesic_diameter",
     "geodesic_errors",
     "least_confident_share",
     "pck_curve",
+    "plot_pck",
 ]

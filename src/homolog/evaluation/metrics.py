@@ -5,12 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.integrate import trapezoid
+from scipy.sparse.csgraph import dijkstra
+
+from homolog.core.errors import DataError
+from homolog.geometry import edge_graph, pair_distances, surface_area
+from homolog.shapes import Shape, repair
 
 PCK_THRESHOLD = 0.1
 """The correct-points curve runs from zero to this geodesic error, in units of sqrt(area)."""
 _CURVE_POINTS = 101
+_SWEEPS = 3
 
 
 def pck_curve(
@@ -78,3 +84,52 @@ class Detection:
         """The three figures, and the counts, for JSON."""
         figures = {"precision": self.precision, "recall": self.recall, "f1": self.f1}
         return {**figures, "found": self.found, "true": self.true, "both": self.both}
+
+
+def geodesic_errors(
+    shape: Shape, truth: Int[np.ndarray, " q"], mapped: Int[np.ndarray, " q"]
+) -> Float[np.ndarray, " q"]:
+    """Distance along a mesh's edges from each true point to the one it was mapped to, in units of sqrt(area).
+
+    The mesh is the repaired one. Between separate pieces, and from points that no face uses, where there is no way
+    along the surface, it is the Euclidean one: the least it can be.
+
+    Raises:
+        DataError: if the shape has no faces.
+        ShapeError: if it cannot be repaired.
+    """
+    repaired = repair(shape)
+    clean = repaired.shape
+    if clean.faces is None:
+        raise DataError(f"{shape.name} has no faces, but geodesic errors are measured along a surface")
+    unit = np.sqrt(surface_area(clean))
+    graph = edge_graph(clean.points / unit, clean.faces)
+    starts, ends = repaired.clean_index[truth], repaired.clean_index[mapped]
+    on_it = (starts >= 0) & (ends >= 0)
+    distances = np.full(len(truth), np.inf)
+    distances[on_it] = pair_distances(graph, starts[on_it], ends[on_it])
+    apart = np.isinf(distances)
+    distances[apart] = np.linalg.norm(shape.points[truth[apart]] - shape.points[mapped[apart]], axis=1) / unit
+    return distances
+
+
+def geodesic_diameter(shape: Shape) -> float:
+    """The largest distance along a mesh's edges between two of its points, in units of sqrt(area), or a little less.
+
+    Found by two sweeps, each from the farthest point of the one before; of a mesh in pieces, of the largest distance
+    within a piece.
+
+    Raises:
+        DataError: if the shape has no faces.
+        ShapeError: if it cannot be repaired.
+    """
+    clean = repair(shape).shape
+    if clean.faces is None:
+        raise DataError(f"{shape.name} has no faces, but geodesic errors are measured along a surface")
+    graph = edge_graph(clean.points / np.sqrt(surface_area(clean)), clean.faces)
+    start, largest = 0, 0.0
+    for _ in range(_SWEEPS):
+        distances = dijkstra(graph, indices=start)
+        distances[np.isinf(distances)] = 0.0
+        start, largest = int(distances.argmax()), max(largest, float(distances.max()))
+    return largest

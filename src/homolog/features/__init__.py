@@ -1,19 +1,33 @@
-"""DiffusionNet, and its weights on disk."""
+"""Features per point: the extractor that computes them, DiffusionNet, and its weights on disk."""
 
-from homolog.features.augmentation import AugmentationSettings, augmented
+from homolog.core.pretrained import DEFAULT_WEIGHTS, pretrained_weights
 from homolog.features.diffusion_net import DiffusionNet, GradientProduct, NetworkSettings, heat_decay
-from homolog.features.weights import DEFAULT_WEIGHTS, WeightsInfo, load_weights, pretrained_weights, save_weights
+from homolog.features.extractor import (
+    FeatureExtractor,
+    FunctionFeatures,
+    NetworkFeatures,
+    as_extractor,
+    check_features,
+    on_device,
+)
+from homolog.features.info import FeatureInfo, NetworkInput
+from homolog.features.weights import load_weights, save_weights
 
 __all__ = [
     "DEFAULT_WEIGHTS",
-    "AugmentationSettings",
     "DiffusionNet",
+    "FeatureExtractor",
+    "FeatureInfo",
+    "FunctionFeatures",
     "GradientProduct",
+    "NetworkFeatures",
+    "NetworkInput",
     "NetworkSettings",
-    "WeightsInfo",
-    "augmented",
+    "as_extractor",
+    "check_features",
     "heat_decay",
     "load_weights",
+    "on_device",
     "pretrained_weights",
     "save_weights",
 ]

@@ -1,8 +1,9 @@
-"""Laplacian, gradient, spectrum, geodesics, and Operators: all of a shape's operators, computed once, cached."""
+"""Discrete differential geometry of one shape: Laplacian, gradient, spectrum, geodesics, and Operators of it all."""
 
+from homolog.core.caches import cache_folder
 from homolog.geometry.basis import Basis
-from homolog.geometry.cache import OperatorCache, cache_folder
-from homolog.geometry.geodesics import edge_graph, pair_distances
+from homolog.geometry.cache import OperatorCache
+from homolog.geometry.geodesics import Geodesics, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
@@ -22,6 +23,7 @@ __all__ = [
     "BarycentricPoints",
     "Basis",
     "Frame",
+    "Geodesics",
     "LaplacianKind",
     "OperatorCache",
     "OperatorSettings",
@@ -36,6 +38,7 @@ __all__ = [
     "cloud_laplacian",
     "compute_operators",
     "edge_graph",
+    "geodesic_distances",
     "lowest_eigenpairs",
     "mesh_laplacian",
     "pair_distances",

@@ -1,4 +1,4 @@
-"""A shape's eigenbasis, at all of its points or at some of them: what the network computes with."""
+"""Basis: a shape's Laplacian eigenvectors and their gradients, at all of its points or at a sample of them."""
 
 from __future__ import annotations
 
@@ -9,23 +9,32 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-# Keeps the least-squares analysis of samples bounded where they cannot tell two eigenvectors apart.
+# Keeps the pseudo-inverse bounded where samples cannot tell two eigenvectors apart.
 _RIDGE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """Eigenvectors, their gradients, and the way from functions to spectral coefficients.
+    """Truncated Laplacian eigenbasis: eigenvectors, their gradients, and the way from functions to coefficients.
 
-    One made in torch's inference mode can be trained with all the same.
+    What DiffusionNet computes with. Its tensors can be trained through even if it was made in torch's inference mode.
 
     Args:
         points: centred and scaled positions (n, 3), the network's input.
         mass: lumped mass (n,).
         eigenvalues: the k lowest (k,).
-        eigenvectors: what takes coefficients to a function (n, k).
-        gradients: what takes them to the two components of its gradient, in each point's tangent frame (n, 2, k).
-        analysis: what takes a function's values to its coefficients (k, n).
+        eigenvectors: takes coefficients to a function (n, k).
+        gradients: takes coefficients to the two components of the gradient, in each point's tangent frame (n, 2, k).
+        pseudo_inverse: takes a function's values to its coefficients (k, n).
+
+    Examples:
+        >>> import torch, trimesh
+        >>> from homolog import Shape, compute_operators
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> sphere = Shape(mesh.vertices, mesh.faces)
+        >>> basis = compute_operators(sphere).basis
+        >>> basis.pseudo_inverse.shape, basis.sampled(torch.arange(0, 642, 2)).n_points
+        (torch.Size([128, 642]), 321)
     """
 
     points: Float[Tensor, "n 3"]
@@ -35,6 +44,11 @@ class Basis:
     gradients: Float[Tensor, "n 2 k"]
     pseudo_inverse: Float[Tensor, "k n"]
 
+    def __repr__(self) -> str:
+        """Sizes alone."""
+        k, precision = len(self.eigenvalues), str(self.eigenvectors.dtype).removeprefix("torch.")
+        return f"Basis({self.n_points} points, {k} eigenpairs, {precision}, {self.points.device})"
+
     @property
     def n_points(self) -> int:
         """Number of points n."""
@@ -42,11 +56,14 @@ class Basis:
 
     @torch.inference_mode(False)
     def sampled(self, kept: Int[Tensor, " s"]) -> Basis:
-        """The same eigenvectors and gradients at some of the points only, in the given order.
+        """The same eigenvectors and gradients at a sample of the points, in the given order. New here.
 
-        Coefficients of a function known there are those of its best fit, weighted by the mass around each sample; for
-        what the eigenvectors span that is exact, however few the samples are, as long as they outnumber the
-        eigenvectors and leave no part of the shape empty.
+        Coefficients are then those of a function's least-squares fit at the samples, weighted by the mass around each.
+        For functions in the span of the eigenvectors that is exact, as long as there are more samples than eigenvectors
+        and every region of the shape has some.
+
+        Args:
+            kept: indices of the samples (s,).
         """
         nearest = KDTree(self.points[kept].cpu().numpy()).query(self.points.cpu().numpy())[1]
         owner = torch.from_numpy(nearest).to(self.mass.device)
@@ -68,11 +85,11 @@ class Basis:
         )
 
     def moved(self, away: Float[Tensor, " 3"]) -> Basis:
-        """The basis of the same shape elsewhere."""
+        """The basis of the same shape, shifted."""
         return replace(self, points=self.points + away)
 
     def in_precision(self, dtype: torch.dtype) -> Basis:
-        """The same basis with functions in another precision; eigenvalues, points and mass stay."""
+        """The same basis with eigenvectors, gradients and pseudo-inverse in another precision; the rest stays."""
         if self.eigenvectors.dtype == dtype:
             return self
         functions = self.eigenvectors.to(dtype), self.gradients.to(dtype), self.pseudo_inverse.to(dtype)
@@ -92,7 +109,7 @@ class Basis:
 
 
 def _least_squares(eigenvectors: Float[Tensor, "s k"], mass: Float[Tensor, " s"]) -> Float[Tensor, "k s"]:
-    """The matrix that takes values at samples to the coefficients of their weighted least-squares fit."""
+    """The pseudo-inverse: takes values at samples to the coefficients of their weighted least-squares fit."""
     weighted = (mass[:, None] * eigenvectors).mT.double()
     gram = weighted @ eigenvectors.double()
     ridge = _RIDGE * gram.diagonal().mean() * torch.eye(len(gram), dtype=gram.dtype, device=gram.device)

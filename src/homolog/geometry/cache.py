@@ -1,4 +1,4 @@
-"""Operators kept on disk, found again by content."""
+"""Operators on disk, found by content."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import hashlib
 import json
 import logging
 import os
-import time
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -15,86 +13,78 @@ from types import NoneType
 from typing import Literal
 
 import numpy as np
-import platformdirs
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.core.arguments import check_kind
+from homolog.core.caches import SUFFIX, CacheFolder
 from homolog.core.errors import ArgumentError
-from homolog.core.files import atomic_path, expanded
+from homolog.core.files import atomic_path
 from homolog.geometry.operators import Operators, OperatorSettings, compressed_rows, compute_operators
 from homolog.shapes import Shape
 
 _log = logging.getLogger(__name__)
 
-# Part of every key: raise it when the same shape and settings come to give other operators.
+# Part of every key: raise it when operators of the same shape and settings change.
 _VERSION = 2
-_SUFFIX = ".safetensors"
 _DENSE = ("points", "mass", "eigenvalues", "eigenvectors", "centre")
-_GIBIBYTE = 2**30
-# Seconds after which a file that was never written to its end is one that a killed process left.
-_ABANDONED = 24 * 3600
 
 EigenvectorPrecision = Literal["float32", "float16"]
 
 
-def cache_folder() -> Path:
-    """Where operators are kept: the environment variable ``HOMOLOG_CACHE``, or the platform's cache folder."""
-    chosen = os.environ.get("HOMOLOG_CACHE")
-    return expanded(chosen) if chosen else Path(platformdirs.user_cache_dir("homolog"))
-
-
 @dataclass(frozen=True)
-class OperatorCache:
-    """A folder of operators, safe to share between processes.
+class OperatorCache(CacheFolder):
+    """Cache of operators on disk: a folder with an entry per shape and settings, safe to share between processes.
 
     An entry's name is the hash of the shape's points and faces and of the settings. Entries are safetensors files,
-    which cannot run code; they are written whole or not at all, and carry a checksum: a damaged one is computed anew.
-    When the folder outgrows its bound, the entries not used for longest go.
+    which cannot run code. They are written atomically and carry a checksum: a damaged one is computed anew. When the
+    folder outgrows ``max_bytes``, the least recently used entries are deleted.
 
     Args:
-        folder: where to keep entries; made on first use. Default: see ``cache_folder``.
-        max_bytes: bound on the folder's size.
-        eigenvectors: ``"float16"`` halves the size of an entry at a relative error of 5e-4 in the eigenvectors.
+        folder: where to keep entries; made on first use. ``OperatorCache.default()`` takes ``cache_folder()``.
+        max_bytes: bound on the folder's size; 10 GiB by default. A shape of 5,000 points takes about 5 MB.
+        eigenvectors: ``"float32"``, or ``"float16"``, which nearly halves an entry at a relative error of 5e-4.
+
+    Examples:
+        >>> import tempfile, trimesh
+        >>> from homolog import OperatorCache, Shape
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     cache = OperatorCache(folder)
+        ...     first = cache.operators(Shape(mesh.vertices, mesh.faces))
+        ...     again = cache.operators(Shape(mesh.vertices, mesh.faces))  # read, not computed
+        ...     cache.size()[0], bool((first.eigenvectors == again.eigenvectors).all())
+        (1, True)
+
+    See Also:
+        ``compute_operators`` computes without a cache.
     """
 
-    folder: Path
-    max_bytes: int = 10 * _GIBIBYTE
     eigenvectors: EigenvectorPrecision = "float32"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "folder", Path(self.folder))
-
-    @classmethod
-    def default(cls) -> OperatorCache:
-        """The cache in the default folder; ``HOMOLOG_CACHE_GB`` changes its bound of 10 GB."""
-        given = os.environ.get("HOMOLOG_CACHE_GB", "10")
-        try:
-            max_bytes = int(float(given) * _GIBIBYTE)
-        except (ValueError, OverflowError):  # the latter from an infinite one
-            raise ArgumentError(f"HOMOLOG_CACHE_GB is {given!r}, but must be a number of gigabytes") from None
-        return cls(cache_folder(), max_bytes=max_bytes)
 
     def operators(
         self, shape: Shape, *, settings: OperatorSettings | None = None, scale: float | None = None
     ) -> Operators:
-        """The operators of a clean shape, from the cache if they are there; see ``compute_operators``."""
+        """The operators of a clean shape, from the cache if they are there; see ``compute_operators``.
+
+        Args:
+            shape: as ``homolog.repair`` leaves it.
+            settings: what to compute.
+            scale: the length of one normalised unit in the file's units.
+        """
         check_kind("shape", shape, Shape)
         check_kind("settings", settings, OperatorSettings, NoneType)
         settings = settings or OperatorSettings()
-        path = self.folder / (self._key(shape, settings, scale) + _SUFFIX)
+        path = self.folder / (self._key(shape, settings, scale) + SUFFIX)
         cached = _read(path)
         if cached is not None:
             return cached
         operators = compute_operators(shape, settings=settings, scale=scale)
         self._keep(path, operators)
-        return self._as_kept(operators)
-
-    def size(self) -> tuple[int, int]:
-        """Number of entries and their bytes."""
-        sizes = [size for _, size, _ in self._entries()]
-        return len(sizes), sum(sizes)
+        if self.eigenvectors == "float16":  # as the next call will read them
+            operators = replace(operators, eigenvectors=operators.eigenvectors.half().float())
+        return operators
 
     def _key(self, shape: Shape, settings: OperatorSettings, scale: float | None) -> str:
         described = {"version": _VERSION, "scale": scale, "precision": self.eigenvectors, **asdict(settings)}
@@ -102,12 +92,6 @@ class OperatorCache:
         digest.update(shape.points.tobytes())
         digest.update(b"cloud" if shape.faces is None else shape.faces.tobytes())
         return digest.hexdigest()[:40]
-
-    def _as_kept(self, operators: Operators) -> Operators:
-        """What the next call will read: the first one must not give anything else."""
-        if self.eigenvectors == "float32":
-            return operators
-        return replace(operators, eigenvectors=operators.eigenvectors.half().float())
 
     def _keep(self, path: Path, operators: Operators) -> None:
         tensors = _tensors(operators)
@@ -119,39 +103,10 @@ class OperatorCache:
             self.folder.mkdir(parents=True, exist_ok=True)
             with atomic_path(path) as temporary:
                 save_file(tensors, temporary, metadata=notes)
-            self._make_room()
+            self.make_room()
         except (OSError, ArgumentError, SafetensorError) as error:
             # A full, read-only or forbidden disk costs time on the next call, no more.
             _log.warning("operators are not cached: %s", error)
-
-    def _make_room(self) -> None:
-        entries = sorted(self._entries())
-        excess = sum(size for _, size, _ in entries) - self.max_bytes
-        self._clear_abandoned()
-        for _, size, path in entries:
-            if excess <= 0:
-                return
-            with suppress(OSError):
-                path.unlink()
-            excess -= size
-
-    def _entries(self) -> Iterator[tuple[float, int, Path]]:
-        """Time of last use, bytes and path of each entry; another process may remove some meanwhile."""
-        yield from self._files(temporary=False)
-
-    def _clear_abandoned(self) -> None:
-        for used, _, path in self._files(temporary=True):
-            if used < time.time() - _ABANDONED:
-                with suppress(OSError):
-                    path.unlink()
-
-    def _files(self, *, temporary: bool) -> Iterator[tuple[float, int, Path]]:
-        """Entries, or what ``atomic_path`` is writing: names of the latter begin with a dot."""
-        for path in self.folder.glob("*" + _SUFFIX) if self.folder.is_dir() else ():
-            if path.name.startswith(".") == temporary:
-                with suppress(OSError):
-                    status = path.stat()
-                    yield status.st_mtime, status.st_size, path
 
 
 def _read(path: Path) -> Operators | None:
@@ -164,7 +119,7 @@ def _read(path: Path) -> Operators | None:
             raise ValueError("its checksum does not match")
         operators = _operators(tensors, scale=float.fromhex(notes["length"]), method=notes["method"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
-        # Another process may have thrown it out or written it anew amid the reading.
+        # Another process may have deleted or replaced it during the reading.
         if before is None or before != _identity(path):
             return None
         _log.warning("the cached operators %s are damaged (%s) and are computed anew", path, error)
@@ -175,7 +130,7 @@ def _read(path: Path) -> Operators | None:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Tells a file from the one that takes its place; None if there is none."""
+    """Tells a file from the one that replaces it; None if there is none."""
     with suppress(OSError):
         status = path.stat()
         return status.st_ino, status.st_mtime_ns

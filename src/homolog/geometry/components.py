@@ -1,4 +1,4 @@
-"""What of a shape is worth operators: not the small loose pieces beside it, and nothing that is not a number."""
+"""Which points operators are computed of: the main component of a shape, without small ones beside it."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from homolog.core.errors import ShapeError
 from homolog.geometry.tangent import nearest_neighbours
 from homolog.shapes import FEWEST_POINTS, Shape, components, face_areas
 
-# Pieces with less than this share of the largest one's size are debris.
-_SMALLEST_PIECE = 0.01
+# Components with less than this share of the largest one's size are small.
+_SMALLEST_COMPONENT = 0.01
 
-# A piece of a cloud is this many times farther from the rest than a typical point's neighbours reach: some six
-# spacings. Density varies less over one surface.
+# Components of a cloud are this many times farther apart than the median distance to the 30th neighbour: some six
+# point spacings. Density varies less over one surface.
 _NEIGHBOURS = 30
 _GAP = 2.0
-# Where more of a cloud seems loose, its density varies so much that the gaps mean nothing.
-_MOST_DEBRIS = 1 / 3
+# Where more of a cloud seems to be in small components, its density varies so much that gaps mean nothing.
+_MOST_IN_SMALL = 1 / 3
 
 
 def require_usable(shape: Shape, *, fewest: int = FEWEST_POINTS) -> None:
-    """Refuse what no operator can be computed of, by checks that cost next to nothing.
+    """Refuse a shape that no operator can be computed of, by checks that cost next to nothing.
 
     Raises:
         ArgumentError: if it is no ``Shape``.
-        ShapeError: if points are too few, NaN or infinite, or there is no face, or one beyond the points.
+        ShapeError: if points are too few, NaN or infinite, or there is no face, or one with an index beyond the points.
     """
     check_kind("shape", shape, Shape)
     faces, n_points = shape.faces, shape.n_points
@@ -43,32 +43,37 @@ def require_usable(shape: Shape, *, fewest: int = FEWEST_POINTS) -> None:
 
 
 def main_points(shape: Shape, neighbours: Int[np.ndarray, "n j"] | None = None) -> Bool[np.ndarray, " n"]:
-    """Which points of a usable shape are not debris, that is, on a piece far smaller than the largest.
+    """Main component: which points of a usable shape are not on a component far smaller than the largest. New here.
 
-    The pieces of a mesh are what its faces connect, and their size is their area. Those of a cloud are what lies beyond
-    a wide gap, and their size is their number of points, of which no less than a point's neighbours will do.
+    A mesh's components are connected by its faces, and their size is their area. Those of a cloud are separated by a
+    wide gap, and their size is their number of points; components with fewer points than a neighbourhood are small.
 
     Args:
         shape: a mesh or a cloud.
-        neighbours: of the cloud's points, where they are known already; nearest first.
+        neighbours: of the cloud's points, where they are known already; nearest first (n, j).
+
+    Returns:
+        True for each point of the main component (n,).
     """
     if shape.faces is None:
         if neighbours is None:
             neighbours = nearest_neighbours(shape.points, _NEIGHBOURS)
         return _main_points_of_cloud(shape.points, neighbours)
-    piece = components(shape.faces[:, 0], shape.faces[:, 1], shape.n_points, shape.faces[:, 2])
-    areas = np.bincount(piece[shape.faces[:, 0]], face_areas(shape.points, shape.faces), minlength=piece.max() + 1)
-    return _of_large_pieces(piece, areas)
+    component = components(shape.faces[:, 0], shape.faces[:, 1], shape.n_points, shape.faces[:, 2])
+    areas = np.bincount(
+        component[shape.faces[:, 0]], face_areas(shape.points, shape.faces), minlength=component.max() + 1
+    )
+    return _in_large(component, areas)
 
 
-def main_part(shape: Shape, main: Bool[np.ndarray, " n"]) -> Shape:
-    """The shape without its debris; the very same if there is none."""
+def main_component(shape: Shape, main: Bool[np.ndarray, " n"]) -> Shape:
+    """The shape without its small components; the same object if there is none."""
     if main.all():
         return shape
     if shape.faces is None:
         return Shape(shape.points[main], name=shape.name)
-    place = np.cumsum(main) - 1
-    return Shape(shape.points[main], place[shape.faces[main[shape.faces[:, 0]]]], name=shape.name)
+    new_index = np.cumsum(main) - 1
+    return Shape(shape.points[main], new_index[shape.faces[main[shape.faces[:, 0]]]], name=shape.name)
 
 
 def _main_points_of_cloud(
@@ -77,13 +82,13 @@ def _main_points_of_cloud(
     distances = np.linalg.norm(points[neighbours] - points[:, None], axis=2)
     near = distances <= _GAP * np.median(distances[:, -1])
     count = neighbours.shape[1] + 1
-    piece = components(np.nonzero(near)[0], neighbours[near], len(points))
-    counts = np.bincount(piece)
-    # The neighbours of a smaller piece's points lie across the gap.
-    main = _of_large_pieces(piece, np.where(counts < min(count, counts.max()), 0, counts))
-    return main if main.mean() >= 1 - _MOST_DEBRIS else np.ones(len(points), dtype=bool)
+    component = components(np.nonzero(near)[0], neighbours[near], len(points))
+    counts = np.bincount(component)
+    # Components with fewer points than a neighbourhood have neighbours across the gap: they count as small.
+    main = _in_large(component, np.where(counts < min(count, counts.max()), 0, counts))
+    return main if main.mean() >= 1 - _MOST_IN_SMALL else np.ones(len(points), dtype=bool)
 
 
-def _of_large_pieces(piece: Int[np.ndarray, " n"], sizes: Float[np.ndarray, " p"]) -> Bool[np.ndarray, " n"]:
-    main: np.ndarray = (sizes >= _SMALLEST_PIECE * sizes.max())[piece]
-    return main if main.sum() >= FEWEST_POINTS else np.ones(len(piece), dtype=bool)
+def _in_large(component: Int[np.ndarray, " n"], sizes: Float[np.ndarray, " p"]) -> Bool[np.ndarray, " n"]:
+    main: np.ndarray = (sizes >= _SMALLEST_COMPONENT * sizes.max())[component]
+    return main if main.sum() >= FEWEST_POINTS else np.ones(len(component), dtype=bool)

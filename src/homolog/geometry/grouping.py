@@ -1,4 +1,4 @@
-"""Lists of different lengths, one after the other in an array."""
+"""Lists of different lengths, concatenated in one array."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 from jaxtyping import Int
 
 
-def runs(scales: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t"]]:
-    """Runs of so many entries, one after the other: for each entry its run, and its place in it."""
-    run = np.repeat(np.arange(len(scales)), scales)
-    begins = np.cumsum(scales) - scales
+def runs(lengths: Int[np.ndarray, " k"]) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t"]]:
+    """For each entry of concatenated lists of these lengths: its list, and its position in it."""
+    run = np.repeat(np.arange(len(lengths)), lengths)
+    begins = np.cumsum(lengths) - lengths
     return run, np.arange(len(run)) - begins[run]
 
 
 @dataclass(frozen=True)
 class FacesAround:
-    """The triangles around each vertex.
+    """The triangles around each vertex, concatenated.
 
     Args:
         triangles: those of the first vertex, then those of the second, and so on.
@@ -36,9 +36,9 @@ class FacesAround:
         return cls(np.argsort(faces.ravel(), kind="stable") // 3, np.cumsum(degrees) - degrees, degrees)
 
     def of_each(self, vertices: Int[np.ndarray, " v"]) -> tuple[Int[np.ndarray, " t"], Int[np.ndarray, " t"]]:
-        """For every triangle around some vertices, the place of the vertex among these, and the triangle."""
-        place, within = runs(self.degrees[vertices])
-        return place, self.triangles[self.starts[vertices[place]] + within]
+        """For every triangle around some vertices, the position of the vertex among these, and the triangle."""
+        position, within = runs(self.degrees[vertices])
+        return position, self.triangles[self.starts[vertices[position]] + within]
 
     def joined(self, size: int) -> FacesAround:
         """The same for groups of so many triangles, each group once around a vertex, in the order of its first one."""

@@ -1,4 +1,4 @@
-"""A block Lanczos iteration on an inverted operator, with full reorthogonalisation."""
+"""Block Lanczos iteration on an inverted operator, with full reorthogonalisation."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ Inverse = Callable[[Tensor], Tensor]
 
 
 class BlockLanczos:
-    """An orthonormal Krylov basis, grown block by block, with the operator projected onto it.
+    """Block Lanczos: an orthonormal Krylov basis, grown block by block, with the operator projected onto it.
 
-    The basis stays orthogonal to ``kernel``, whose eigenpairs are known. Full reorthogonalisation in whole blocks costs
+    The basis stays orthogonal to ``kernel``, whose eigenpairs are known. Full reorthogonalisation in blocks costs
     2 n m^2 multiplications for m vectors, all in matrix products; single vectors would be bound by memory instead.
+    (Golub and Underwood, "The block Lanczos method for computing eigenvalues", 1977.)
 
     Args:
         inverse: takes rows (b, n) to (S - shift)^-1 applied to each.
-        kernel: orthonormal rows (c, n) to stay away from.
+        kernel: orthonormal rows (c, n) that the basis stays orthogonal to.
         block: vectors per step; also the highest multiplicity that is found for certain.
         capacity: the most vectors to hold, besides the kernel.
     """
@@ -67,7 +68,7 @@ class BlockLanczos:
         return values, vectors, (self._coupling @ vectors[-self._block :]).norm(dim=0)
 
     def refined(self, values: Float[Tensor, " j"], vectors: Float[Tensor, "m j"]) -> Float[Tensor, "n c+j"]:
-        """The kernel, then Ritz vectors in the whole space after one more step of the power method, A v / theta.
+        """The kernel, then Ritz vectors in the full space after one more step of the power method, A v / theta.
 
         It costs no application of the operator, since A v lies in the span of the basis and its newest block.
         """
@@ -83,11 +84,6 @@ class BlockLanczos:
         return overlap
 
     def _append(self, image: Float[Tensor, "b n"]) -> None:
-        self._rows[self._filled : self._filled + self._block], self._coupling = _orthonormal_rows(image)
+        columns, self._coupling = torch.linalg.qr(image.T)  # image = coupling^T @ the new rows
+        self._rows[self._filled : self._filled + self._block] = columns.T
         self._filled += self._block
-
-
-def _orthonormal_rows(rows: Float[Tensor, "b n"]) -> tuple[Float[Tensor, "b n"], Float[Tensor, "b b"]]:
-    """Q and R with ``rows = R^T Q``, Q of orthonormal rows."""
-    columns, triangle = torch.linalg.qr(rows.T)
-    return columns.T, triangle

@@ -19,11 +19,11 @@ from homolog.geometry.components import require_usable
 from homolog.shapes import Shape
 
 LaplacianKind = Literal["robust", "cotangent"]
-"""Of meshes: Sharp and Crane's, which takes any triangles, or the classical one."""
+"""Laplacian of meshes: ``"robust"`` (Sharp and Crane 2020), for any triangles, or ``"cotangent"``."""
 
 CLOUD_NEIGHBOURS = 14
 """Neighbours per point of the point-cloud Laplacian and gradient: enough for noise and uneven sampling. With the 30 of
-published code, hands that touch grow together; fewer than 14 do no better."""
+published code, hands that touch grow together; fewer than 14 are no better."""
 # With fewer, a point's neighbours make no triangles, on which the library for clouds can end the process.
 FEWEST_NEIGHBOURS = 3
 
@@ -36,15 +36,29 @@ _SMALLEST_AREA = 1e-8
 def mesh_laplacian(
     points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], *, kind: LaplacianKind = "robust"
 ) -> tuple[sparse.csr_matrix, Float[np.ndarray, " n"]]:
-    """Laplacian (n, n) and lumped mass (n,) of a triangle mesh.
+    """Laplacian (n, n) and lumped mass (n,) of a triangle mesh: robust (Sharp and Crane 2020), or cotangent.
 
-    ``"robust"`` is the intrinsic Delaunay Laplacian on the tufted cover (Sharp and Crane, "A Laplacian for nonmanifold
-    triangle meshes", SGP 2020): never negative weights, any connectivity. ``"cotangent"`` is the classical one
-    (Pinkall and Polthier 1993), for comparison.
+    Args:
+        points: positions (n, 3).
+        faces: triangles (m, 3).
+        kind: ``"robust"``, the default, is the intrinsic Delaunay Laplacian on the tufted cover (Sharp and Crane, "A
+            Laplacian for nonmanifold triangle meshes", SGP 2020): no negative weights, any connectivity.
+            ``"cotangent"`` is the classical one (Pinkall and Polthier 1993), for comparison.
 
     Raises:
         ArgumentError: if ``kind`` is neither.
         ShapeError: if they are no mesh, or the triangles are too degenerate for a Laplacian.
+
+    Examples:
+        >>> import trimesh
+        >>> from homolog.geometry import mesh_laplacian
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> laplacian, mass = mesh_laplacian(mesh.vertices, mesh.faces)
+        >>> laplacian.shape, round(float(mass.sum()), 1)  # the area, 4 pi but for the mesh's edges
+        ((642, 642), 12.5)
+
+    See Also:
+        ``compute_operators`` for all of a shape's operators.
     """
     mesh = Shape(points, faces, name="the mesh")
     require_usable(mesh, fewest=3)
@@ -64,9 +78,21 @@ def cloud_laplacian(
 
     The mass sums to the area of those triangulations, which noise inflates: see ``cloud_area`` for a scale.
 
+    Args:
+        points: positions (n, 3).
+        n_neighbours: neighbours per point, at least 3; 10 to 30 are sensible. 14 is enough for noise and uneven
+            sampling; with 30, as in published code, surfaces that touch grow together.
+
     Raises:
         ArgumentError: if ``n_neighbours`` is too small.
         ShapeError: if they are no cloud, or too degenerate for a Laplacian.
+
+    Examples:
+        >>> import trimesh
+        >>> from homolog.geometry import cloud_laplacian
+        >>> laplacian, mass = cloud_laplacian(trimesh.creation.icosphere(subdivisions=3).vertices)
+        >>> laplacian.shape, round(float(mass.sum()), 1)
+        ((642, 642), 12.5)
     """
     if n_neighbours < FEWEST_NEIGHBOURS:
         raise bad_value("n_neighbours", n_neighbours, f"at least {FEWEST_NEIGHBOURS}")

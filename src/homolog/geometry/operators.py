@@ -1,4 +1,4 @@
-"""All that the network and the maps need of one shape, computed once."""
+"""Operators: all that the network and the maps need of one shape, computed once."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import NoneType
-from typing import get_args
+from typing import Annotated
 
 import numpy as np
 import scipy.sparse as sparse
 import torch
+from annotated_types import Ge
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_kind
-from homolog.core.errors import ShapeError, bad_choice
+from homolog.core.arguments import check_kind
+from homolog.core.errors import ShapeError
+from homolog.core.settings import Count, Settings
 from homolog.geometry.basis import Basis
-from homolog.geometry.components import main_part, main_points, require_usable
+from homolog.geometry.components import main_component, main_points, require_usable
 from homolog.geometry.laplacian import (
     CLOUD_NEIGHBOURS,
     FEWEST_NEIGHBOURS,
@@ -39,7 +41,7 @@ from homolog.geometry.tangent import (
 )
 from homolog.shapes import Shape
 
-# The mass of a point of debris, as a share of the mean: none, but for what divides by it.
+# Mass of a point in a small component, as a share of the mean: not zero, as mass is divided by.
 _SMALL_COMPONENT_MASS = 1e-6
 
 # A sparse matrix of shape (n, n) in torch's compressed-row layout.
@@ -48,10 +50,10 @@ SparseMatrix = Tensor
 
 @dataclass(frozen=True, eq=False)
 class Operators:
-    """The discrete operators of one shape, in inner units (centred, unit area), as float32 tensors.
+    """Discrete operators of one shape in normalised coordinates (centred, unit area), as float32 tensors.
 
-    Debris, see ``main_points``, has no part in them: its rows are zero and it has next to no mass. Its constants, at
-    eigenvalue zero, would crowd out the shape's own eigenfunctions.
+    Small components take no part, see ``in_main_component``: their rows are zero and they have next to no mass. Their
+    constant functions, at eigenvalue zero, would crowd out the eigenfunctions of the shape itself.
 
     Args:
         points: centred and scaled positions (n, 3), the network's input.
@@ -61,9 +63,23 @@ class Operators:
         laplacian: positive semidefinite L (n, n), sparse.
         gradient_x: first component of the gradient in each point's tangent frame (n, n), sparse.
         gradient_y: second component, of the same sparsity.
-        centre: the origin of the inner coordinates in the file's (3,), float64.
-        scale: one inner unit in the file's units.
+        centre: origin of the normalised coordinates in the file's (3,), float64.
+        scale: one normalised unit in the file's units.
         method: how the eigenpairs were found.
+
+    Examples:
+        >>> import trimesh
+        >>> from homolog import Shape, compute_operators
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> sphere = Shape(mesh.vertices, mesh.faces)
+        >>> operators = compute_operators(sphere)
+        >>> operators.n_points, operators.n_eigenpairs, round(float(operators.mass.sum()), 3)
+        (642, 128, 1.0)
+        >>> operators.coefficients(operators.points).shape
+        torch.Size([128, 3])
+
+    See Also:
+        ``compute_operators`` and ``OperatorCache.operators`` make them.
     """
 
     points: Float[Tensor, "n 3"]
@@ -76,6 +92,13 @@ class Operators:
     centre: Float[Tensor, " 3"]
     scale: float
     method: str
+
+    def __repr__(self) -> str:
+        """Sizes, scale, and how the eigenpairs were found."""
+        sizes = (
+            f"{self.n_points} points, {self.n_eigenpairs} eigenpairs, {self.laplacian.values().numel()} entries in L"
+        )
+        return f"Operators({sizes}, scale={self.scale:.4g}, method={self.method!r}, {self.points.device})"
 
     @property
     def n_points(self) -> int:
@@ -116,7 +139,7 @@ class Operators:
         )
 
     def scaled(self, factor: float) -> Operators:
-        """Those of the same shape with all lengths multiplied by a factor."""
+        """The operators of the same shape with all lengths multiplied by a factor."""
         # Eigenvectors of unit norm shrink as the root of the mass grows. L, of areas over squared lengths, stays.
         return replace(
             self,
@@ -130,18 +153,18 @@ class Operators:
         )
 
     def around(self, centre: Float[Tensor, " 3"]) -> Operators:
-        """The same operators with positions around another point of the file, such as the middle of a part's whole."""
+        """The same operators with positions around another point of the file, such as the centre of a full shape."""
         away = (self.centre - centre.to(self.centre)) / self.scale
         return replace(self, points=self.points + away.to(self.points), centre=centre.to(self.centre))
 
     @property
     def n_pieces(self) -> int:
-        """How many eigenvalues are zero: one for each piece, as far as there are eigenpairs."""
+        """Number of connected components: of eigenvalues that are zero, as far as there are eigenpairs."""
         return int((self.eigenvalues <= 1e-6 * self.eigenvalues[-1]).sum())
 
     @cached_property
     def in_main_component(self) -> Bool[Tensor, " n"]:
-        """The points where not every eigenfunction is zero, as it is on debris."""
+        """The points where not every eigenfunction is zero, as it is on small components."""
         return (self.eigenvectors != 0).any(dim=1)
 
     def coefficients(self, functions: Float[Tensor, "n c"]) -> Float[Tensor, "k c"]:
@@ -150,50 +173,66 @@ class Operators:
 
 
 @dataclass(frozen=True)
-class OperatorSettings:
+class OperatorSettings(Settings):
     """What operators to compute.
 
     Args:
-        n_eigenpairs: how many eigenpairs; fewer where the shape has fewer points.
+        n_eigenpairs: at least 1; 30 to 200 are sensible. 128 is what the network was published with. Fewer where the
+            shape has fewer points.
         laplacian: ``"robust"`` or ``"cotangent"`` for meshes; clouds have but one.
-        n_neighbours: neighbours per point of a cloud's Laplacian and gradient.
+        n_neighbours: neighbours per point of a cloud's Laplacian and gradient, at least 3; 10 to 30 are sensible.
+
+    Examples:
+        >>> from homolog.geometry import OperatorSettings
+        >>> OperatorSettings(n_eigenpairs=60)
+        OperatorSettings(n_eigenpairs=60, laplacian='robust', n_neighbours=14)
     """
 
-    n_eigenpairs: int = 128
+    n_eigenpairs: Count = 128
     laplacian: LaplacianKind = "robust"
-    n_neighbours: int = CLOUD_NEIGHBOURS
-
-    def __post_init__(self) -> None:
-        if self.laplacian not in get_args(LaplacianKind):
-            raise bad_choice("laplacian", str(self.laplacian), get_args(LaplacianKind))
-        for name, least in (("n_eigenpairs", 1), ("n_neighbours", FEWEST_NEIGHBOURS)):
-            check_count(name, getattr(self, name), least=least)
+    n_neighbours: Annotated[int, Ge(FEWEST_NEIGHBOURS)] = CLOUD_NEIGHBOURS
 
 
 def compute_operators(
     shape: Shape, *, settings: OperatorSettings | None = None, scale: float | None = None
 ) -> Operators:
-    """Compute the operators of a clean shape (see ``homolog.repair``).
+    """Compute the operators of a clean shape: Laplacian, mass, gradients and eigenpairs.
+
+    The robust Laplacian of Sharp and Crane (2020), tangent gradients as in DiffusionNet (Sharp et al. 2022), eigenpairs
+    by ``lowest_eigenpairs``.
 
     Args:
-        shape: a mesh or a point cloud without invalid, duplicate or unreferenced points.
+        shape: a mesh or a point cloud without invalid, duplicate or unreferenced points, see ``homolog.repair``.
         settings: what to compute.
-        scale: the file length of one inner unit; by default sqrt(surface area). A partial shape takes that of its
-            complete partner.
+        scale: one normalised unit in the file's units; by default sqrt(surface area). A partial shape takes that of
+            its full partner.
 
     Raises:
         ArgumentError: if the shape or the settings are something else.
         ShapeError: if the shape is not clean, or too degenerate for operators.
+
+    Examples:
+        >>> import trimesh
+        >>> from homolog import Shape, compute_operators
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> sphere = Shape(mesh.vertices, mesh.faces)
+        >>> compute_operators(sphere).eigenvectors.shape
+        torch.Size([642, 128])
+        >>> compute_operators(sphere.as_cloud()).eigenvectors.shape
+        torch.Size([642, 128])
+
+    See Also:
+        ``OperatorCache`` keeps them on disk.
     """
     require_usable(shape)
     check_kind("settings", settings, OperatorSettings, NoneType)
     settings = settings or OperatorSettings()
     neighbours = nearest_neighbours(shape.points, settings.n_neighbours) if shape.faces is None else None
     main = main_points(shape, neighbours)
-    part = main_part(shape, main)
-    frame = frame_of(part, scale=scale)
+    component = main_component(shape, main)
+    frame = frame_of(component, scale=scale)
     with _named(shape.name):
-        operators = _operators(part, frame, settings, neighbours if main.all() else None)
+        operators = _operators(component, frame, settings, neighbours if main.all() else None)
     return (
         operators
         if main.all()
@@ -217,7 +256,9 @@ def _operators(
         laplacian, mass = cloud_laplacian(points, n_neighbours=settings.n_neighbours)
         if neighbours is None:
             neighbours = nearest_neighbours(points, settings.n_neighbours)
-        gradient = _cloud_gradient(points, neighbours)
+        frames = tangent_frames(cloud_normals(points, neighbours))
+        starts = np.repeat(np.arange(len(points)), neighbours.shape[1])
+        gradient = gradient_matrices(points, frames, starts, neighbours.ravel())
     else:
         laplacian, mass = mesh_laplacian(points, shape.faces, kind=settings.laplacian)
         frames = tangent_frames(mesh_normals(points, shape.faces))
@@ -240,7 +281,7 @@ def _operators(
 def _with_small_components(
     operators: Operators, main: Bool[Tensor, " n"], points: Float[np.ndarray, "n 3"]
 ) -> Operators:
-    """Operators of a shape from those of its main points."""
+    """Operators of a shape from those of its main component."""
     mass = torch.full((len(main),), _SMALL_COMPONENT_MASS * float(operators.mass.mean()))
     mass[main] = operators.mass
     eigenvectors = torch.zeros(len(main), operators.n_eigenpairs)
@@ -261,14 +302,6 @@ def _spread(matrix: SparseMatrix, main: Bool[Tensor, " n"]) -> SparseMatrix:
     rows = matrix.crow_indices()[torch.cat([torch.zeros(1, dtype=torch.long), main.cumsum(0)])]
     columns = torch.nonzero(main)[:, 0].to(rows)[matrix.col_indices()]
     return compressed_rows(rows, columns, matrix.values())
-
-
-def _cloud_gradient(
-    points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]
-) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
-    frames = tangent_frames(cloud_normals(points, neighbours))
-    starts = np.repeat(np.arange(len(points)), neighbours.shape[1])
-    return gradient_matrices(points, frames, starts, neighbours.ravel())
 
 
 def _single(array: np.ndarray) -> Tensor:

@@ -1,4 +1,4 @@
-"""The lowest eigenpairs of a Laplacian, checked."""
+"""Eigenpairs of a Laplacian: shift-and-invert block Lanczos, with a check that none was missed."""
 
 from __future__ import annotations
 
@@ -14,28 +14,34 @@ from jaxtyping import Float
 from torch import Tensor
 
 from homolog.core.errors import ShapeError, bad_value
+from homolog.core.reprs import short_repr
 from homolog.geometry.lanczos import BlockLanczos, Inverse
 
 _log = logging.getLogger(__name__)
 
-# Below this many points, or where most eigenpairs are wanted, a dense solve is both faster and exact.
+# Dense solves: at most this many points, or more than this share of all eigenpairs. They are faster there, and exact.
 _DENSE_POINTS = 500
 _DENSE_SHARE = 0.2
-# Where the last resort, a dense solve of any Laplacian, still takes seconds and well under a gigabyte.
+# The most points for a dense solve as the last resort: some seconds, and well under a gigabyte.
 _DENSE_LIMIT = 6000
-# Largest accepted |S u - lambda u|, as a share of the largest eigenvalue asked for.
-_TOLERANCE = 1e-6
+
+# Block Lanczos: sizes of blocks, tried in this order; a block finds eigenvalues of that multiplicity for certain.
 _BLOCKS = (8, 32)
-# The same where there is no other way left; beyond the second, a dense solve's eigenpairs mean nothing either.
+# The share of the eigenvalues asked for that lies below the shift. The upper end, where those not asked for begin, must
+# be nearer than the lower: it takes a third fewer solves than a shift at zero.
+_SHARE_BELOW = 0.62
+# Constant functions of at most this many connected components are known beforehand.
+_MOST_COMPONENTS = 200
+# Up to this many points the factors are solved in one thread: they are small, and threads get in each other's way.
+_ONE_THREAD_POINTS = 15_000
+# Restarts of ARPACK, which needs a few where it converges at all.
+_MOST_RESTARTS = 30
+
+# Largest accepted |S u - lambda u|, as a share of the largest eigenvalue asked for: of block Lanczos, of ARPACK, and of
+# dense solves, whose eigenpairs mean nothing beyond that.
+_TOLERANCE = 1e-6
 _LOOSE_TOLERANCE = 1e-4
 _DENSE_TOLERANCE = 1e-2
-# Of ARPACK, which needs a few where it converges at all.
-_MOST_RESTARTS = 30
-_ONE_THREAD_POINTS = 15_000
-# The share of the wanted eigenvalues that lies below the shift. The upper end of the wanted part of the spectrum, where
-# the unwanted ones begin, must be nearer than the lower: it takes a third fewer solves than a shift at zero.
-_SHARE_BELOW = 0.62
-_MOST_COMPONENTS = 200
 
 # What singular factors, numbers that are not finite, and too little memory raise in SciPy and PyTorch.
 _FAILURES = (RuntimeError, ValueError, MemoryError)
@@ -45,13 +51,20 @@ _Pairs = tuple[Float[Tensor, " k"], Float[Tensor, "n k"]]
 
 @dataclass(frozen=True)
 class Spectrum:
-    """Eigenpairs with L phi = lambda M phi, in ascending order.
+    """The lowest eigenpairs, L phi = lambda M phi, in ascending order.
 
     Args:
-        eigenvalues: shape (k,), float64, not negative.
-        eigenvectors: shape (n, k), float64, with Phi^T M Phi = I; the entry of largest size in each is positive.
+        eigenvalues: (k,), float64, not negative.
+        eigenvectors: (n, k), float64, with Phi^T M Phi = I; the entry of largest size in each is positive.
         residual: the largest |L phi - lambda M phi|, in the norm of M^-1, as a share of the largest eigenvalue.
         method: how they were found, for reports.
+
+    Examples:
+        >>> import trimesh
+        >>> from homolog.geometry import lowest_eigenpairs, mesh_laplacian
+        >>> mesh = trimesh.creation.icosphere(subdivisions=2)
+        >>> lowest_eigenpairs(*mesh_laplacian(mesh.vertices, mesh.faces), 10).method
+        'dense'
     """
 
     eigenvalues: Float[np.ndarray, " k"]
@@ -59,18 +72,33 @@ class Spectrum:
     residual: float
     method: str
 
+    __repr__ = short_repr
+
 
 def lowest_eigenpairs(laplacian: sparse.spmatrix, mass: Float[np.ndarray, " n"], n_eigenpairs: int) -> Spectrum:
-    """The ``n_eigenpairs`` lowest eigenpairs of L phi = lambda M phi (at most n).
+    """The ``n_eigenpairs`` lowest eigenpairs of L phi = lambda M phi, by shift-and-invert block Lanczos.
 
-    Small problems are solved densely. Others by a shift-and-invert block Lanczos iteration whose shift lies among the
-    wanted eigenvalues, with the functions that are constant on a connected component known beforehand; Sylvester's law
-    of inertia then tells whether any eigenpair was missed. If one was, larger blocks are tried, then a dense solve
-    where that is affordable, else ARPACK; ``method`` says which, and whether what ARPACK found is incomplete.
+    The shift lies among the eigenvalues asked for, at 62 % by Weyl's law; functions that are constant on a connected
+    component are known beforehand. Sylvester's law of inertia then tells whether any eigenpair was missed. If one was,
+    larger blocks are tried, then a dense solve where that is affordable, else ARPACK; ``method`` says which, and
+    whether what ARPACK found is incomplete. Small problems are solved densely. The combination is new here.
+
+    Args:
+        laplacian: sparse, symmetric, positive semidefinite (n, n).
+        mass: lumped, positive (n,).
+        n_eigenpairs: at least 1; at most n are found.
 
     Raises:
         ArgumentError: if ``n_eigenpairs`` is not positive.
         ShapeError: if no method gives eigenpairs with a small residual.
+
+    Examples:
+        >>> import trimesh
+        >>> from homolog.geometry import lowest_eigenpairs, mesh_laplacian
+        >>> mesh = trimesh.creation.icosphere(subdivisions=4)
+        >>> spectrum = lowest_eigenpairs(*mesh_laplacian(mesh.vertices, mesh.faces), 4)
+        >>> spectrum.eigenvalues.round(1) + 0  # of the sphere: 0, then 2 three times
+        array([0., 2., 2., 2.])
     """
     if n_eigenpairs < 1:
         raise bad_value("n_eigenpairs", n_eigenpairs, "at least 1")
@@ -116,7 +144,7 @@ class _Problem:
         scaling = sparse.diags(1 / root_mass)
         matrix = scaling @ laplacian @ scaling
         count, component = sparse.csgraph.connected_components(laplacian, directed=False)
-        # More components than that are debris, and the largest are the shape.
+        # Of more components than that, the largest are kept: the others hardly matter.
         kept = np.argsort(-np.bincount(component, mass), kind="stable")[: min(count, _MOST_COMPONENTS)]
         kernel = np.where(component[None, :] == kept[:, None], root_mass[None, :], 0.0)
         kernel /= np.linalg.norm(kernel, axis=1, keepdims=True)
@@ -182,8 +210,7 @@ def _shift_and_invert(problem: _Problem, k: int, block: int) -> _Pairs | None:
 
 
 def _iterate(problem: _Problem, shift: float, factors: sparse_linalg.SuperLU, k: int, block: int) -> _Pairs | None:
-    # SuperLU solves in one thread, and lets others run meanwhile; but where the factors are small, its many small BLAS
-    # calls get in each other's way.
+    # SuperLU solves in one thread, and lets others run meanwhile.
     threads = min(torch.get_num_threads(), block) if problem.size > _ONE_THREAD_POINTS else 1
     with ThreadPoolExecutor(threads) as pool:
 
@@ -238,7 +265,7 @@ def _converged(problem: _Problem, krylov: BlockLanczos, shift: float, wanted: in
 def _complete(problem: _Problem, pairs: _Pairs, k: int) -> _Pairs | None:
     """The first ``k`` eigenpairs, or None if the law of inertia says that some were missed."""
     values, vectors = pairs
-    # Inside a cluster of equal eigenvalues there is no place to count from. Where the k-th lies in one, the count is
+    # Inside a cluster of equal eigenvalues there is nowhere to count from. Where the k-th lies in one, the count is
     # taken below the cluster: it does not matter which of its members were found.
     least_gap = (1e-4 * values[1:]).clamp(min=1e-8 * problem.expected_eigenvalue(k))
     (gaps,) = torch.nonzero(values[1:] - values[:-1] > least_gap, as_tuple=True)

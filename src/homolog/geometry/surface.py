@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from homolog.core.memory import row_tiles
+from homolog.core.reprs import short_repr
 from homolog.geometry.grouping import FacesAround
 from homolog.shapes import face_vectors
 
@@ -22,15 +23,26 @@ _BYTES_PER_TRIANGLE = 1000
 
 @dataclass(frozen=True)
 class Surface:
-    """A triangle mesh.
+    """A triangle mesh with its normals.
 
     Args:
-        vertices: positions.
-        faces: three vertices a triangle, counter-clockwise from outside.
+        vertices: positions (n, 3).
+        faces: three vertices a triangle, counter-clockwise from outside (m, 3).
+
+    Examples:
+        >>> import numpy as np
+        >>> from homolog.geometry import Surface
+        >>> triangle = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+        >>> triangle
+        Surface(vertices=float64 (3, 3), faces=int64 (1, 3))
+        >>> triangle.face_normals
+        array([[0., 0., 1.]])
     """
 
     vertices: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"]
+
+    __repr__ = short_repr
 
     @cached_property
     def face_vectors(self) -> Float[np.ndarray, "m 3"]:
@@ -57,10 +69,19 @@ class BarycentricPoints:
     Args:
         triangles: the triangle that each point lies on (p,).
         weights: its barycentric coordinates there, which sum to one (p, 3).
+
+    Examples:
+        >>> import numpy as np
+        >>> from homolog.geometry import BarycentricPoints, Surface
+        >>> triangle = Surface(np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0]]), np.array([[0, 1, 2]]))
+        >>> BarycentricPoints(np.array([0]), np.array([[0.0, 0.5, 0.5]])).positions(triangle)
+        array([[1., 1., 0.]])
     """
 
     triangles: Int[np.ndarray, " p"]
     weights: Float[np.ndarray, "p 3"]
+
+    __repr__ = short_repr
 
     def positions(self, surface: Surface) -> Float[np.ndarray, "p 3"]:
         """Positions of the points on a surface with the same triangles."""
@@ -69,7 +90,15 @@ class BarycentricPoints:
 
 
 def unit(vectors: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-    """Normalise vectors to length one; zero vectors stay zero."""
+    """Normalise vectors to length one; zero vectors stay zero.
+
+    Examples:
+        >>> import numpy as np
+        >>> from homolog.geometry import unit
+        >>> unit(np.array([[3.0, 4.0], [0.0, 0.0]]))
+        array([[0.6, 0.8],
+               [0. , 0. ]])
+    """
     scales = np.linalg.norm(vectors, axis=1, keepdims=True)
     return np.asarray(vectors / np.where(scales > 0, scales, 1.0))
 
@@ -97,13 +126,18 @@ class SplitSurface:
 
     Args:
         surface: the short triangles, and the pieces of the long ones.
-        parents: for each triangle of ``surface`` the original triangle that it is a piece of.
-        corners: the barycentric coordinates of its corners in that original triangle, a row a corner.
+        parents: for each triangle of ``surface`` the original triangle that it is a piece of (k,).
+        corners: the barycentric coordinates of its corners in that original triangle, a row a corner (k, 3, 3).
+
+    See Also:
+        ``split_long`` makes it.
     """
 
     surface: Surface
     parents: Int[np.ndarray, " k"]
     corners: Float[np.ndarray, "k 3 3"]
+
+    __repr__ = short_repr
 
     def to_original(self, points: BarycentricPoints) -> BarycentricPoints:
         """Points on ``surface`` in the barycentric coordinates of the original surface."""
@@ -112,7 +146,15 @@ class SplitSurface:
 
 
 def split_long(surface: Surface, longest: float, *, most: int) -> SplitSurface:
-    """Subdivide triangles with a side longer than ``longest``, repeatedly, as long as there are at most ``most``."""
+    """Subdivide triangles with a side longer than ``longest``, repeatedly, as long as there are at most ``most``.
+
+    Examples:
+        >>> import numpy as np
+        >>> from homolog.geometry import Surface, split_long
+        >>> triangle = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]))
+        >>> len(split_long(triangle, 0.8, most=100).surface.faces)
+        4
+    """
     parents, corners = np.arange(len(surface.faces)), np.tile(np.eye(3), (len(surface.faces), 1, 1))
     vertices, faces = surface.vertices, surface.faces
     while True:
@@ -136,12 +178,18 @@ class ReferenceSurface:
     Args:
         surface: a mesh whose triangles have sides of similar lengths; see ``split_long``.
 
-    Example:
+    Examples:
+        >>> import numpy as np
+        >>> from homolog.geometry import ReferenceSurface, Surface
         >>> square = Surface(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), np.array([[0, 1, 2], [1, 3, 2]]))
         >>> projected = ReferenceSurface(square).project(np.array([[0.25, 0.25, 2.0]]))
         >>> projected.positions(square).tolist()
         [[0.25, 0.25, 0.0]]
     """
+
+    def __repr__(self) -> str:
+        """Sizes alone."""
+        return f"ReferenceSurface({self.surface!r})"
 
     def __init__(self, surface: Surface) -> None:
         self.surface = surface
@@ -235,7 +283,9 @@ def closest_weights(
         triangles: corners of each triangle (p, 3, 3).
         points: one point for each triangle (p, 3).
 
-    Example:
+    Examples:
+        >>> import numpy as np
+        >>> from homolog.geometry import closest_weights
         >>> triangle = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
         >>> closest_weights(triangle, np.array([[0.5, -1.0, 3.0]])).tolist()
         [[0.5, 0.5, 0.0]]

@@ -1,4 +1,4 @@
-"""Normals, tangent frames, and gradients of functions expressed in them."""
+"""Normals, tangent frames, and gradient operators in these frames."""
 
 from __future__ import annotations
 

@@ -1,7 +1,12 @@
-"""Correspondence as mathematics: pure functions of tensors."""
+"""Correspondence as mathematics: functional maps, soft maps, refinement, confidence, as pure functions of tensors.
 
-from homolog.maps.confidence import confidence, coverage_density, local_stretch, overlap
-from homolog.maps.descriptors import smoothed_positions, wave_kernel_signature
+Functions take torch tensors or numpy arrays, and return what they were given. ``homolog.maps.reference`` has short,
+readable twins of the fast ones. Words and directions: a point map ``y_to_x`` holds for each point of y the index of its
+point of x; a functional map ``C_xy`` takes spectral coefficients on x to those on y.
+"""
+
+from homolog.maps.confidence import ConfidenceSettings, confidence, coverage_density, local_stretch, overlap
+from homolog.maps.descriptors import heat_kernel_signature, smoothed_positions, wave_kernel_signature
 from homolog.maps.functional_map import (
     functional_map,
     functional_map_from_point_map,
@@ -10,13 +15,16 @@ from homolog.maps.functional_map import (
 )
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
 from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flipped_triangles
-from homolog.maps.registration import registered_positions
+from homolog.maps.registration import RegistrationSettings, registered_positions
 from homolog.maps.rigid import rigid_motion
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
-from homolog.maps.zoomout import zoomout, zoomout_partial
+from homolog.maps.zoomout import RefinementSettings, zoomout, zoomout_partial
 
 __all__ = [
+    "ConfidenceSettings",
     "Nearest",
+    "RefinementSettings",
+    "RegistrationSettings",
     "SoftMatches",
     "confidence",
     "coverage",
@@ -26,6 +34,7 @@ __all__ = [
     "flipped_triangles",
     "functional_map",
     "functional_map_from_point_map",
+    "heat_kernel_signature",
     "local_stretch",
     "most_similar",
     "nearest_neighbour",

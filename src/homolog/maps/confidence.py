@@ -1,27 +1,51 @@
-"""How far to trust a point map, and which points have no counterpart, without any ground truth."""
+"""Confidence in a point map, and the overlap of a partial and a full shape, both without ground truth."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from types import NoneType
+from typing import Annotated
+
 import numpy as np
 import torch
+from annotated_types import Gt, Le
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csc_matrix, diags
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_indices
+from homolog.core.arguments import check_indices, check_kind
 from homolog.core.arrays import takes_arrays
+from homolog.core.settings import Count, Positive, Settings
 from homolog.geometry import Operators
 from homolog.maps.quality import cycle_error
 
-# Neighbours of a point that its match is judged with.
-_NEIGHBOURS = 20
-# Distortion, in inner units, at which the confidence has fallen to 1/e.
-_SCALE = 0.1
-# The pushed-forward mass is smoothed over about this many point spacings; less leaves gaps between samples open.
-_COVERAGE_SPACINGS = 2.0
-_COVERED = 0.5
+
+@dataclass(frozen=True, kw_only=True)
+class ConfidenceSettings(Settings):
+    """Settings of ``confidence`` and ``overlap``.
+
+    Args:
+        n_neighbours: nearest points over which the confidence of a point is averaged, at least 1; 10 to 40 are
+            sensible.
+        scale: distortion in normalised coordinates, of unit area, at which the confidence has fallen to 1/e; above 0,
+            0.03 to 0.3 are sensible. It changes no ranking.
+        smoothing: width over which carried mass is smoothed, in point spacings; above 0, 1 to 4 are sensible. Less
+            leaves gaps between samples, more blurs the boundary of the overlap.
+        overlap_threshold: a point of the full shape has a counterpart if the density of the carried mass is at least
+            this; above 0 and at most 1. The density is 1 inside the overlap, 0 outside, 0.5 on a straight boundary.
+
+    Examples:
+        >>> from homolog.maps import ConfidenceSettings
+        >>> ConfidenceSettings(overlap_threshold=0.3)
+        ConfidenceSettings(n_neighbours=20, scale=0.1, smoothing=2.0, overlap_threshold=0.3)
+    """
+
+    n_neighbours: Count = 20
+    scale: Positive = 0.1
+    smoothing: Positive = 2.0
+    overlap_threshold: Annotated[float, Gt(0), Le(1)] = 0.5
 
 
 @takes_arrays
@@ -30,65 +54,161 @@ def confidence(
     points_x: Float[Tensor, "n_x 3"],
     y_to_x: Int[Tensor, " n_y"],
     x_to_y: Int[Tensor, " n_x"],
+    *,
+    settings: ConfidenceSettings | None = None,
 ) -> Float[Tensor, " n_y"]:
-    """Confidence between 0 and 1 in each entry of ``y_to_x``; the points in inner units.
+    """Confidence in each entry of a point map, between 0 and 1, from cycle error and local distortion. New here.
 
-    Two things betray a wrong match: going there and back does not come home, and neighbours do not keep their
-    distances. Both are averaged over a point's nearest neighbours, as errors come in patches.
+    Two things betray a wrong match: the way to x and back misses its start, and neighbours do not keep their distances.
+    Both are averaged over a point's nearest neighbours, as errors come in patches:
+    exp(-(mean cycle error + mean change of distance) / scale).
+
+    Args:
+        points_y: positions in normalised coordinates, of unit area (n_y, 3).
+        points_x: likewise (n_x, 3).
+        y_to_x: the map, for each point of y a point of x (n_y,).
+        x_to_y: the map back (n_x,).
+        settings: neighbours and scale.
+
+    Returns:
+        A number per point of y (n_y,).
 
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import confidence
+        >>> points = torch.rand(100, 3, generator=torch.Generator().manual_seed(0))
+        >>> identity = torch.arange(100)
+        >>> float(confidence(points, points, identity, identity).min())
+        1.0
+        >>> float(confidence(points, points, identity.flip(0), identity).max()) < 0.1
+        True
+
+    See Also:
+        ``cycle_error``, ``dirichlet_energy`` and ``flipped_triangles`` for figures of a whole map.
     """
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
+    settings = settings or ConfidenceSettings()
     home = cycle_error(points_y, y_to_x, x_to_y)
-    near = _neighbourhoods(points_y)
+    positions = points_y.cpu().numpy()
+    _, indices = KDTree(positions).query(positions, k=min(settings.n_neighbours + 1, len(positions)))
+    near = torch.from_numpy(indices).to(points_y.device)  # each point itself among them
     stretch = local_stretch(points_y, points_x[y_to_x], near)
-    return torch.exp(-(home[near].mean(dim=1) + stretch) / _SCALE)
+    return torch.exp(-(home[near].mean(dim=1) + stretch) / settings.scale)
 
 
 @takes_arrays
 def local_stretch(
     points: Float[Tensor, "n 3"], images: Float[Tensor, "n 3"], near: Int[Tensor, "n j"]
 ) -> Float[Tensor, " n"]:
-    """By how much, on average, a map changes the distances between a point and its neighbours."""
+    """Local distortion: the mean change, under a map, of the distances between a point and its neighbours. New here.
+
+    Args:
+        points: positions (n, 3).
+        images: where the map takes each of them (n, 3).
+        near: indices of each point's neighbours (n, j).
+
+    Returns:
+        A length per point (n,), in the units of the positions.
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import local_stretch
+        >>> points, near = torch.tensor([[0.0, 0, 0], [1, 0, 0]]), torch.tensor([[1], [0]])
+        >>> local_stretch(points, 3 * points, near)
+        tensor([2., 2.])
+    """
     before = (points[near] - points[:, None]).norm(dim=2)
     after = (images[near] - images[:, None]).norm(dim=2)
     stretch: Tensor = (after - before).abs().mean(dim=1)
     return stretch
 
 
-def _neighbourhoods(points: Float[Tensor, "n 3"]) -> Int[Tensor, "n j"]:
-    """Indices of each point's nearest points, itself among them."""
-    positions = points.cpu().numpy()
-    _, near = KDTree(positions).query(positions, k=min(_NEIGHBOURS + 1, len(positions)))
-    return torch.from_numpy(near).to(points.device)
+def overlap(
+    full: Operators,
+    partial: Operators,
+    partial_to_full: Int[Tensor, " n_p"],
+    *,
+    settings: ConfidenceSettings | None = None,
+) -> Bool[Tensor, " n_f"]:
+    """Overlap region of a full and a partial shape: which points of the full one have a counterpart. New here.
 
+    The partial shape's mass is pushed forward along the map and smoothed by a heat step on the full shape, see
+    ``coverage_density``; a point has a counterpart where the density is at least ``settings.overlap_threshold``.
 
-def overlap(complete: Operators, partial: Operators, partial_to_complete: Int[Tensor, " n_p"]) -> Bool[Tensor, " n_c"]:
-    """Which points of a complete shape have a counterpart on a partial one, both at one scale.
+    Args:
+        full: operators of the full shape.
+        partial: operators of the partial one, at the same scale.
+        partial_to_full: for each point of the partial shape a point of the full one (n_p,).
+        settings: smoothing and threshold.
 
-    The partial shape's mass is pushed forward along the map and smoothed by a heat step on the complete shape. Where
-    the shape is covered the result is near one, elsewhere near zero, and a half on the edge of the cut.
+    Returns:
+        True for each point of the full shape with a counterpart (n_f,).
+
+    Raises:
+        ArgumentError: if an index is that of no point of the full shape.
+
+    Examples:
+        >>> import torch, trimesh
+        >>> from homolog import Shape, compute_operators
+        >>> from homolog.maps import overlap
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> sphere = compute_operators(Shape(mesh.vertices, mesh.faces))
+        >>> bool(overlap(sphere, sphere, torch.arange(sphere.n_points)).all())
+        True
+        >>> bool(overlap(sphere, sphere, torch.zeros(sphere.n_points, dtype=torch.int64)).all())
+        False
     """
-    density = coverage_density(complete, partial.mass, partial_to_complete)
-    return density >= _COVERED
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
+    settings = settings or ConfidenceSettings()
+    return coverage_density(full, partial.mass, partial_to_full, settings=settings) >= settings.overlap_threshold
 
 
 def coverage_density(
-    complete: Operators, mass: Float[Tensor, " n_p"], partial_to_complete: Int[Tensor, " n_p"]
-) -> Float[Tensor, " n_c"]:
-    """Smoothed density of pushed-forward mass relative to the complete shape's own; see ``covered``.
+    full: Operators,
+    mass: Float[Tensor, " n_p"],
+    partial_to_full: Int[Tensor, " n_p"],
+    *,
+    settings: ConfidenceSettings | None = None,
+) -> Float[Tensor, " n_f"]:
+    """Density of the mass that a map pushes to a full shape, smoothed by a heat step, over the shape's own. New here.
+
+    Solves (M + w^2 L) u = (pushed mass), a backward Euler step of the heat equation, where w is ``settings.smoothing``
+    times the point spacing sqrt(area / n). It keeps the mass; u is 1 where the map covers the shape evenly.
+
+    Args:
+        full: operators of the full shape.
+        mass: of the points of the partial shape, at the full shape's scale (n_p,).
+        partial_to_full: for each point of the partial shape a point of the full one (n_p,).
+        settings: the width of the smoothing.
+
+    Returns:
+        A density per point of the full shape (n_f,).
 
     Raises:
-        ArgumentError: if an index is that of no point of the complete shape.
+        ArgumentError: if an index is that of no point of the full shape.
+
+    Examples:
+        >>> import torch, trimesh
+        >>> from homolog import Shape, compute_operators
+        >>> from homolog.maps import coverage_density
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> sphere = compute_operators(Shape(mesh.vertices, mesh.faces))
+        >>> density = coverage_density(sphere, sphere.mass, torch.arange(sphere.n_points))
+        >>> bool(((density - 1).abs() < 1e-4).all())
+        True
     """
-    check_indices("partial_to_complete", partial_to_complete, len(complete.mass))
-    own = complete.mass.double().cpu().numpy()
-    pushed = np.bincount(partial_to_complete.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))
-    spacing = np.sqrt(own.sum() / len(own))
-    laplacian = complete.laplacian.cpu()
+    check_kind("settings", settings, ConfidenceSettings, NoneType)
+    check_indices("partial_to_full", partial_to_full, len(full.mass))
+    own = full.mass.double().cpu().numpy()
+    pushed = np.bincount(partial_to_full.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))
+    width = (settings or ConfidenceSettings()).smoothing * np.sqrt(own.sum() / len(own))
+    laplacian = full.laplacian.cpu()
     sparse = csc_matrix(
         (laplacian.values().double().numpy(), laplacian.col_indices().numpy(), laplacian.crow_indices().numpy()),
         shape=laplacian.shape,  # the last point may have no entry
     )
-    heat = splu((diags(own) + (_COVERAGE_SPACINGS * spacing) ** 2 * sparse).tocsc(), permc_spec="MMD_AT_PLUS_A")
-    return torch.from_numpy(heat.solve(pushed)).to(complete.mass)
+    heat = splu((diags(own) + width**2 * sparse).tocsc(), permc_spec="MMD_AT_PLUS_A")
+    return torch.from_numpy(heat.solve(pushed)).to(full.mass)

@@ -20,19 +20,19 @@ from homolog.maps.sinkhorn import ITERATIONS, TEMPERATURE, carried_over
 
 # The paper's temperature of the contrastive loss.
 INFONCE_TEMPERATURE = 0.07
-# Of the elastic loss, in units of sqrt(area): the spacing of a thousand points on a shape.
+# Of the registration loss, in units of sqrt(area): the spacing of a thousand points on a shape.
 REGISTRATION_REACH = 0.03
 
 
 @takes_arrays
 def bijectivity_loss(c_xy: Float[Tensor, "k_y k_x"], c_yx: Float[Tensor, "k_x k_y"]) -> Float[Tensor, ""]:
-    """There and back is home: |C_xy C_yx - I|^2 + |C_yx C_xy - I|^2."""
+    """The maps are each other's inverse: |C_xy C_yx - I|^2 + |C_yx C_xy - I|^2."""
     return _off_identity(c_xy @ c_yx) + _off_identity(c_yx @ c_xy)
 
 
 @takes_arrays
 def orthogonality_loss(c_xy: Float[Tensor, "k_y k_x"], c_yx: Float[Tensor, "k_x k_y"]) -> Float[Tensor, ""]:
-    """Areas are kept: |C_xy^T C_xy - I|^2 + |C_yx^T C_yx - I|^2."""
+    """The maps preserve areas: |C_xy^T C_xy - I|^2 + |C_yx^T C_yx - I|^2."""
     return _off_identity(c_xy.mT @ c_xy) + _off_identity(c_yx.mT @ c_yx)
 
 
@@ -43,8 +43,8 @@ def partial_bijectivity_loss(
     """For y a part of x: |C_xy C_yx - I_r|^2, where the first r diagonal entries of I_r are one.
 
     Args:
-        c_xy: from the complete shape to the part.
-        c_yx: from the part to the complete shape.
+        c_xy: from the full shape to the partial one.
+        c_yx: from the partial shape to the full one.
         rank: r, see ``partial_rank``.
     """
     return _off_identity(c_xy @ c_yx, rank)
@@ -58,10 +58,11 @@ def partial_orthogonality_loss(c_xy: Float[Tensor, "k_y k_x"], *, rank: int) -> 
 
 @takes_arrays
 def partial_rank(eigenvalues_x: Float[Tensor, " k_x"], eigenvalues_y: Float[Tensor, " k_y"]) -> int:
-    """How many functions of a complete shape x its part y can still tell apart, both at one scale.
+    """The rank of a functional map from a full shape x to its part y, both at one scale.
 
-    A part's eigenvalues grow faster, in the ratio of the areas (Weyl's law): those below the largest of the complete
-    shape, and one more, at most k.
+    A partial shape's eigenvalues grow faster, in the ratio of the areas (Weyl's law). The rank is the number of those
+    below the largest of the full shape, and one more, at most k (Rodola et al., "Partial Functional Correspondence",
+    2017).
     """
     return min(int((eigenvalues_y < eigenvalues_x.max()).sum()) + 1, len(eigenvalues_y))
 
@@ -70,9 +71,9 @@ def partial_rank(eigenvalues_x: Float[Tensor, " k_x"], eigenvalues_y: Float[Tens
 def commutativity_loss(
     c_xy: Float[Tensor, "k_y k_x"], eigenvalues_x: Float[Tensor, " k_x"], eigenvalues_y: Float[Tensor, " k_y"]
 ) -> Float[Tensor, ""]:
-    """A map without distortion commutes with the Laplacians: |C_xy Lambda_x - Lambda_y C_xy|^2.
+    """The map of an isometry commutes with the Laplacians: |C_xy Lambda_x - Lambda_y C_xy|^2.
 
-    The eigenvalues are measured by the largest of both, so that the loss does not depend on the scale.
+    The eigenvalues are divided by the largest of both, so that the loss does not depend on the scale.
     """
     largest = torch.maximum(eigenvalues_x.max(), eigenvalues_y.max())
     return (c_xy * ((eigenvalues_x[None, :] - eigenvalues_y[:, None]) / largest)).square().sum()
@@ -85,12 +86,12 @@ def smoothness_loss(
     positions_y: Float[Tensor, "k_y 3"],
     eigenvalues_y: Float[Tensor, " k_y"],
 ) -> Float[Tensor, ""]:
-    """What a map does to positions is smooth: the Dirichlet energy of the displacement C_xy x - y, as a function on y.
+    """The displacement is smooth: the Dirichlet energy of C_xy x - y, of positions x and y, as a function on y.
 
-    With Dirichlet energies of functions, which are eigenvalues times squared coefficients, shifts cost nothing, and
-    turns and folds much. For shapes that stand alike and differ by a deformation, such as organs, where many maps keep
-    areas and lengths about as well: M. Eisenberger, Z. Laehner and D. Cremers, "Smooth shells" (CVPR 2020), ask the
-    same of the deformation that aligns two shapes.
+    The Dirichlet energy of a function is the sum of the eigenvalues times its squared coefficients, so that
+    translations cost nothing, and rotations and folds much. For pre-aligned shapes that differ by a deformation, such
+    as organs, where many maps preserve areas and lengths about equally well. M. Eisenberger, Z. Laehner and
+    D. Cremers, "Smooth shells" (CVPR 2020), penalise the deformation that aligns two shapes in the same way.
 
     Args:
         c_xy: takes coefficients of functions on x to those on y.
@@ -113,9 +114,9 @@ def alignment_loss(
     temperature: float = TEMPERATURE,
     iterations: int = ITERATIONS,
 ) -> Float[Tensor, ""]:
-    """The soft map of the features carries eigenfunctions as the functional map does: |Phi_y C_xy - P_yx Phi_x|^2.
+    """The soft map of the features agrees with the functional map: |Phi_y C_xy - P_yx Phi_x|^2.
 
-    The functional map teaches the features and not the other way round: no gradient flows into it.
+    It is also called coupling. No gradient flows into the functional map, which teaches the features.
 
     Args:
         c_xy: the functional map of the meshes.
@@ -126,8 +127,8 @@ def alignment_loss(
         temperature: of Sinkhorn's map.
         iterations: likewise.
     """
-    carried = carried_over(features_y, features_x, eigenvectors_x, temperature=temperature, iterations=iterations)
-    return (eigenvectors_y @ c_xy.detach() - carried).square().sum()
+    mapped = carried_over(features_y, features_x, eigenvectors_x, temperature=temperature, iterations=iterations)
+    return (eigenvectors_y @ c_xy.detach() - mapped).square().sum()
 
 
 @takes_arrays
@@ -140,15 +141,15 @@ def partial_alignment_loss(
     *,
     temperature: float = TEMPERATURE,
 ) -> Float[Tensor, ""]:
-    """The same for y a part of x: the soft map is a softmax over the complete shape, as not all of it has a partner.
+    """``alignment_loss`` for y a part of x: the soft map is a softmax over x, as not all of x has a counterpart.
 
     Raises:
         ArgumentError: if the temperature is not positive.
     """
     if not temperature > 0:
         raise bad_value("temperature", temperature, "positive")
-    carried = _softly_carried(features_y / temperature, features_x, eigenvectors_x)
-    return (eigenvectors_y @ c_xy.detach() - carried).square().sum()
+    mapped = _softly_mapped(features_y / temperature, features_x, eigenvectors_x)
+    return (eigenvectors_y @ c_xy.detach() - mapped).square().sum()
 
 
 @takes_arrays
@@ -161,18 +162,19 @@ def registration_loss(
     reach: float = REGISTRATION_REACH,
     temperature: float = TEMPERATURE,
 ) -> Float[Tensor, ""]:
-    """Points resemble what lies where their registration takes them: the mean divergence KL(Q_yx | P_yx) of the rows.
+    """The soft map agrees with a registration: the mean divergence KL(Q_yx | P_yx) of the rows. New here.
 
-    P = softmax(F_y F_x^T / temperature) is the soft map of the features, and Q = softmax(-|s - x|^2 / (2 reach^2)) what
-    the targets have of each point of y at those of x. The registration of each pair, ``registered_positions``, teaches
-    one network for all pairs: what is by chance in one does not agree with the others. For shapes that stand alike and differ by a deformation, such as organs.
+    P = softmax(F_y F_x^T / temperature) is the soft map of the features. Q = softmax(-|s - x|^2 / (2 reach^2)) is the
+    distribution over the points of x that each target s gives. Targets come from ``registered_positions`` of each
+    pair. One network learns from all pairs, so that errors which differ from pair to pair average out. For pre-aligned
+    shapes that differ by a deformation, such as organs.
 
     Args:
         features_x: of the points of one cloud.
         features_y: of those of the other.
         points_x: their positions.
         targets: where the points of y lie on x.
-        reach: how far around a place points should resemble what lies there, in the unit of the positions.
+        reach: standard deviation of Q around its target, in the unit of the positions.
         temperature: of the soft map.
 
     Raises:
@@ -182,8 +184,8 @@ def registration_loss(
         if not value > 0:
             raise bad_value(name, value, "positive")
     found = torch.log_softmax(features_y @ features_x.mT / temperature, dim=1)
-    wanted = torch.log_softmax(torch.cdist(targets, points_x).square() / (-2 * reach**2), dim=1)
-    return torch.nn.functional.kl_div(found, wanted, reduction="batchmean", log_target=True)
+    expected = torch.log_softmax(torch.cdist(targets, points_x).square() / (-2 * reach**2), dim=1)
+    return torch.nn.functional.kl_div(found, expected, reduction="batchmean", log_target=True)
 
 
 @takes_arrays
@@ -243,23 +245,23 @@ class _Contrast(torch.autograd.Function):
         return grad * left_grad, grad * right_grad, None
 
 
-def _softly_carried(
+def _softly_mapped(
     left: Float[Tensor, "n_y d"], features_x: Float[Tensor, "n_x d"], functions: Float[Tensor, "n_x k"]
 ) -> Float[Tensor, "n_y k"]:
-    carried: Tensor = _SoftlyCarried.apply(left, features_x, functions)  # type: ignore[no-untyped-call]
-    return carried
+    mapped: Tensor = _SoftlyMapped.apply(left, features_x, functions)  # type: ignore[no-untyped-call]
+    return mapped
 
 
-class _SoftlyCarried(torch.autograd.Function):
+class _SoftlyMapped(torch.autograd.Function):
     """Attention: softmax(left right^T) functions, row tile by row tile, made anew for the derivative."""
 
     @staticmethod
     def forward(ctx: Any, left: Tensor, right: Tensor, functions: Tensor) -> Tensor:
-        carried = functions.new_empty(len(left), functions.shape[1])
+        mapped = functions.new_empty(len(left), functions.shape[1])
         for rows in _softmax_tiles(left, right):
-            torch.mm(torch.softmax(left[rows] @ right.T, dim=1), functions, out=carried[rows])
+            torch.mm(torch.softmax(left[rows] @ right.T, dim=1), functions, out=mapped[rows])
         ctx.save_for_backward(left, right, functions)
-        return carried
+        return mapped
 
     @staticmethod
     @once_differentiable

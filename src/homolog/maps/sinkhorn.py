@@ -2,20 +2,19 @@
 
 With the logits L = F_y F_x^T, the soft map is P_ij = exp(L_ij + f_i + g_j). Only the logarithms of the scalings, f and
 g, are iterated: the columns g = -log sum_i exp(L_ij + f_i) first and the rows f likewise last (Sinkhorn 1967; Cuturi,
-"Sinkhorn distances", 2013). No more than one n x n array is ever held, and none where it does not fit the working
-memory.
+"Sinkhorn distances", 2013). At most one n_y x n_x array is held, and none where it does not fit the working memory.
+The readable reference is ``homolog.maps.reference.soft_map``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from homolog.core.arguments import check_count, is_real
 from homolog.core.errors import bad_value
@@ -43,13 +42,13 @@ class Kernel:
         left: F_y, divided by the temperature.
         right: F_x^T.
         absorbed: a and b; None if the logits are small enough to need none.
-        whole: all of K, if it fits the working memory; it then takes the place of the logits.
+        dense: all of K, if it fits the working memory; the logits are then not needed.
     """
 
     left: Float[Tensor, "n_y d"]
     right: Float[Tensor, "d n_x"]
     absorbed: _Scalings | None = None
-    whole: Float[Tensor, "n_y n_x"] | None = None
+    dense: Float[Tensor, "n_y n_x"] | None = None
 
     @classmethod
     def of(cls, left: Float[Tensor, "n_y d"], right: Float[Tensor, "d n_x"], near: _Scalings | None = None) -> Kernel:
@@ -63,25 +62,25 @@ class Kernel:
         logits = cls(left, right)
         small = float(left.norm(dim=1).max() * right.norm(dim=0).max()) <= _LARGEST_PLAIN_LOGIT
         if small and (near is None or logits.covers(*near)):
-            return logits._kept_whole()
+            return logits._kept_dense()
         nothing = left.new_zeros(len(left))
         return logits.with_absorbed(*(near or (nothing, logits.exact_columns(nothing))))
 
     def with_absorbed(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> Kernel:
         """The kernel of the same features with these scalings absorbed, in the memory of this one: use it no more."""
-        return Kernel(self.left, self.right, (f, g))._kept_whole(self.whole)
+        return Kernel(self.left, self.right, (f, g))._kept_dense(self.dense)
 
     def tiles(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
         """Row tiles of K; each is to be used before the next is asked for."""
-        if self.whole is not None:
-            yield from ((rows, self.whole[rows]) for rows in self._slices())
+        if self.dense is not None:
+            yield from ((rows, self.dense[rows]) for rows in self._slices())
             return
         for rows, logits in self.logits():
             yield rows, self._exponentials(rows, logits)
 
     def sweep(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
         """The same for what makes nothing of a tile's size: in one piece where all of K is kept."""
-        return self.tiles() if self.whole is None else iter([(slice(len(self.left)), self.whole)])
+        return self.tiles() if self.dense is None else iter([(slice(len(self.left)), self.dense)])
 
     def relative(self, f: Float[Tensor, " n_y"], g: Float[Tensor, " n_x"]) -> _Scalings:
         """Scalings u and v with exp(L + f + g) = diag(u) K diag(v)."""
@@ -107,7 +106,7 @@ class Kernel:
     def logits(self) -> Iterator[tuple[slice, Float[Tensor, "t n_x"]]]:
         """Row tiles of L; each is to be used before the next is asked for, and may be written to."""
         tiles = list(self._slices())
-        # One place for all tiles: fresh memory costs as much as the products themselves.
+        # One buffer for all tiles: fresh memory costs as much as the products themselves.
         scratch = self.left.new_empty(tiles[0].stop if tiles else 0, self.right.shape[1])
         for rows in tiles:
             yield rows, torch.mm(self.left[rows], self.right, out=scratch[: rows.stop - rows.start])
@@ -139,14 +138,14 @@ class Kernel:
             logits.add_(self.absorbed[0][rows, None]).add_(self.absorbed[1])
         return logits.exp_()
 
-    def _kept_whole(self, memory: Float[Tensor, "n_y n_x"] | None = None) -> Kernel:
+    def _kept_dense(self, memory: Float[Tensor, "n_y n_x"] | None = None) -> Kernel:
         n_y, n_x = len(self.left), self.right.shape[1]
         if not fits(n_y * n_x * self.left.element_size()):
             return self
-        whole = self.left.new_empty(n_y, n_x) if memory is None else memory
+        dense = self.left.new_empty(n_y, n_x) if memory is None else memory
         for rows in self._slices():
-            self._exponentials(rows, torch.mm(self.left[rows], self.right, out=whole[rows]))
-        return Kernel(self.left, self.right, self.absorbed, whole)
+            self._exponentials(rows, torch.mm(self.left[rows], self.right, out=dense[rows]))
+        return Kernel(self.left, self.right, self.absorbed, dense)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,42 +201,111 @@ def carried_over(
     temperature: float = TEMPERATURE,
     iterations: int = ITERATIONS,
 ) -> Float[Tensor, "n_y k"]:
-    """Functions on x carried to y by the soft map P_yx = Sinkhorn(F_y F_x^T / temperature): P_yx times the functions.
+    """Transfer of functions by a soft map: P_yx times functions on x, with P_yx = Sinkhorn(F_y F_x^T / temperature).
 
     Differentiable in the features. The derivative is taken iteration by iteration, with the scalings as the only thing
-    kept, and the kernel made anew: one array of n_y x n_x at most, where unrolled iterations hold twenty.
+    kept, and the kernel made anew: one array of n_y x n_x at most, where unrolled iterations hold twenty. New here.
+    ``torch.func.grad`` and ``vmap`` work, the latter member by member; second derivatives and forward mode are for
+    ``homolog.maps.reference.soft_map``.
+
+    Args:
+        features_y: of unit length per point (n_y, d).
+        features_x: likewise (n_x, d).
+        functions_x: what is transferred, not differentiated (n_x, k).
+        temperature: above 0.
+        iterations: of both normalisations.
+
+    Returns:
+        The functions on y (n_y, k).
 
     Raises:
         ArgumentError: if the temperature or the number of iterations is not positive.
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps.sinkhorn import carried_over
+        >>> carried_over(torch.eye(3), torch.eye(3), torch.ones(3, 1)).round(decimals=4).flatten()
+        tensor([1., 1., 1.])
     """
-    carried: Tensor = _CarriedOver.apply(features_y, features_x, functions_x, temperature, iterations)  # type: ignore[no-untyped-call]
-    return carried
+    return _CarriedOver.apply(features_y, features_x, functions_x, temperature, iterations)[0]  # type: ignore[no-untyped-call,no-any-return]
 
 
 class _CarriedOver(torch.autograd.Function):
+    """The functions carried over, and the scalings of all iterations, rows first: all that the derivative needs."""
+
     @staticmethod
     def forward(
-        ctx: Any, features_y: Tensor, features_x: Tensor, functions_x: Tensor, temperature: float, iterations: int
-    ) -> Tensor:
+        features_y: Tensor, features_x: Tensor, functions_x: Tensor, temperature: float, iterations: int
+    ) -> tuple[Tensor, ...]:
         balanced = balance(features_y, features_x, temperature=temperature, iterations=iterations)
         u, v = balanced.kernel.relative(balanced.rows[-1], balanced.columns[-1])
         carried, weighted = functions_x.new_empty(len(u), functions_x.shape[1]), v[:, None] * functions_x
         for rows, tile in balanced.kernel.tiles():
             torch.mm(tile, weighted, out=carried[rows])
-        ctx.save_for_backward(features_y, features_x, functions_x, *balanced.rows, *balanced.columns)
-        ctx.temperature = temperature
-        return carried.mul_(u[:, None])
+        return carried.mul_(u[:, None]), *balanced.rows, *balanced.columns
 
     @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
-        features_y, features_x, functions_x, *scalings = ctx.saved_tensors
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+        *tensors, ctx.temperature, _ = inputs
+        ctx.mark_non_differentiable(*output[1:])
+        ctx.save_for_backward(*tensors, *output[1:])
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
+        left, right = _PulledBack.apply(grad, ctx.temperature, *ctx.saved_tensors)  # type: ignore[no-untyped-call]
+        return left, right, None, None, None
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
+        """See ``_one_by_one``."""
+        return _one_by_one(_CarriedOver, info.batch_size, in_dims, inputs)
+
+
+class _PulledBack(torch.autograd.Function):
+    """The gradients of both features from that of the functions carried over."""
+
+    @staticmethod
+    def forward(
+        grad: Tensor,
+        temperature: float,
+        features_y: Tensor,
+        features_x: Tensor,
+        functions_x: Tensor,
+        *scalings: Tensor,
+    ) -> tuple[Tensor, Tensor]:
         rows, columns = scalings[: len(scalings) // 2], scalings[len(scalings) // 2 :]
-        left, right = features_y / ctx.temperature, features_x.T
+        left, right = features_y / temperature, features_x.T
         kernel = Kernel.of(left, right, near=(rows[-1], columns[-1]))
         derivative = _Derivative(kernel, [torch.zeros_like(rows[0]), *rows], columns)
         derivative.run(grad, functions_x)
-        return derivative.left / ctx.temperature, derivative.right, None, None, None
+        return derivative.left / temperature, derivative.right
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
+        """Keep nothing: there is no second derivative."""
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> None:
+        raise NotImplementedError(
+            "what a soft map carries over is derived once; for second derivatives use homolog.maps.reference.soft_map"
+        )
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[int | None, ...], *inputs: Any) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
+        """See ``_one_by_one``."""
+        return _one_by_one(_PulledBack, info.batch_size, in_dims, inputs)
+
+
+def _one_by_one(
+    function: type[torch.autograd.Function], batch_size: int, in_dims: tuple[int | None, ...], inputs: tuple[Any, ...]
+) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
+    """Members of a ``vmap`` one after another: all of them together would not keep to the working memory."""
+    results = []
+    for i in range(batch_size):
+        member = [value if at is None else value.select(at, i) for value, at in zip(inputs, in_dims, strict=True)]
+        results.append(function.apply(*member))  # type: ignore[no-untyped-call]
+    outputs = tuple(map(torch.stack, zip(*results, strict=True)))
+    return outputs, (0,) * len(outputs)
 
 
 class _Derivative:
@@ -253,7 +321,7 @@ class _Derivative:
         columns: g_1 to g_T.
     """
 
-    def __init__(self, kernel: Kernel, rows: list[Tensor], columns: list[Tensor]) -> None:
+    def __init__(self, kernel: Kernel, rows: Sequence[Tensor], columns: Sequence[Tensor]) -> None:
         self.kernel, self.rows, self.columns = kernel, rows, columns
         self.left, self.right = torch.zeros_like(kernel.left), torch.zeros_like(kernel.right.T)
         self._factors: list[tuple[Tensor, Tensor]] = []

@@ -1,42 +1,37 @@
-"""Matcher (operators -> features -> map, the route per modality) and Correspondence (the result)."""
+"""From two shapes to a match: the road (``Matcher``), its stages, and the result (``Match``)."""
 
-from homolog.matching.correspondence import Correspondence, Route
-from homolog.matching.matcher import Matcher, OperatorSource
-from homolog.matching.output import (
-    RESULT_FILES,
-    MatchResult,
-    matched_colours,
-    matched_name,
-    position_colours,
-    read_result,
-    write_result,
-)
-from homolog.matching.prepared import PointMaps, Prepared
+from homolog.matching.alignment import Alignment, align_partial, best_alignment
+from homolog.matching.choice import method_name, needs_features
+from homolog.matching.colours import matched_colours, position_colours
+from homolog.matching.inputs import with_inputs
+from homolog.matching.matcher import Matcher, match
 from homolog.matching.quality import MEASURES, MapQuality, Quality
-from homolog.matching.settings import NEED_NO_WEIGHTS, AsCloud, Device, MatcherSettings, Method, Side, choose_device
+from homolog.matching.refinement import refine
+from homolog.matching.result import Match, check_point_map
+from homolog.matching.result_files import RESULT_FILES, matched_name, read_point_map, write_folder
+from homolog.matching.warnings import low_confidence_warnings, unit_warnings
 
 __all__ = [
     "MEASURES",
-    "NEED_NO_WEIGHTS",
     "RESULT_FILES",
-    "AsCloud",
-    "Correspondence",
-    "Device",
+    "Alignment",
     "MapQuality",
-    "MatchResult",
+    "Match",
     "Matcher",
-    "MatcherSettings",
-    "Method",
-    "OperatorSource",
-    "PointMaps",
-    "Prepared",
     "Quality",
-    "Route",
-    "Side",
-    "choose_device",
+    "align_partial",
+    "best_alignment",
+    "check_point_map",
+    "low_confidence_warnings",
+    "match",
     "matched_colours",
     "matched_name",
+    "method_name",
+    "needs_features",
     "position_colours",
-    "read_result",
-    "write_result",
+    "read_point_map",
+    "refine",
+    "unit_warnings",
+    "with_inputs",
+    "write_folder",
 ]

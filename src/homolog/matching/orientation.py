@@ -15,7 +15,8 @@ from torch import Tensor
 
 from homolog.geometry import Operators, compute_operators
 from homolog.maps import most_similar, normalised
-from homolog.matching.axiomatic import axiomatic_descriptors, axiomatic_problem, axis_agreement
+from homolog.methods.axiomatic import AxiomaticFeatures, axiomatic_problem, axis_agreement
+from homolog.pairs import Pair
 from homolog.shapes import Shape, Up, rotation_about, upright_rotation
 
 # A coarse cloud shows the pose well enough, at a fraction of the cost of the whole shape.
@@ -104,6 +105,34 @@ def _turns_of_both(up: Up) -> tuple[Turn, ...]:
     return turns[:2] if up != "y" else tuple(turn for turn in turns if turn.rotation[_VERTICAL, _FORWARD])
 
 
+@torch.no_grad()
+def pair_orientation_warnings(pair: Pair, method: str) -> tuple[str, ...]:
+    """What to tell the user if the shapes of a pair do not stand alike, or not as their features expect.
+
+    Args:
+        pair: two preprocessed shapes. Features of a partial shape differ from those of the full one by more than a turn
+            makes, so that nothing is said of them.
+        method: how the pair is matched.
+    """
+    extractor, source, target = pair.extractor, pair.source, pair.target
+    if pair.is_partial:
+        return ()
+    if extractor is None or method == "axiomatic":
+        return tuple(axiomatic_warnings(source.operators, target.operators, ups=(source.up, target.up)))
+    if not (extractor.info.upright and extractor.info.follows_pose):
+        return ()
+    return tuple(
+        orientation_warnings(
+            lambda points, operators: extractor(replace(operators.basis, points=points)),
+            source.repaired.shape,
+            target.repaired.shape,
+            scales=(source.operators.scale, target.operators.scale),
+            ups=(source.up, target.up),
+            device=source.operators.points.device,
+        )
+    )
+
+
 def orientation_warnings(
     features: Features,
     source: Shape,
@@ -160,7 +189,8 @@ def _heights(agreement: Float[np.ndarray, "3 3"], ups: Ups) -> Iterator[tuple[tu
 
 
 def _misfit(source: Operators, target: Operators) -> float:
-    return axiomatic_problem(source, target, (axiomatic_descriptors(source), axiomatic_descriptors(target))).misfit()
+    features = AxiomaticFeatures()
+    return axiomatic_problem(source, target, (features(source), features(target))).misfit()
 
 
 def _message(who: str, turn: Turn) -> str:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from homolog.geometry import Surface
 from homolog.maps import coverage, cycle_error, dirichlet_energy, flipped_triangles
-from homolog.matching.prepared import Prepared
+from homolog.pairs import PreprocessedShape
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class Quality:
 
     Args:
         coverage: share of the shape's area that the map back hits, 0 to 1; see ``homolog.maps.coverage``.
-        cycle_error: mean straight distance between a point and where it comes back to, in units of sqrt(area).
+        cycle_error: mean Euclidean distance between a point and where it comes back to, in units of sqrt(area).
         dirichlet_energy: of the map, relative to the identity's: 1 for an isometry, more where it tears.
         flipped_triangles: share of the shape's triangles that the map turns over, 0 to 1; None where either is a cloud.
         confidence: mean confidence, 0 to 1.
@@ -66,8 +66,8 @@ class MapQuality:
 
 
 def quality(
-    shape: Prepared,
-    other: Prepared,
+    shape: PreprocessedShape,
+    other: PreprocessedShape,
     there: Int[Tensor, " n"],
     back: Int[Tensor, " n_other"],
     confidences: Float[Tensor, " n"],
@@ -91,11 +91,11 @@ def quality(
     )
 
 
-def _share_flipped(shape: Prepared, other: Prepared, there: Int[Tensor, " n"]) -> float | None:
+def _share_flipped(shape: PreprocessedShape, other: PreprocessedShape, there: Int[Tensor, " n"]) -> float | None:
     x, y = _surface(shape), _surface(other)
     return None if x is None or y is None else float(flipped_triangles(x, y, there.cpu().numpy()).mean())
 
 
-def _surface(prepared: Prepared) -> Surface | None:
-    faces = prepared.repaired.shape.faces
-    return None if faces is None else Surface(prepared.operators.points.double().cpu().numpy(), faces)
+def _surface(preprocessed: PreprocessedShape) -> Surface | None:
+    faces = preprocessed.repaired.shape.faces
+    return None if faces is None else Surface(preprocessed.operators.points.double().cpu().numpy(), faces)

@@ -1,4 +1,4 @@
-"""What the server answers: the page, and what the page asks for."""
+"""The endpoints of the server: the page, and what the page asks for."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import Route
 
 from homolog.core.errors import HomologError
-from homolog.matching import Side
-from homolog.serving.command import VIEW, Wishes
-from homolog.serving.guard import Guard, Names
-from homolog.serving.jobs import ARCHIVE, Job, Jobs, RefusedError
+from homolog.pairs import Side
+from homolog.serving.command import PAGE, MatchRequest
+from homolog.serving.execution import ARCHIVE
+from homolog.serving.guard import MATCH_PAGE_POLICY, HostNames
+from homolog.serving.job import Job
+from homolog.serving.jobs import Jobs
+from homolog.serving.middleware import Guard
 from homolog.serving.page import Page
+from homolog.serving.upload import RefusedError
 
-# A result runs its own program, and nothing else, as if it were from nowhere.
-_VIEW_POLICY = (
-    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "frame-ancestors 'self'"
-)
 _LONGEST_REQUEST = 4096
 _LONGEST_REQUEST_SECONDS = 20.0
-# Milliseconds after which a browser that lost the connection tries again.
+# Milliseconds after which a browser that lost the connection reconnects.
 _RETRY = "retry: 1000\n\n"
-# A proxy would gather what is told, and pass it on when all is over; nginx asks the answer.
-_AT_ONCE = {"X-Accel-Buffering": "no"}
+# A proxy would collect the events and pass them on at the end; nginx reads this header.
+_UNBUFFERED = {"X-Accel-Buffering": "no"}
 
 
-def make_app(jobs: Jobs, page: Page, names: Names) -> Starlette:
+def make_app(jobs: Jobs, page: Page, names: HostNames) -> Starlette:
     """The server as an application.
 
     Args:
@@ -43,30 +42,30 @@ def make_app(jobs: Jobs, page: Page, names: Names) -> Starlette:
         page: what is shown first.
         names: by which browsers may call the server.
     """
-    answers = _Answers(jobs, page)
+    endpoints = _Endpoints(jobs, page)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        async with jobs.working():
+        async with jobs.running():
             yield
 
     return Starlette(
         routes=[
-            Route("/", answers.page),
-            Route("/jobs", answers.open, methods=["POST"]),
-            Route("/jobs/{key}", answers.cancel, methods=["DELETE"]),
-            Route("/jobs/{key}/events", answers.events),
-            Route(f"/jobs/{{key}}/{VIEW}", answers.view),
-            Route(f"/jobs/{{key}}/{ARCHIVE}", answers.archive),
-            Route("/jobs/{key}/{side}", answers.receive, methods=["PUT"]),
+            Route("/", endpoints.page),
+            Route("/jobs", endpoints.open, methods=["POST"]),
+            Route("/jobs/{key}", endpoints.cancel, methods=["DELETE"]),
+            Route("/jobs/{key}/events", endpoints.events),
+            Route(f"/jobs/{{key}}/{PAGE}", endpoints.view),
+            Route(f"/jobs/{{key}}/{ARCHIVE}", endpoints.archive),
+            Route("/jobs/{key}/{side}", endpoints.receive, methods=["PUT"]),
         ],
         middleware=[Middleware(Guard, names=names)],
-        exception_handlers={RefusedError: _refused, HomologError: _mistaken, HTTPException: _unknown},
+        exception_handlers=dict.fromkeys((RefusedError, HomologError, HTTPException), _error_response),
         lifespan=lifespan,
     )
 
 
-class _Answers:
+class _Endpoints:
     def __init__(self, jobs: Jobs, page: Page) -> None:
         self._jobs, self._page = jobs, page
 
@@ -75,11 +74,11 @@ class _Answers:
 
     async def open(self, request: Request) -> Response:
         try:
-            wishes = Wishes.of(json.loads(await _small_body(request)))
+            match_request = MatchRequest.of(json.loads(await _small_body(request)))
         except (ValueError, RecursionError) as error:
             raise RefusedError(400, str(error) if isinstance(error, HomologError) else "that is no JSON") from None
         host = request.client.host if request.client else ""
-        return JSONResponse({"id": self._jobs.open(wishes, host)}, 201)
+        return JSONResponse({"id": self._jobs.open(match_request, host)}, 201)
 
     async def receive(self, request: Request) -> Response:
         job, side = self._job(request), request.path_params["side"]
@@ -88,26 +87,26 @@ class _Answers:
         name, size = request.query_params.get("name", ""), request.headers.get("content-length", "")
         declared = int(size) if size.isdecimal() else None
         try:
-            await self._jobs.receive(job, cast(Side, side), name, declared, request.stream())
+            await job.receive(cast(Side, side), name, declared, request.stream())
         except ClientDisconnect:
-            return Response(status_code=400)  # heard by no one
+            return Response(status_code=400)  # no one reads it
         return Response(status_code=204)
 
     async def events(self, request: Request) -> Response:
         job, last = self._job(request), request.headers.get("last-event-id", "")
         begin = int(last) + 1 if last.isdecimal() and len(last) < 10 else 0
-        return StreamingResponse(_stream(job, begin), media_type="text/event-stream", headers=_AT_ONCE)
+        return StreamingResponse(_server_sent(job, begin), media_type="text/event-stream", headers=_UNBUFFERED)
 
     async def view(self, request: Request) -> Response:
-        path = self._done(request).folder / "result" / VIEW
-        return FileResponse(path, headers={"Content-Security-Policy": _VIEW_POLICY})
+        path = self._done(request).folder / "result" / PAGE
+        return FileResponse(path, headers={"Content-Security-Policy": MATCH_PAGE_POLICY})
 
     async def archive(self, request: Request) -> Response:
         return FileResponse(self._done(request).folder / ARCHIVE, filename=ARCHIVE)
 
     async def cancel(self, request: Request) -> Response:
-        with suppress(RefusedError):  # what is gone already need not be cancelled
-            self._job(request).life.cancel()
+        with suppress(RefusedError):  # it may have ended already
+            self._job(request).scope.cancel()
         return Response(status_code=204)
 
     def _job(self, request: Request) -> Job:
@@ -131,22 +130,16 @@ async def _small_body(request: Request) -> bytes:
     raise RefusedError(408, "the request did not come to its end; try again")
 
 
-async def _stream(job: Job, begin: int) -> AsyncIterator[str]:
+async def _server_sent(job: Job, begin: int) -> AsyncIterator[str]:
     """Server-sent events; numbered, so that a browser that lost the connection goes on where it was."""
     yield _RETRY
-    async for number, news in job.listen(begin):
-        yield f"id: {number}\nevent: {news.kind}\ndata: {json.dumps(news.told)}\n\n"
+    async for number, event in job.follow(begin):
+        yield f"id: {number}\nevent: {event.kind}\ndata: {json.dumps(event.data)}\n\n"
 
 
-async def _refused(request: Request, error: Exception) -> Response:
-    assert isinstance(error, RefusedError)
-    return JSONResponse(error.told, error.status)
-
-
-async def _mistaken(request: Request, error: Exception) -> Response:
+async def _error_response(request: Request, error: Exception) -> Response:
+    if isinstance(error, RefusedError):
+        return JSONResponse(error.data, error.status)
+    if isinstance(error, HTTPException):
+        return JSONResponse({"error": error.detail}, error.status_code, headers=error.headers)
     return JSONResponse({"error": str(error)}, 400)
-
-
-async def _unknown(request: Request, error: Exception) -> Response:
-    assert isinstance(error, HTTPException)
-    return JSONResponse({"error": error.detail}, error.status_code, headers=error.headers)

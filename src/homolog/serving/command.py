@@ -1,7 +1,8 @@
-"""The command that a match is made with, and what it says."""
+"""The command that makes a match: its arguments, its environment, and the messages that it writes."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
@@ -11,47 +12,45 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from homolog.core.errors import ArgumentError, bad_choice
-from homolog.matching import Side
+from homolog.pairs import Side
 from homolog.shapes import Up
 
-VIEW = "view.html"
+PAGE = "view.html"
 """The page of a result, in its folder."""
 
-_STEP = re.compile(r"([a-z][a-z ]*) \.\.\.")
-_ERROR = "Error: "
-# Folders of this machine, before the name of a file in them; they are nobody's business. What begins with no root, as
-# '../a/b' and 'https://a/b' do, is of no machine, but what a file says.
-_FOLDERS = re.compile(r"(?<![\w<.\\/])(?:[A-Za-z]:)?(?:[\\/][^\\/\s:;,'\"()]+)+[\\/](?=[^\\/\s])")
-# What would have a program think that it writes to a terminal.
-_OF_TERMINALS = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
-_TEMPORARY = ("TMPDIR", "TEMP", "TMP")
-_THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+# Absolute folders before the name of a file in them: users need not know those of this machine. Relative paths and
+# URLs, such as '../a/b' and 'https://a/b', come from an uploaded file, and stay.
+_ABSOLUTE_FOLDERS = re.compile(r"(?<![\w<.\\/])(?:[A-Za-z]:)?(?:[\\/][^\\/\s:;,'\"()]+)+[\\/](?=[^\\/\s])")
+# They would have a program think that it writes to a terminal.
+_TERMINAL_VARIABLES = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
+_TEMPORARY_VARIABLES = ("TMPDIR", "TEMP", "TMP")
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
-Part = Literal["none", "source", "target"]
+PartialSide = Literal["none", "source", "target"]
 
 
 @dataclass(frozen=True)
-class Wishes:
-    """What whoever uploads two shapes says of them.
+class MatchRequest:
+    """What a page says of the two shapes that it uploads.
 
     Args:
         source_up: the axis that points up in the source.
         target_up: likewise.
-        partial: which of both is a part of one like the other.
+        partial: the one that is partial, if one is.
     """
 
     source_up: Up = "y"
     target_up: Up = "y"
-    partial: Part = "none"
+    partial: PartialSide = "none"
 
     @classmethod
-    def of(cls, given: Any) -> Wishes:
-        """Read them from what a page sent.
+    def of(cls, given: Any) -> MatchRequest:
+        """Read it from the JSON that a page sent.
 
         Raises:
             ArgumentError: if it is anything else.
         """
-        allowed = {"source_up": get_args(Up), "target_up": get_args(Up), "partial": get_args(Part)}
+        allowed = {"source_up": get_args(Up), "target_up": get_args(Up), "partial": get_args(PartialSide)}
         if not isinstance(given, dict) or not given.keys() <= allowed.keys():
             raise ArgumentError(f"a match is asked for by {', '.join(allowed)} alone")
         for name, value in given.items():
@@ -60,7 +59,7 @@ class Wishes:
         return cls(**given)
 
     def options(self) -> list[str]:
-        """As options of the command."""
+        """The options of the command."""
         return [f"--{name.replace('_', '-')}={value}" for name, value in asdict(self).items() if value != "none"]
 
 
@@ -70,57 +69,57 @@ class MatchCommand:
 
     Args:
         options: of the command, the same for every match.
-        n_steps: how many steps it announces.
         program: what is run, before ``match``.
     """
 
     options: tuple[str, ...] = ()
-    n_steps: int = 11
     program: tuple[str, ...] = (sys.executable, "-m", "homolog")
 
-    def line(self, names: Mapping[Side, str], wishes: Wishes) -> list[str]:
+    def line(self, names: Mapping[Side, str], request: MatchRequest) -> list[str]:
         """The command and its arguments."""
         files = [str(Path(side, name)) for side, name in names.items()]
-        written = ["--output=result", f"--html={Path('result', VIEW)}"]
-        # Operators are not kept: they would lie outside the server's folder, and tell of shapes of others.
-        always = ["--verbose", "--no-cache"]
-        return [*self.program, "match", *written, *always, *self.options, *wishes.options(), "--", *files]
+        written = ["--output=result", f"--html={Path('result', PAGE)}"]
+        # Operators are not cached: they would lie outside the server's folder, and tell of shapes of others.
+        always = ["--progress=json", "--quiet", "--no-cache"]
+        return [*self.program, "match", *written, *always, *self.options, *request.options(), "--", *files]
 
     def environment(self, temporary: Path, threads: int) -> dict[str, str]:
         """The variables that it runs with, so that it writes nothing elsewhere and finds this very package."""
-        kept = {name: value for name, value in os.environ.items() if name not in _OF_TERMINALS}
+        kept = {name: value for name, value in os.environ.items() if name not in _TERMINAL_VARIABLES}
         path = os.pathsep.join(str(Path(place).resolve()) for place in sys.path)
         own = {"PYTHONPATH": path, "PYTHONSAFEPATH": "1", "PYTHONDONTWRITEBYTECODE": "1", "PYTHONIOENCODING": "utf-8"}
-        return kept | own | dict.fromkeys(_TEMPORARY, str(temporary)) | dict.fromkeys(_THREADS, str(threads))
+        return (
+            kept
+            | own
+            | dict.fromkeys(_TEMPORARY_VARIABLES, str(temporary))
+            | dict.fromkeys(_THREAD_VARIABLES, str(threads))
+        )
 
 
-def step_of(line: str) -> str | None:
-    """The step that a line of the command announces."""
-    found = _STEP.fullmatch(line)
-    return found and found[1]
+def read_message(line: str) -> dict[str, Any]:
+    """The JSON object in a line of the command, ``{"step": ...}`` or ``{"error": ...}``; empty for any other line.
+
+    ``homolog.cli.progress`` says what it holds.
+    """
+    try:
+        message = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return message if isinstance(message, dict) else {}
 
 
-def side_of(step: str) -> Side | None:
-    """The shape that a step is about, if it is about one."""
-    sides: tuple[Side, ...] = get_args(Side)
-    return next((side for side in sides if step.endswith(f" {side}")), None)
-
-
-def complaint_of(line: str, folder: Path, names: Mapping[Side, str], about: Side | None = None) -> str | None:
-    """The error that a line of the command tells of, with files called as their owner calls them.
+def public_error(error: str, folder: Path, names: Mapping[Side, str], side: Side | None = None) -> str:
+    """An error of the command as the page shows it: without folders of this machine.
 
     Args:
-        line: what it wrote.
+        error: what the command wrote.
         folder: where it ran.
         names: of the files that it was given.
-        about: the shape that it was at work on, told from the other if their files are called alike.
+        side: the shape that it was at work on; it is named if both files have one name.
     """
-    if not line.startswith(_ERROR):
-        return None
-    said = line.removeprefix(_ERROR)
-    for side in names:
-        # Where it begins it is the file; further on, what is called like it may be text of the file.
-        said = said.replace(f"{folder.resolve() / side}{os.sep}", "").removeprefix(f"{side}{os.sep}")
-    alike = len(set(names.values())) < len(names)
-    which = f"the {about} " if about and alike and said.startswith(names[about]) else ""
-    return which + _FOLDERS.sub("", said.replace(f"{folder.resolve()}{os.sep}", ""))
+    for which in names:
+        # At the beginning it is the file; further on, what is called like it may be text of the file.
+        error = error.replace(f"{folder.resolve() / which}{os.sep}", "").removeprefix(f"{which}{os.sep}")
+    if side is not None and len(set(names.values())) < len(names) and error.startswith(names[side]):
+        error = f"the {side} {error}"
+    return _ABSOLUTE_FOLDERS.sub("", error.replace(f"{folder.resolve()}{os.sep}", ""))

@@ -1,4 +1,4 @@
-"""The folder of a server, and those that servers left which were killed."""
+"""The temporary folder of a server, and removing those of servers that were killed."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _PREFIX = "homolog-serve-"
 _LOCK, _MARK, _KEPT = "lock", "removed-if-not-locked", "matches"
 
 
-class OwnFolder:
+class ServerFolder:
     """A temporary folder, removed at the end of a ``with`` block.
 
     A server that is killed leaves its folder, and the system lets go of the lock in it: the next one made removes it.
     """
 
     def __init__(self) -> None:
-        _remove_left()
+        _remove_abandoned()
         self._temporary = tempfile.TemporaryDirectory(prefix=_PREFIX, ignore_cleanup_errors=True)
         root = Path(self._temporary.name)
         self._lock = _lock_of(root)
@@ -41,11 +41,11 @@ class OwnFolder:
         self._temporary.cleanup()
 
 
-def _remove_left() -> None:
-    """Remove the folders of this user that servers left."""
+def _remove_abandoned() -> None:
+    """Remove the folders of this user's servers that were killed."""
     for folder in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
         with suppress(OSError, NotImplementedError):
-            if _is_own(folder) and _is_left(folder):
+            if _is_own(folder) and _is_abandoned(folder):
                 shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -56,7 +56,7 @@ def _is_own(folder: Path) -> bool:
     return own and stat.S_ISDIR(found.st_mode) and (folder / _MARK).is_file()
 
 
-def _is_left(folder: Path) -> bool:
+def _is_abandoned(folder: Path) -> bool:
     """Whether no one holds it; no one ever will again, as each server makes its own."""
     try:
         with _lock_of(folder):

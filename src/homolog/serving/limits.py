@@ -1,4 +1,4 @@
-"""How much a server gives to those who use it."""
+"""Limits on the matches of a server."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ _GIBIBYTE = 2**30
 
 @dataclass(frozen=True)
 class Limits:
-    """Bounds on what is taken in, and on what a match may use.
+    """Limits on uploads, and on what a match may use.
 
     Args:
         max_mb: the largest file, in MB (2^20 bytes).
         jobs: matches that run at once.
         queue: matches that may wait for their turn.
-        per_address: matches of one address elsewhere, running, waiting or kept.
+        per_address: matches of one address of another machine, running, waiting or kept.
         minutes: how long a match may run; uploading may take as long, and a result is kept as long.
         memory_gb: memory of a match, in GB (2^30 bytes).
 
     Raises:
-        ArgumentError: if one of them is no positive number; only the queue may be 0.
+        ArgumentError: if one of them is not a positive number; only the queue may be 0.
     """
 
     max_mb: float = 100.0
@@ -56,7 +56,7 @@ class Limits:
         return 60 * self.minutes
 
     @property
-    def places(self) -> int:
+    def admitted(self) -> int:
         """How many matches there can be at once, running, waiting or kept."""
         return self.jobs + self.queue
 

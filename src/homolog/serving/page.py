@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from homolog.serving.limits import Limits
-from homolog.shapes import READABLE
+from homolog.shapes import readable_suffixes
 from homolog.viewing import page_style
 
 _PARTS = Path(__file__).parent / "page"
@@ -36,7 +36,12 @@ def upload_page(limits: Limits, made_with: str) -> Page:
         limits: what it tells of them.
         made_with: in a few words, how matches are made.
     """
-    facts = {"suffixes": READABLE, "bytes": limits.file_bytes, "mb": f"{limits.max_mb:g}", "madeWith": made_with}
+    facts = {
+        "suffixes": readable_suffixes(),
+        "bytes": limits.file_bytes,
+        "mb": f"{limits.max_mb:g}",
+        "madeWith": made_with,
+    }
     style, program = page_style() + _part("page.css"), _part("page.js")
     parts = {
         "style": style,

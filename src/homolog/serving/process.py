@@ -18,12 +18,12 @@ from homolog.serving.limits import Limits
 
 _LIMITED = Path(__file__).with_name("limited.py")
 _WATCH_SECONDS = 0.25
-# What a line may hold at most; longer ones are no messages.
-_LONGEST_LINE = 4000
+# Of a line, in bytes; longer ones are cut, and no messages.
+_LONGEST_LINE = 16_000
 
 
-class OverLimitError(Exception):
-    """A program was ended as it took more than it may; the message says what of."""
+class LimitExceededError(Exception):
+    """A program was ended as it exceeded a limit; the message says which."""
 
 
 async def run_limited(
@@ -32,7 +32,7 @@ async def run_limited(
     folder: Path,
     environment: Mapping[str, str],
     limits: Limits,
-    heard: Callable[[str], None],
+    on_line: Callable[[str], None],
 ) -> int:
     """Run a program until it ends; whatever ends this, cancellation too, ends the program and its children.
 
@@ -41,16 +41,18 @@ async def run_limited(
         folder: where it runs.
         environment: its environment variables.
         limits: of its time and memory.
-        heard: told each line of its standard error.
+        on_line: called with each line of its standard error.
 
     Returns:
         Its exit code; below zero the signal that ended it.
 
     Raises:
-        OverLimitError: if it took too long or too much memory.
+        LimitExceededError: if it took too long or too much memory.
     """
+    # With limits of the system's, where there are any.
+    wrapper = [] if sys.platform == "win32" else [sys.executable, "-I", str(_LIMITED), str(limits.memory_bytes)]
     process = await anyio.open_process(
-        _limited(command, limits),
+        [*wrapper, *command],
         cwd=folder,
         env=environment,
         stdin=subprocess.DEVNULL,
@@ -59,41 +61,34 @@ async def run_limited(
     )
     try:
         with anyio.move_on_after(limits.seconds):
-            return await _end_of(process, limits, heard)
+            return await _wait_for(process, limits, on_line)
     finally:
         _kill(process.pid)
         with anyio.CancelScope(shield=True):
             await process.aclose()
-    raise OverLimitError(f"took longer than {limits.minutes:g} minutes")
+    raise LimitExceededError(f"took longer than {limits.minutes:g} minutes")
 
 
-def _limited(command: Iterable[str], limits: Limits) -> list[str]:
-    """The command with limits of the system's, where there are any."""
-    if sys.platform == "win32":
-        return list(command)
-    return [sys.executable, "-I", str(_LIMITED), str(limits.memory_bytes), *command]
-
-
-async def _end_of(process: Process, limits: Limits, heard: Callable[[str], None]) -> int:
-    """Hear what a program says until it ends."""
+async def _wait_for(process: Process, limits: Limits, on_line: Callable[[str], None]) -> int:
+    """Read what a program writes until it ends."""
     assert process.stderr is not None
-    outgrown = anyio.Event()
+    exceeded = anyio.Event()
     async with anyio.create_task_group() as group:
-        group.start_soon(_watch, process.pid, limits.memory_bytes, outgrown)
+        group.start_soon(_watch, process.pid, limits.memory_bytes, exceeded)
         async for line in _lines(process.stderr):
-            heard(line)
+            on_line(line)
         code = await process.wait()
         group.cancel_scope.cancel()
-    if outgrown.is_set():
-        raise OverLimitError(f"needed more than {limits.memory_gb:g} GB of memory")
+    if exceeded.is_set():
+        raise LimitExceededError(f"needed more than {limits.memory_gb:g} GB of memory")
     return code
 
 
-async def _watch(pid: int, most: int, outgrown: anyio.Event) -> None:
+async def _watch(pid: int, most: int, exceeded: anyio.Event) -> None:
     """Kill a program once it and its children hold too much memory: not every system keeps to limits of its own."""
     while _memory_of(pid) <= most:
         await anyio.sleep(_WATCH_SECONDS)
-    outgrown.set()
+    exceeded.set()
     _kill(pid)
 
 
@@ -108,8 +103,8 @@ async def _lines(stream: ByteReceiveStream) -> AsyncIterator[str]:
         yield kept.decode(errors="replace")
 
 
-def _family(pid: int) -> list[psutil.Process]:
-    """A process and all below it, as far as they still are."""
+def _process_tree(pid: int) -> list[psutil.Process]:
+    """A process and its descendants, as far as they still exist."""
     with suppress(psutil.Error):
         first = psutil.Process(pid)
         return [first, *first.children(recursive=True)]
@@ -117,9 +112,9 @@ def _family(pid: int) -> list[psutil.Process]:
 
 
 def _memory_of(pid: int) -> int:
-    """Resident memory of a process and all below it, in bytes."""
+    """Resident memory of a process and its descendants, in bytes."""
     total = 0
-    for process in _family(pid):
+    for process in _process_tree(pid):
         with suppress(psutil.Error):
             total += process.memory_info().rss
     return total
@@ -128,7 +123,7 @@ def _memory_of(pid: int) -> int:
 def _kill(pid: int) -> None:
     """End a process and its children at once; its group is its own."""
     if sys.platform == "win32":
-        for process in _family(pid):
+        for process in _process_tree(pid):
             with suppress(psutil.Error):
                 process.kill()
     else:

@@ -1,4 +1,4 @@
-"""Listening, until told to end."""
+"""The server of the page that matches."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from pathlib import Path
 
 import uvicorn
 
+from homolog.serving.addresses import address_of, free_port, listener
 from homolog.serving.app import make_app
 from homolog.serving.command import MatchCommand
-from homolog.serving.connection import PatientProtocol
-from homolog.serving.folder import OwnFolder
-from homolog.serving.guard import names_of
+from homolog.serving.connection import TimeoutProtocol
+from homolog.serving.folder import ServerFolder
+from homolog.serving.guard import HostNames
 from homolog.serving.jobs import Jobs
 from homolog.serving.limits import Limits
 from homolog.serving.page import upload_page
-from homolog.viewing import address_of, free_port, listener
 
 # For answers that are being sent when the server ends.
-_LAST_SECONDS = 5
-_CONNECTIONS_PER_PLACE = 16
-# From which it is believed for whom a request is passed on.
+_SHUTDOWN_SECONDS = 5
+_CONNECTIONS_PER_MATCH = 16
+# Proxies there are trusted to say whose request they pass on.
 _PROXIES = ["127.0.0.1", "::1"]
 
 
@@ -53,24 +53,24 @@ class MatchServer:
         names: Iterable[str] = (),
         made_with: str = "",
     ) -> None:
-        known_as = names_of(host, names)
+        host_names = HostNames.of(host, names)
         self._socket = listener(host, free_port(host, port))
-        self._socket.listen()  # from now on browsers wait, and are not turned away
+        self._socket.listen()  # from now on browsers wait, and are not refused
         self.address = address_of(host, self._socket.getsockname()[1])
-        self._folder = OwnFolder()
+        self._folder = ServerFolder()
         jobs = Jobs(self.folder, command, limits)
-        app = make_app(jobs, upload_page(limits, made_with), known_as)
+        app = make_app(jobs, upload_page(limits, made_with), host_names)
         config = uvicorn.Config(
             app,
-            http=PatientProtocol,
+            http=TimeoutProtocol,
             ws="none",
             loop="asyncio",
             log_config=None,
             access_log=False,
             server_header=False,
             forwarded_allow_ips=_PROXIES,
-            limit_concurrency=_CONNECTIONS_PER_PLACE * limits.places,
-            timeout_graceful_shutdown=_LAST_SECONDS,
+            limit_concurrency=_CONNECTIONS_PER_MATCH * limits.admitted,
+            timeout_graceful_shutdown=_SHUTDOWN_SECONDS,
         )
         self._server = _Server(config, jobs)
 
@@ -92,9 +92,9 @@ class MatchServer:
 class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, jobs: Jobs) -> None:
         super().__init__(config)
-        self._matches = jobs
+        self._jobs = jobs
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Matches end before their pages are waited for, which would listen to them for ever."""
-        self._matches.close()
+        """Cancel matches first: their pages follow them until they end."""
+        self._jobs.close()
         await super().shutdown(sockets)

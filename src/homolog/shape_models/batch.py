@@ -50,9 +50,7 @@ def settings_record(template_sha256: str, matcher: Matcher, settings: ShapeModel
     return {
         "template": {"sha256": template_sha256},
         "matching": asdict(settings),
-        "method": matcher.settings.method,
-        "weights": None if matcher.network is None else asdict(matcher.info),
-        "settings": {**asdict(matcher.settings), "operators": asdict(matcher.operator_settings)},
+        **{name: value for name, value in matcher.describe().items() if name != "device"},
     }
 
 

@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from homolog.core.errors import ShapeError
-from homolog.matching import Correspondence, Matcher
+from homolog.matching import Match, Matcher
+from homolog.pairs import PairOptions
 from homolog.shapes import Shape, Up, repair
 from homolog.transfer import SurfaceMap, SurfaceProjector, surface_map, untangled
 
@@ -102,7 +103,7 @@ class Template:
         check_template(shape)
         self.projector = SurfaceProjector(shape)
         self.matcher = matcher
-        self.prepared = matcher.prepare(shape, up=up, as_cloud=as_cloud, label="template")
+        self.prepared = matcher.preprocess(shape, up=up, as_cloud=as_cloud, label="template")
 
     def registered_to(self, shape: Shape, *, up: Up = "y", as_cloud: bool = False, strict: bool = False) -> Registered:
         """Match a shape, and register the template's surface to it smoothly.
@@ -116,12 +117,12 @@ class Template:
         Raises:
             ShapeError: if the shape cannot be used, or is refused.
         """
-        subject = self.matcher.prepare(shape, up=up, as_cloud=as_cloud, strict=strict, label="shape")
+        subject = self.matcher.preprocess(shape, up=up, as_cloud=as_cloud, strict=strict, label="shape")
         target = SurfaceProjector(shape)
         units = self._unit_warnings(target)
         if strict and units:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
-        found = self.matcher.match_checked(self.prepared, subject, strict=strict)
+        found = self.matcher.match_pair(self.matcher.paired(self.prepared, subject, PairOptions(strict=strict)))
         smooth = untangled(surface_map(self.projector, target, found))
         figures = _figures(smooth, found)
         uneven = figures.low_confidence_warnings()
@@ -154,7 +155,7 @@ def check_template(shape: Shape) -> None:
         )
 
 
-def _figures(smooth: SurfaceMap, found: Correspondence) -> Figures:
+def _figures(smooth: SurfaceMap, found: Match) -> Figures:
     assert found.quality is not None
     mean, flipped = found.quality.mean, smooth.flipped_triangles
     low, high = _edge_spread(smooth)

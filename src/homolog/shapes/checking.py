@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from homolog.shapes.cleaning import Cleaning, clean
+from homolog.shapes.finding import Finding
 from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
 from homolog.shapes.topology import Topology, face_areas, topology
-
-Severity = Literal["note", "repaired", "unusable"]
 
 # Beyond these sizes the fourth power of a length, which areas need, leaves the range of double precision.
 _USABLE_SIZES = (1e-60, 1e60)
@@ -23,28 +22,11 @@ _FAR = 1e3
 # Below this ratio of a face's area to the square of its longest edge, its angles are noise.
 _SLIVER = 1e-10
 _LINE = 1e-10
+_SPACES = {
+    "RAS": "kept in RAS, as the file says: x to the right, y to the front, z up",
+    "LPS": "kept in LPS, as the file says: x to the left, y to the back, z up",
+}
 _PIECES = "kept; those below 1 % of the largest one's area go where the nearest larger one goes"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing found: which rule, how often, how serious it is, and what is done about it.
-
-    Args:
-        rule: a short name such as ``"duplicate points"``.
-        count: how many points, faces or edges it concerns.
-        severity: ``"note"`` changes nothing, ``repair`` puts ``"repaired"`` right, and ``"unusable"`` stops
-            it.
-        action: what is done, or what to do.
-    """
-
-    rule: str
-    count: int
-    severity: Severity
-    action: str
-
-    def __str__(self) -> str:
-        return f"{self.count} {self.rule}: {self.action}"
 
 
 @dataclass(frozen=True)
@@ -112,6 +94,13 @@ def check(shape: Shape) -> Report:
 
     Raises:
         ArgumentError: if it is no ``Shape`` at all.
+
+    Example:
+        >>> import homolog
+        >>> body, _ = homolog.shapes.demo_shapes()
+        >>> report = homolog.check(body)
+        >>> report.usable, report.is_clean, report.n_components
+        (True, True, 1)
     """
     return report_on(shape, clean(shape))
 
@@ -119,7 +108,7 @@ def check(shape: Shape) -> Report:
 def report_on(shape: Shape, cleaning: Cleaning) -> Report:
     """Describe a shape whose clean arrays are known."""
     extent = _extent(cleaning.points)
-    findings = [*_unusable(shape, cleaning, extent)]
+    findings = [*_unusable(cleaning, extent)]
     described = None
     area = None
     if not findings and cleaning.faces is not None:
@@ -131,6 +120,9 @@ def report_on(shape: Shape, cleaning: Cleaning) -> Report:
     findings += _scale(cleaning.points, extent)
     if described is not None:
         findings += _surface(described, int(np.sum(slivers)))
+    findings += shape.notes
+    if shape.space is not None:
+        findings.append(Finding("points in anatomical axes", shape.n_points, "note", _SPACES[shape.space]))
     return Report(
         name=shape.name,
         modality=shape.modality,
@@ -156,7 +148,7 @@ def _extent(points: Float[np.ndarray, "n 3"]) -> float:
     return longest * float(np.linalg.norm(sides / longest)) if 0 < longest < np.inf else longest
 
 
-def _unusable(shape: Shape, cleaning: Cleaning, extent: float) -> Iterator[Finding]:
+def _unusable(cleaning: Cleaning, extent: float) -> Iterator[Finding]:
     """At most one reason why no repair helps; each one makes the later questions meaningless."""
     n_points, low, high = len(cleaning.points), *_USABLE_SIZES
     if cleaning.faces is not None and not len(cleaning.faces):

@@ -8,87 +8,87 @@ become one point.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 
 from homolog.core.arguments import check_kind
-from homolog.core.errors import HomologError, ShapeError
+from homolog.core.errors import HomologError, ShapeError, bad_choice
 from homolog.core.files import expanded, sha256
-from homolog.shapes.gltf_format import buffer_files, read_glb, read_gltf
-from homolog.shapes.mesh_formats import read_obj, read_off, read_stl
-from homolog.shapes.parsing import Arrays, UnreadableError, shorten
-from homolog.shapes.ply_format import read_ply
-from homolog.shapes.point_formats import read_npy, read_npz, read_pcd, read_table
-from homolog.shapes.shape import FEWEST_POINTS, Shape
-from homolog.shapes.vtk_formats import read_vtk, read_vtp, read_vtu
-
-_READERS: dict[str, Callable[[Path], Arrays]] = {
-    ".off": read_off,
-    ".obj": read_obj,
-    ".ply": read_ply,
-    ".stl": read_stl,
-    ".glb": read_glb,
-    ".gltf": read_gltf,
-    ".vtk": read_vtk,
-    ".vtp": read_vtp,
-    ".vtu": read_vtu,
-    ".xyz": read_table,
-    ".txt": read_table,
-    ".csv": read_table,
-    ".npy": read_npy,
-    ".npz": read_npz,
-    ".pcd": read_pcd,
-}
-READABLE: tuple[str, ...] = tuple(_READERS)
-"""The suffixes of the files that ``read_shape`` reads."""
+from homolog.shapes.formats import formats, imports_of, readable_suffixes
+from homolog.shapes.formats.gltf import Pose, buffer_files
+from homolog.shapes.formats.parsing import Arrays, UnreadableError, shorten
+from homolog.shapes.shape import FEWEST_POINTS, Shape, counts_from_one
 
 VOLUMES: tuple[str, ...] = (".mhd", ".mha", ".nii", ".nii.gz", ".nrrd", ".nhdr")
 """The suffixes of volumes, which are no shapes as yet; ``homolog.volumes`` makes surfaces of them."""
 
 
-def read_shape(path: str | Path) -> Shape:
+def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
     """Read a mesh or a point cloud; the suffix says which format, whatever its case.
 
     Args:
-        path: a file with one of the suffixes in ``READABLE``; ``~`` is expanded.
+        path: a file with one of the suffixes in ``readable_suffixes()``; ``~`` is expanded.
+        pose: skinned meshes of glTF as the joints pose them in the file, which is what viewers show, or at ``"rest"``,
+            as they were bound. Other formats have no joints.
 
     Returns:
         The shape, named like the file, with its points in file order and polygons split into triangles. A
         file without faces is a point cloud. Points that are NaN and faces that do not fit are kept for
-        ``repair``.
+        ``repair``. What was left out of the file stands in ``notes``, and ``check`` reports it.
 
     Raises:
-        ArgumentError: if ``path`` is no path.
+        ArgumentError: if ``path`` is no path, or ``pose`` is no pose.
         ShapeError: if the file cannot be used; one line with the file, the reason, and what to do.
         MissingExtraError: if reading this format needs a package that is not installed.
+
+    Example:
+        >>> import homolog
+        >>> from pathlib import Path
+        >>> folder = Path(homolog.__file__).parent / "demo_data" / "off"
+        >>> homolog.read_shape(folder / "amber.off")
+        Shape('amber.off': mesh, 5000 points, 9996 faces)
     """
     check_kind("path", path, PathLike, str)
+    if pose not in get_args(Pose):
+        raise bad_choice("pose", pose, get_args(Pose))
     file = _checked(path)
     check_suffix(path)
-    with _in_one_line(path), warnings.catch_warnings():
+    form = formats()[file.suffix.lower()]
+    read = form.read_rest if pose == "rest" and form.read_rest is not None else form.read
+    with _in_one_line(path), warnings.catch_warnings(), imports_of(form):
         warnings.simplefilter("ignore")
-        arrays = _READERS[file.suffix.lower()](file)
+        arrays = _arrays(read(file))
         _check_content(arrays)
-        return Shape(*arrays, name=file.name)
+        return Shape(
+            arrays.points, arrays.faces, name=file.name, notes=arrays.notes, space=arrays.space, allow_broken=True
+        )
+
+
+def _arrays(found: Any) -> Arrays:
+    """What a reader gave, be it of a format of one's own: points alone, or points and faces."""
+    points, faces, *rest = found if isinstance(found, tuple) else (found, None)
+    shape = Shape(points, faces, allow_broken=True)
+    return Arrays(shape.points, shape.faces, *rest)
 
 
 def check_suffix(path: str | Path) -> None:
     """Refuse a name that is none of a shape's file, without a look at the file.
 
     Raises:
-        ShapeError: if its suffix is not in ``READABLE``.
+        ShapeError: if its suffix is not in ``readable_suffixes()``.
     """
     name = Path(path).name
-    if (suffix := Path(path).suffix).lower() in READABLE:
+    if (suffix := Path(path).suffix).lower() in readable_suffixes():
         return
     if name.lower().endswith(VOLUMES):
         raise ShapeError(f"{path} is a volume; make a surface of its mask first, with homolog volume surface")
     found = f"the suffix {suffix!r}" if suffix else "no suffix"
-    raise ShapeError(f"{path} has {found}, but must have one of {', '.join(READABLE)}")
+    raise ShapeError(f"{path} has {found}, but must have one of {', '.join(readable_suffixes())}")
 
 
 def read_hashed_shape(path: str | Path) -> tuple[Shape, str]:
@@ -165,7 +165,7 @@ def _reason(error: Exception) -> str:
 
 def _check_content(arrays: Arrays) -> None:
     """Refuse what no repair can make a shape of."""
-    points, faces = arrays
+    points, faces = arrays.points, arrays.faces
     finite = points[np.isfinite(points).all(axis=1)]
     if len(finite) < FEWEST_POINTS:
         raise UnreadableError(f"it has {len(finite)} usable points, but at least {FEWEST_POINTS} are needed")
@@ -173,3 +173,5 @@ def _check_content(arrays: Arrays) -> None:
         raise UnreadableError("all its points are equal; export it again")
     if faces is not None and not np.any(np.all((faces >= 0) & (faces < len(points)), axis=1)):
         raise UnreadableError("none of its faces refers to its points; export it again")
+    if faces is not None and counts_from_one(faces, len(points)):
+        raise UnreadableError("its faces seem to count points from 1; subtract 1 from their indices")

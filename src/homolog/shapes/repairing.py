@@ -87,13 +87,24 @@ def repair(shape: Shape) -> Repaired:
     Raises:
         ArgumentError: if it is no ``Shape``.
         ShapeError: if what is left is no shape: too few points, no face, or no extent.
+
+    Example:
+        >>> import homolog
+        >>> points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]]  # the last point is the first
+        >>> repaired = homolog.repair(homolog.Shape(points, [[4, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
+        >>> repaired.shape
+        Shape('shape': mesh, 4 points, 4 faces)
+        >>> repaired.clean_index.tolist()
+        [0, 1, 2, 3, 0]
     """
     cleaning = clean(shape)
     report = report_on(shape, cleaning)
     for finding in report.findings:
         if finding.severity == "unusable":
             raise ShapeError(f"{shape.name} cannot be used: {finding}")
-    clean_shape = shape if report.is_clean else Shape(cleaning.points, cleaning.faces, name=shape.name)
+    clean_shape = (
+        shape if report.is_clean else replace(shape, points=cleaning.points, faces=cleaning.faces, allow_broken=False)
+    )
     return Repaired(clean_shape, report, cleaning.kept, cleaning.clean_index)
 
 
@@ -110,4 +121,4 @@ def drawable(shape: Shape) -> Shape:
     finite = np.isfinite(shape.points).all(axis=1)
     points = np.where(finite[:, None], shape.points, shape.points[finite].mean(axis=0))
     faces = None if shape.faces is None or kept is None or not len(kept) else shape.faces[kept]
-    return replace(shape, points=points, faces=faces)
+    return replace(shape, points=points, faces=faces, allow_broken=False)

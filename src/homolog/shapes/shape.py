@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from homolog.core.errors import ShapeError
+from homolog.shapes.finding import Finding
 
 Modality = Literal["mesh", "cloud"]
 """With faces, or without."""
@@ -26,20 +27,38 @@ class Shape:
         faces: triangles as 0-based point indices, shape (m, 3), or None for a point cloud. Copied and made
             read-only.
         name: how messages call the shape, usually its file name.
+        notes: what its reader left out of the file or decided; ``check`` reports it.
+        space: the anatomical axes that its file names, such as ``"RAS"``; None if it names none.
+        allow_broken: whether faces may refer to points that do not exist, as in damaged files. ``repair`` drops them,
+            and ``check`` counts them.
 
     Raises:
         ShapeError: if an array has another number of dimensions or columns, points are no real numbers, or faces no
-            whole ones.
+            whole ones or no indices of the points.
+
+    Example:
+        >>> import homolog
+        >>> points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
+        >>> homolog.Shape(points, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], name="tetrahedron")
+        Shape('tetrahedron': mesh, 4 points, 4 faces)
+        >>> homolog.Shape(points).modality
+        'cloud'
     """
 
     points: Float[np.ndarray, "n 3"]
     faces: Int[np.ndarray, "m 3"] | None = None
     name: str = field(default="shape", kw_only=True)
+    notes: tuple[Finding, ...] = field(default=(), kw_only=True)
+    space: Literal["RAS", "LPS"] | None = field(default=None, kw_only=True)
+    allow_broken: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points", _locked(_real(self.points, f"{self.name}: points")))
+        points = _columns(self.points, f"{self.name}: points").astype(np.float64, copy=False)
+        object.__setattr__(self, "points", _locked(points))
         if self.faces is not None:
             object.__setattr__(self, "faces", _locked(_whole(self.faces, f"{self.name}: faces")))
+            if not self.allow_broken:
+                check_indices(self.faces, len(points), self.name)
 
     @property
     def modality(self) -> Modality:
@@ -65,8 +84,25 @@ class Shape:
         return f"Shape({self.name!r}: {self.modality}, {self.n_points} points{faces})"
 
 
-def _real(values: object, what: str) -> Float[np.ndarray, "n 3"]:
-    return _columns(values, what).astype(np.float64, copy=False)
+def counts_from_one(faces: Int[np.ndarray, "m 3"], n_points: int) -> bool:
+    """Whether indices of points run from 1 to the number of points, as MATLAB and OBJ count."""
+    return bool(faces.size and faces.min() == 1 and faces.max() == n_points)
+
+
+def check_indices(faces: Int[np.ndarray, ...], n_points: int, name: str) -> None:
+    """Refuse faces that refer to points that a shape does not have.
+
+    Raises:
+        ShapeError: if they do, with its own words where they count from 1.
+    """
+    if not faces.size or 0 <= (low := int(faces.min())) <= (high := int(faces.max())) < n_points:
+        return
+    if counts_from_one(faces, n_points):
+        raise ShapeError(f"{name}: faces seem to count from 1, as they hold 1 to {n_points} but not 0; give faces - 1")
+    raise ShapeError(
+        f"{name}: faces hold the index {low if low < 0 else high}, but must hold indices of points from 0 to "
+        f"{n_points - 1}; drop such faces, or give allow_broken=True and let repair drop them"
+    )
 
 
 def _whole(values: object, what: str) -> Int[np.ndarray, "m 3"]:
@@ -79,10 +115,12 @@ def _whole(values: object, what: str) -> Int[np.ndarray, "m 3"]:
     return array.astype(np.int64, copy=False)
 
 
-def _columns(values: object, what: str) -> np.ndarray:
+def _columns(values: Any, what: str) -> np.ndarray:
     """A copy, checked to be real numbers in three columns."""
     try:
-        array = np.array(_detached(values))
+        # A tensor may be part of a computation, or lie on a GPU.
+        is_tensor = hasattr(values, "detach") and hasattr(values, "cpu")
+        array = np.array(values.detach().cpu().numpy() if is_tensor else values)
         array = array.astype(np.float64) if array.dtype.kind == "O" else array
     except (TypeError, ValueError, OverflowError):
         raise ShapeError(f"{what} must be an array of numbers with shape (n, 3)") from None
@@ -91,11 +129,6 @@ def _columns(values: object, what: str) -> np.ndarray:
     if array.ndim != 2 or array.shape[1] != 3:
         raise ShapeError(f"{what} have shape {array.shape}, but must have shape (n, 3)")
     return array
-
-
-def _detached(values: object) -> object:
-    """A tensor that is part of a computation, or lies on a GPU, as one that numpy can read."""
-    return values.detach().cpu().numpy() if hasattr(values, "detach") and hasattr(values, "cpu") else values
 
 
 def _locked(array: np.ndarray) -> np.ndarray:

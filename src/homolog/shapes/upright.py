@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 
+from homolog.core.choices import Up
 from homolog.core.errors import bad_choice
 from homolog.shapes.shape import Shape
-
-Up = Literal["x", "y", "z"]
-"""The axis that points up."""
 
 
 def stand_upright(shape: Shape, up: Up) -> Shape:
@@ -22,10 +20,16 @@ def stand_upright(shape: Shape, up: Up) -> Shape:
 
     Raises:
         ArgumentError: if ``up`` is not x, y or z.
+
+    Example:
+        >>> import homolog
+        >>> shape = homolog.Shape([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
+        >>> homolog.stand_upright(shape, "z").points[3].tolist()
+        [0.0, 3.0, 0.0]
     """
     if up not in get_args(Up):
         raise bad_choice("up", up, get_args(Up))
-    return shape if up == "y" else replace(shape, points=shape.points @ upright_rotation(up).T)
+    return shape if up == "y" else replace(shape, points=shape.points @ upright_rotation(up).T, space=None)
 
 
 def upright_rotation(up: Up) -> Float[np.ndarray, "3 3"]:

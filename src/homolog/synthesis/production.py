@@ -29,9 +29,6 @@ def synthesize_people(
 ) -> PeopleFolder:
     """Write a dataset of synthetic people: the first ``n`` bodies of an endless sequence, as far as they are missing.
 
-    Several processes begin by importing the program that calls this: a script must call it below
-    ``if __name__ == "__main__":``.
-
     Args:
         output: the folder; it may hold bodies made with the same settings, which are kept.
         n: number of bodies.

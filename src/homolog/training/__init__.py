@@ -1,26 +1,54 @@
 """Learning the network from shapes alone: recipes, losses, the loop, checkpoints."""
 
 from homolog.training.adaptation import AdaptationSettings, adapt_to_pair
+from homolog.training.augmentation import augmented
+from homolog.training.distributed import is_started_by_another
 from homolog.training.loop import is_first_process, train
-from homolog.training.objective import Losses, LossSettings, TrainingShape, pair_losses
-from homolog.training.recipe import Recipe, builtin_recipes, find_recipe, read_recipe
+from homolog.training.losses import BUILTIN_LOSSES, Loss, losses_of
+from homolog.training.objective import pair_losses
+from homolog.training.quantities import QUANTITIES, PairQuantities, TrainingShape
+from homolog.training.recipes import builtin_recipes, find_recipe, read_recipe
 from homolog.training.run_folder import WEIGHTS
+from homolog.training.settings import (
+    AugmentationSettings,
+    CloudSettings,
+    DataSettings,
+    LossSettings,
+    OptimiserSettings,
+    PartialSettings,
+    Recipe,
+    SampleSettings,
+    TrainingSettings,
+    ValidationSettings,
+)
 from homolog.training.state import TrainingState
-from homolog.training.together import is_started_by_another
 
 __all__ = [
+    "BUILTIN_LOSSES",
+    "QUANTITIES",
     "WEIGHTS",
     "AdaptationSettings",
+    "AugmentationSettings",
+    "CloudSettings",
+    "DataSettings",
+    "Loss",
     "LossSettings",
-    "Losses",
+    "OptimiserSettings",
+    "PairQuantities",
+    "PartialSettings",
     "Recipe",
+    "SampleSettings",
+    "TrainingSettings",
     "TrainingShape",
     "TrainingState",
+    "ValidationSettings",
     "adapt_to_pair",
+    "augmented",
     "builtin_recipes",
     "find_recipe",
     "is_first_process",
     "is_started_by_another",
+    "losses_of",
     "pair_losses",
     "read_recipe",
     "train",

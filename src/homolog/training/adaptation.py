@@ -7,122 +7,100 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
-from homolog.core.errors import ArgumentError, TrainingError, bad_value
+from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.progress import Listener
-from homolog.features import AugmentationSettings, DiffusionNet
+from homolog.core.settings import Count, Settings
+from homolog.features import DiffusionNet, NetworkFeatures
 from homolog.geometry import Basis
-from homolog.matching import Matcher, Prepared, Side
-from homolog.training.objective import LossSettings, TrainingShape, pair_losses
-from homolog.training.recipe import OptimiserSettings, SampleSettings
+from homolog.matching import Matcher, align_partial
+from homolog.pairs import Pair, PreprocessedShape
+from homolog.training.losses import TOTAL
+from homolog.training.objective import pair_losses
+from homolog.training.quantities import TrainingShape
 from homolog.training.samples import at_points, subsets
+from homolog.training.settings import AugmentationSettings, LossSettings, OptimiserSettings, SampleSettings
 from homolog.training.state import TrainingState
 
 
-@dataclass(frozen=True)
-class AdaptationSettings:
+@dataclass(frozen=True, kw_only=True)
+class AdaptationSettings(Settings):
     """How a network is adapted to a pair.
 
     Args:
-        steps: changes of the weights.
-        optimiser: how weights follow gradients; the learning rate stays the same, and is low, as Adam's first steps are
-            of that size for every weight, whatever the gradient.
+        steps: updates of the weights.
+        optimiser: how weights follow gradients. The learning rate is constant, and low: Adam's first steps are of that
+            size for every weight, whatever the gradient.
         samples: on which points of the shapes.
-        loss: weights and sizes of the losses; functional maps have the matcher's size.
+        loss: the losses; functional maps have the matcher's size.
         augmentation: of the network's input.
         seed: of everything random.
     """
 
-    steps: int = 15
+    steps: Count = 15
     optimiser: OptimiserSettings = field(default_factory=lambda: OptimiserSettings(learning_rate=1e-4))
     samples: SampleSettings = field(default_factory=SampleSettings)
     loss: LossSettings = field(default_factory=LossSettings)
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     seed: int = 0
 
-    def __post_init__(self) -> None:
-        if self.steps < 1:
-            raise bad_value("steps", self.steps, "at least 1")
-
 
 def adapt_to_pair(
-    matcher: Matcher,
-    source: Prepared,
-    target: Prepared,
-    settings: AdaptationSettings,
-    *,
-    partial: Side | None = None,
-    listener: Listener | None = None,
-) -> tuple[Matcher, Prepared, Prepared]:
-    """Go on training a copy of a matcher's network on one pair, and take the features anew.
+    matcher: Matcher, pair: Pair, settings: AdaptationSettings, *, listener: Listener | None = None
+) -> tuple[Matcher, Pair]:
+    """Test-time adaptation: fine-tune a copy of a matcher's network on one pair, and compute the features anew.
 
     A mesh also gives the cloud of its points, as in training; a cloud alone stands in for its mesh.
 
     Args:
         matcher: with a network; stays as it is.
-        source: a prepared shape.
-        target: another.
+        pair: two preprocessed shapes.
         settings: how.
-        partial: which of the two, if any, is a part of a shape like the other.
         listener: told of each step as it begins.
 
     Returns:
-        A matcher with the adapted network, and both shapes with its features.
+        A matcher with the adapted network, and the pair with its features.
 
     Raises:
         ArgumentError: if the matcher has no network, or one for shapes that do not fit the losses.
         TrainingError: if a loss is not finite.
     """
-    if matcher.network is None:
+    extractor = pair.extractor
+    if not isinstance(extractor, NetworkFeatures):
         raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
-    if settings.loss.orthogonality and not matcher.info.near_isometric:
+    if settings.loss.weights["orthogonality"] and not extractor.info.near_isometric:
         raise ArgumentError(
-            f"the weights {matcher.info.name!r} are for shapes that keep no areas, but pairs are adapted to by losses "
-            "for those that do; leave --adapt out, or in Python give other losses"
+            f"the weights {extractor.info.name!r} are for shapes that keep no areas, but pairs are adapted to by "
+            "losses for those that do; leave --adapt out, or in Python give other losses"
         )
-    if partial == "source":
-        source = matcher.placed(target, source)
-    elif partial == "target":
-        target = matcher.placed(source, target)
-    loss = replace(settings.loss, map_eigenpairs=matcher.map_size(partial=partial is not None))
-    network = copy.deepcopy(matcher.network).requires_grad_().train()
-    pairs = _training_pairs(matcher, source, target, settings, partial)
-    _train(network, pairs, replace(settings, loss=loss), partial, listener)
-    adapted = matcher.with_network(network)
-    return adapted, _with_features(adapted, source), _with_features(adapted, target)
+    pair = align_partial(pair)
+    loss = replace(settings.loss, map_eigenpairs=pair.map_size)
+    network = copy.deepcopy(extractor.network).requires_grad_().train()
+    sampled = (_training_shapes(matcher, shape, settings.samples) for shape in (pair.x, pair.y))
+    _train(network, list(zip(*sampled, strict=True)), replace(settings, loss=loss), pair.is_partial, listener)
+    adapted = matcher.with_extractor(replace(extractor, network=network.eval()))
+    return adapted, pair.with_extractor(replace(extractor, network=network))
 
 
-def _with_features(matcher: Matcher, shape: Prepared) -> Prepared:
-    return replace(shape, features=matcher.features(shape.operators))
-
-
-def _training_pairs(
-    matcher: Matcher, source: Prepared, target: Prepared, settings: AdaptationSettings, partial: Side | None
-) -> list[tuple[TrainingShape, TrainingShape]]:
-    """The pair at each of its subsets of points; the complete shape comes first."""
-    x, y = (target, source) if partial == "source" else (source, target)
-    sampled = (_training_shapes(matcher, shape, settings.samples) for shape in (x, y))
-    return list(zip(*sampled, strict=True))
-
-
-def _training_shapes(matcher: Matcher, prepared: Prepared, settings: SampleSettings) -> list[TrainingShape]:
-    shape, mesh = prepared.repaired.shape, prepared.operators.basis
-    cloud = mesh if shape.faces is None else _cloud_basis(matcher, prepared)
+def _training_shapes(matcher: Matcher, shape: PreprocessedShape, settings: SampleSettings) -> list[TrainingShape]:
+    """A shape at each of its subsets of points."""
+    clean, mesh = shape.repaired.shape, shape.operators.basis
+    cloud = mesh if clean.faces is None else _cloud_basis(matcher, shape)
     return [
-        TrainingShape(shape.name, at_points(mesh, kept), at_points(cloud, kept)) for kept in subsets(mesh, settings)
+        TrainingShape(clean.name, at_points(mesh, kept), at_points(cloud, kept)) for kept in subsets(mesh, settings)
     ]
 
 
-def _cloud_basis(matcher: Matcher, prepared: Prepared) -> Basis:
-    scale = prepared.operators.scale
-    cloud = matcher.operators(prepared.repaired.shape, as_cloud=True, scale=scale).basis
-    return replace(cloud, points=prepared.operators.basis.points)  # of the same points, wherever a part was placed
+def _cloud_basis(matcher: Matcher, shape: PreprocessedShape) -> Basis:
+    scale = shape.operators.scale
+    cloud = matcher.preprocess.operators(shape.repaired.shape, as_cloud=True, scale=scale).basis
+    return replace(cloud, points=shape.operators.basis.points)  # of the same points, wherever a part was aligned
 
 
 def _train(
     network: DiffusionNet,
     pairs: list[tuple[TrainingShape, TrainingShape]],
     settings: AdaptationSettings,
-    partial: Side | None,
+    partial: bool,
     listener: Listener | None,
 ) -> None:
     state = TrainingState.of(network, settings.optimiser)
@@ -138,11 +116,11 @@ def _train(
             settings=settings.loss,
             augmentation=settings.augmentation,
             generator=generator,
-            partial=partial is not None,
+            partial=partial,
         )
         network.zero_grad()
-        torch.autograd.backward(losses.total)
+        torch.autograd.backward(losses[TOTAL])
         norm = torch.nn.utils.clip_grad_norm_(network.parameters(), settings.optimiser.gradient_clip or float("inf"))
-        if not torch.isfinite(losses.total + norm):
+        if not torch.isfinite(losses[TOTAL] + norm):
             raise TrainingError(f"adapting to {x.name} and {y.name}: the loss of step {step + 1} is not finite")
         state.take_step(settings.optimiser.learning_rate, 0.0)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.core.errors import TrainingError
-from homolog.core.files import atomic_path
-from homolog.training.recipe import Recipe
+from homolog.core.tensors import write_tensors
+from homolog.training.losses import Loss
+from homolog.training.settings import Recipe
 from homolog.training.state import TrainingState
 
 _FORMAT = "homolog-checkpoint-1"
@@ -23,6 +24,8 @@ _WITHOUT_EFFECT = frozenset(
     {
         "name",
         "licence",
+        "upright",
+        "near_isometric",
         "data.memory_gb",
         "data.workers",
         "training.checkpoint_minutes",
@@ -34,7 +37,9 @@ _WITHOUT_EFFECT = frozenset(
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
-def save_checkpoint(path: Path, state: TrainingState, recipe: Recipe, shapes: str) -> None:
+def save_checkpoint(
+    path: Path, state: TrainingState, recipe: Recipe, shapes: str, *, losses: Sequence[Loss] = ()
+) -> None:
     """Write all that a training needs to go on.
 
     Args:
@@ -42,20 +47,27 @@ def save_checkpoint(path: Path, state: TrainingState, recipe: Recipe, shapes: st
         state: to keep.
         recipe: of the training.
         shapes: a digest of the shapes trained on.
+        losses: of one's own, of which names and weights are noted.
     """
     progress = {name: getattr(state, name) for name in ("step", "seconds", "best", "records", "begun_with")}
     header = {
         "format": _FORMAT,
         "shapes": shapes,
-        "recipe": json.dumps(asdict(recipe.for_set())),
+        "recipe": json.dumps(_described(recipe, losses)),
         "progress": json.dumps(progress),
     }
-    with atomic_path(path) as temporary:
-        save_file(_tensors(state), temporary, metadata=header)
+    write_tensors(path, _tensors(state), header)
 
 
-def load_checkpoint(path: Path, recipe: Recipe, shapes: str, device: torch.device | str = "cpu") -> TrainingState:
-    """Read what ``save_checkpoint`` wrote, for the same recipe and shapes.
+def load_checkpoint(
+    path: Path,
+    recipe: Recipe,
+    shapes: str,
+    device: torch.device | str = "cpu",
+    *,
+    losses: Sequence[Loss] = (),
+) -> TrainingState:
+    """Read what ``save_checkpoint`` wrote, for the same recipe, shapes and losses. Nothing that it names is imported.
 
     Raises:
         TrainingError: if the file is damaged, or comes from another recipe or other shapes.
@@ -66,15 +78,15 @@ def load_checkpoint(path: Path, recipe: Recipe, shapes: str, device: torch.devic
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         if header.get("format") != _FORMAT:
             raise ValueError("it is no checkpoint")
-        _check_recipe(path, json.loads(header["recipe"]), recipe)
+        _check_recipe(path, json.loads(header["recipe"]), _described(recipe, losses))
         if header["shapes"] != shapes:
-            raise TrainingError(f"{path} was trained on other shapes; give the same --data, or another --out")
+            raise TrainingError(f"{path} was trained on other shapes; give the same DATA, or another -o")
         return _state(recipe, tensors, json.loads(header["progress"]), device)
     except TrainingError:
         raise
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:160]
-        raise TrainingError(f"{path} cannot be gone on from ({reason}); give another --out") from None
+        raise TrainingError(f"{path} cannot be gone on from ({reason}); give another -o") from None
 
 
 def _tensors(state: TrainingState) -> dict[str, Tensor]:
@@ -84,7 +96,7 @@ def _tensors(state: TrainingState) -> dict[str, Tensor]:
         for moment in _MOMENTS if state.step else ():
             tensors[f"{moment}.{name}"] = state.optimiser.state[weight][moment]
     tensors |= {f"average.{name}": weight for name, weight in (state.average or {}).items()}
-    return {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    return tensors
 
 
 def _state(
@@ -109,16 +121,18 @@ def _fill(place: Tensor, values: Tensor) -> Tensor:
     return place.detach().copy_(values)
 
 
-def _check_recipe(path: Path, found: dict[str, Any], recipe: Recipe) -> None:
-    now, by_default = (
-        _flat(json.loads(json.dumps(asdict(settings)))) for settings in (recipe.for_set(), Recipe().for_set())
-    )
+def _described(recipe: Recipe, losses: Sequence[Loss] = ()) -> dict[str, Any]:
+    return {**asdict(recipe.for_dataset()), "losses": {loss.name: loss.weight for loss in losses}}
+
+
+def _check_recipe(path: Path, found: dict[str, Any], recipe: dict[str, Any]) -> None:
+    now, by_default = (_flat(json.loads(json.dumps(table))) for table in (recipe, _described(Recipe())))
     before = {**by_default, **_flat(found)}  # what an older checkpoint does not name was as it is by default
     for key in sorted((before.keys() | now.keys()) - _WITHOUT_EFFECT):
         if before.get(key) != now.get(key):
             raise TrainingError(
                 f"{path} was trained with {key} = {before.get(key)!r}, but the recipe has {now.get(key)!r}; "
-                "give the same recipe, or another --out"
+                "give the same recipe, or another -o"
             )
 
 

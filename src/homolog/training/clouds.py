@@ -12,10 +12,11 @@ from jaxtyping import Float, Int
 from homolog.core.errors import ShapeError
 from homolog.shapes import Shape, add_noise, face_areas
 from homolog.synthesis import PartialShape, ViewSettings, cut, cut_holes, view
-from homolog.training.recipe import CloudSettings
+from homolog.training.settings import CloudSettings
 
-# Variants that take no faces.
-_OF_POINTS_ALONE = ("clean", "noisy", "thinned")
+Kind = Literal["clean", "noise", "subsampled", "resampled", "cut", "holes", "views"]
+
+_NEED_NO_FACES = ("clean", "noise", "subsampled")
 
 
 @dataclass(frozen=True)
@@ -23,21 +24,20 @@ class CloudVariant:
     """One way to make a cloud of a mesh.
 
     Args:
-        kind: ``"clean"`` for the mesh's own points, ``"noisy"``, ``"thinned"``, ``"resampled"``, ``"cut"``,
-            ``"pierced"`` or ``"seen"``.
-        amount: of noise, the share that is kept, or the number of points or holes.
+        kind: ``"clean"`` for the mesh's own points, or a key of a recipe's ``[clouds]``.
+        amount: one of that key's values.
     """
 
-    kind: Literal["clean", "noisy", "thinned", "resampled", "cut", "pierced", "seen"] = "clean"
+    kind: Kind = "clean"
     amount: float = 0.0
 
     def __str__(self) -> str:
         return f"{self.kind} {self.amount:g}"
 
     @property
-    def is_part(self) -> bool:
+    def is_partial(self) -> bool:
         """Whether it lacks a piece of the surface."""
-        return self.kind in ("cut", "pierced", "seen")
+        return self.kind in ("cut", "holes", "views")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +56,8 @@ class Cloud:
 
 def cloud_variants(settings: CloudSettings) -> tuple[CloudVariant, ...]:
     """The variants that a recipe asks for; the clean one comes first."""
-    return (
-        CloudVariant(),
-        *(CloudVariant("noisy", sigma) for sigma in settings.noise),
-        *(CloudVariant("thinned", share) for share in settings.subsampled),
-        *(CloudVariant("resampled", number) for number in settings.resampled),
-        *(CloudVariant("cut", share) for share in settings.cut),
-        *(CloudVariant("pierced", number) for number in settings.holes),
-        *(CloudVariant("seen", sigma) for sigma in settings.seen),
-    )
+    kinds: tuple[Kind, ...] = ("noise", "subsampled", "resampled", "cut", "holes", "views")
+    return (CloudVariant(), *(CloudVariant(kind, amount) for kind in kinds for amount in getattr(settings, kind)))
 
 
 def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
@@ -73,21 +66,25 @@ def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
     Raises:
         ShapeError: if it has no faces, and the variant takes some.
     """
-    if mesh.faces is None and variant.kind not in _OF_POINTS_ALONE:
+    if mesh.faces is None and variant.kind not in _NEED_NO_FACES:
         raise ShapeError("it has no faces; leave that out, or make a surface with homolog reconstruct")
     random = np.random.default_rng(seed)
-    if variant.kind == "noisy":
+    if variant.kind == "noise":
         return Cloud(add_noise(mesh.as_cloud(), variant.amount, seed=seed), None)
-    if variant.kind == "thinned":
-        return _weighted(mesh, _thinned(mesh.n_points, variant.amount, random))
+    if variant.kind == "subsampled":
+        kept = np.sort(random.permutation(mesh.n_points)[: max(round(variant.amount * mesh.n_points), 1)])
+        return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[kept])
     if variant.kind == "resampled":
         return _weighted(mesh, _resampled(mesh, round(variant.amount), random))
     if variant.kind == "cut":
         return _part(mesh, cut(mesh, removed=1 - variant.amount, seed=seed))
-    if variant.kind == "pierced":
+    if variant.kind == "holes":
         return _part(mesh, cut_holes(mesh, holes=round(variant.amount), seed=seed))
-    if variant.kind == "seen":
-        return _seen(mesh, view(mesh, ViewSettings(noise=variant.amount), seed=seed).cloud)
+    if variant.kind == "views":
+        # A depth camera's points lie within triangles or, with noise, before and behind them.
+        seen = view(mesh, ViewSettings(noise=variant.amount), seed=seed).cloud
+        assert seen.triangles is not None and seen.weights is not None
+        return Cloud(seen.shape, _interpolation(mesh, seen.triangles, seen.weights))
     return Cloud(mesh.as_cloud(), None)
 
 
@@ -99,22 +96,13 @@ def _part(mesh: Shape, part: PartialShape) -> Cloud:
     return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[part.full_index])
 
 
-def _seen(mesh: Shape, cloud: PartialShape) -> Cloud:
-    """What a depth camera took: its points lie within triangles, or, with noise, before and behind them."""
-    assert mesh.faces is not None and cloud.triangles is not None and cloud.weights is not None
-    return Cloud(cloud.shape, _interpolation(mesh, cloud.triangles, cloud.weights))
-
-
-def _thinned(n_points: int, share: float, random: np.random.Generator) -> sparse.csr_array:
-    kept = np.sort(random.permutation(n_points)[: max(round(share * n_points), 1)])
-    return sparse.eye_array(n_points, format="csr")[kept]
-
-
 def _resampled(mesh: Shape, number: int, random: np.random.Generator) -> sparse.csr_array:
     """Barycentric weights (number, n) of points drawn evenly from the surface."""
     areas = face_areas(mesh.points, mesh.faces)  # type: ignore[arg-type]
     triangles = random.choice(len(areas), size=number, p=areas / areas.sum())
-    return _interpolation(mesh, triangles, _barycentric(number, random))
+    # Evenly distributed over a triangle: the square root makes up for its narrowing towards the first corner.
+    far, across = np.sqrt(random.random(number)), random.random(number)
+    return _interpolation(mesh, triangles, np.stack([1 - far, far * (1 - across), far * across], axis=1))
 
 
 def _interpolation(
@@ -124,9 +112,3 @@ def _interpolation(
     corners = mesh.faces[triangles]  # type: ignore[index]
     rows = np.repeat(np.arange(len(triangles)), 3)
     return sparse.csr_array((weights.ravel(), (rows, corners.ravel())), shape=(len(triangles), mesh.n_points))
-
-
-def _barycentric(number: int, random: np.random.Generator) -> Float[np.ndarray, "number 3"]:
-    """Evenly distributed over the triangle: the square root makes up for its narrowing towards the first corner."""
-    far, across = np.sqrt(random.random(number)), random.random(number)
-    return np.stack([1 - far, far * (1 - across), far * across], axis=1)

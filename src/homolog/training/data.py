@@ -15,7 +15,7 @@ from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import expanded
 from homolog.datasets import DatasetDescription, Pair, ShapeFolder, mesh_files, partner
 from homolog.shapes import Shape, Up, read_shape, stand_upright
-from homolog.training.recipe import DataSettings, Recipe
+from homolog.training.settings import DataSettings, PartialSettings, Recipe
 
 _log = logging.getLogger(__name__)
 
@@ -36,8 +36,8 @@ class TrainingSet:
         truth: the folder with its ground truth, where it has one.
         up: which axis of the files points up.
         clouds: whether shapes may be without faces.
-        described: the folder as its set's description has it, for which the points of some sets are shuffled: where
-            row i is the same point of every shape, their order would tell what is to be found.
+        described: the folder as its dataset's description has it, which shuffles the points of some datasets: where
+            row i is the same point of every shape, their order would tell the correspondence.
     """
 
     root: Path
@@ -52,9 +52,9 @@ class TrainingSet:
 
     @classmethod
     def open(cls, root: str | Path, recipe: Recipe, description: DatasetDescription | None = None) -> TrainingSet:
-        """Look into a folder: a set as its description has it, or one of one's own.
+        """Look into a folder: a dataset as its description has it, or one of one's own.
 
-        That is ``off/NAME.off`` with or without ground truth, complete shapes and parts, or any meshes, or clouds.
+        That is ``off/NAME.off`` with or without ground truth, full and partial shapes, or any meshes, or clouds.
 
         Raises:
             ArgumentError: if the recipe and the description do not fit each other.
@@ -63,22 +63,33 @@ class TrainingSet:
         root = expanded(root)
         if not root.is_dir():
             raise DataError(f"{root}: there is no such folder; give one that holds shapes")
-        recipe = recipe.for_set(description)
-        up = recipe.data.up or "y"
+        recipe = recipe.for_dataset(description)
+        data, partial, validation, seed = recipe.data, recipe.partial, recipe.validation, recipe.seed
+        up = data.up or "y"
         described = None if description is None else ShapeFolder.without_truth(root, description, up=up)
-        complete, files = _complete_and_other_files(root, recipe, described)
-        kept = sorted(name for name in files if not _left_out(name, recipe.data))
-        chosen = _held_out(kept, recipe)
+        if described is not None and described.description.partial and partial is None:
+            raise ArgumentError(
+                f"{described.description.name} is a dataset of partial shapes, but the recipe {recipe.name!r} has no "
+                "section [partial]; take one that has, such as cuts or views"
+            )
+        full, files = _full_and_other_files(root, data, partial, described)
+        kept = sorted(name for name in files if not any(fnmatchcase(name, pattern) for pattern in data.leave_out))
+        # At random: in name order, every tenth shape often has the same pose.
+        shuffled = np.random.default_rng([seed, _HELD_OUT]).permutation(np.array(kept, dtype=object))
+        chosen = {str(name) for name in shuffled[: validation.shapes]}
         trained = tuple(name for name in kept if name not in chosen)
-        listed = _parts(kept, complete) if complete else _listed_pairs(described or _own(root, recipe), kept, recipe)
+        if full:
+            listed = tuple((partner(name, full), name) for name in kept)
+        else:
+            listed = _listed_pairs(described or _own(root, data), kept, lists=partial is not None)
         watched = tuple(pair for pair in listed if not chosen.isdisjoint(pair))
         pairs = tuple(pair for pair in listed if chosen.isdisjoint(pair))
         _check_numbers(root, trained, listed, pairs)
         # Where nothing is held out, pairs that are trained on are validated, too.
-        held_out = _some_pairs(sorted(chosen) or trained, watched or pairs, recipe)
-        files = {**complete, **{name: files[name] for name in kept}}
+        held_out = _some_pairs(sorted(chosen) or trained, watched or pairs, validation.pairs, seed)
+        files = {**full, **{name: files[name] for name in kept}}
         truth = _ground_truth(root, recipe, description)
-        return cls(root, files, trained, pairs, held_out, truth, up, recipe.data.clouds, described)
+        return cls(root, files, trained, pairs, held_out, truth, up, data.clouds, described)
 
     def shape(self, name: str) -> Shape:
         """Read one shape, and stand it upright.
@@ -86,18 +97,16 @@ class TrainingSet:
         Raises:
             DataError: if it has no faces, and clouds were not asked for.
         """
-        shape = self._upright(name)
+        if self.described is not None:
+            shape = self.described.shape(name)
+        else:
+            shape = stand_upright(read_shape(self.files[name]), self.up)
         if shape.faces is None and not self.clouds:
             raise DataError(
                 f"{self.files[name]} has no faces, but training is on meshes; make surfaces of clouds "
                 "with homolog reconstruct, or have [data] clouds = true in the recipe"
             )
         return shape
-
-    def _upright(self, name: str) -> Shape:
-        if self.described is not None:
-            return self.described.shape(name)
-        return stand_upright(read_shape(self.files[name]), self.up)
 
     @property
     def used(self) -> tuple[str, ...]:
@@ -106,34 +115,21 @@ class TrainingSet:
         return tuple(sorted({*paired, *(() if self.pairs else self.names)}))
 
 
-def _complete_and_other_files(
-    root: Path, recipe: Recipe, described: ShapeFolder | None
+def _full_and_other_files(
+    root: Path, data: DataSettings, partial: PartialSettings | None, described: ShapeFolder | None
 ) -> tuple[dict[str, Path], dict[str, Path]]:
-    """Complete shapes in a folder of their own, if there are such, and all others."""
+    """Full shapes in a folder of their own, if there are such, and all others."""
     if described is not None:
-        return _described_files(described, recipe)
-    if recipe.partial is not None and (root / str(recipe.partial.complete)).is_dir():
-        complete, parts = root / str(recipe.partial.complete), root / str(recipe.partial.parts)
-        if not parts.is_dir():
-            raise DataError(f"{root} has complete shapes, but no {recipe.partial.parts!r}; change [partial] parts")
-        return _apart(mesh_files(complete), mesh_files(parts))
-    return {}, _split_files(root, recipe.data)
-
-
-def _described_files(folder: ShapeFolder, recipe: Recipe) -> tuple[dict[str, Path], dict[str, Path]]:
-    if folder.description.partial and recipe.partial is None:
-        raise ArgumentError(
-            f"{folder.description.name} is a set of parts, but the recipe {recipe.name!r} has no section [partial]; "
-            "take one that has, such as cuts or views"
-        )
-    names = folder.split(recipe.data.split)
-    return {name: folder.file(name) for name in folder.full}, {name: folder.file(name) for name in sorted(names)}
-
-
-def _apart(complete: dict[str, Path], parts: dict[str, Path]) -> tuple[dict[str, Path], dict[str, Path]]:
-    for name in complete.keys() & parts.keys():
-        raise DataError(f"{complete[name]} and {parts[name]} have one name; rename the partial one")
-    return complete, parts
+        names = sorted(described.split(data.split))
+        return {name: described.file(name) for name in described.full}, {n: described.file(n) for n in names}
+    if partial is None or not (root / str(partial.full)).is_dir():
+        return {}, _split_files(root, data)
+    if not (root / str(partial.parts)).is_dir():
+        raise DataError(f"{root} has full shapes, but no folder {partial.parts!r}; change [partial] parts")
+    full, parts = mesh_files(root / str(partial.full)), mesh_files(root / str(partial.parts))
+    for name in full.keys() & parts.keys():
+        raise DataError(f"{full[name]} and {parts[name]} have one name; rename the partial one")
+    return full, parts
 
 
 def _split_files(root: Path, settings: DataSettings) -> dict[str, Path]:
@@ -146,46 +142,26 @@ def _split_files(root: Path, settings: DataSettings) -> dict[str, Path]:
     return {name: files[name] for name in names}
 
 
-def _left_out(name: str, settings: DataSettings) -> bool:
-    return any(fnmatchcase(name, pattern) for pattern in settings.leave_out)
-
-
-def _held_out(names: Sequence[str], recipe: Recipe) -> set[str]:
-    """Shapes to validate on, drawn at random: in name order, every tenth one often has the same pose."""
-    random = np.random.default_rng([recipe.seed, _HELD_OUT])
-    return {str(name) for name in random.permutation(np.array(names, dtype=object))[: recipe.validation.shapes]}
-
-
-def _own(root: Path, recipe: Recipe) -> ShapeFolder:
+def _own(root: Path, settings: DataSettings) -> ShapeFolder:
     """A folder of one's own with the names of all its shapes."""
     place = root / "off" if (root / "off").is_dir() else root
-    return ShapeFolder(root, tuple(mesh_files(place, clouds=recipe.data.clouds)))
+    return ShapeFolder(root, tuple(mesh_files(place, clouds=settings.clouds)))
 
 
-def _parts(names: Sequence[str], complete: dict[str, Path]) -> tuple[Pair, ...]:
-    """Each part with its complete shape."""
-    return tuple((partner(name, complete), name) for name in names)
+def _listed_pairs(folder: ShapeFolder, names: Sequence[str], *, lists: bool) -> tuple[Pair, ...]:
+    """The pairs that a list or the classes of shapes give; none where any two make one.
 
-
-def _listed_pairs(folder: ShapeFolder, names: Sequence[str], recipe: Recipe) -> tuple[Pair, ...]:
-    """The pairs that a list or the classes of shapes give; none where any two make one."""
-    if not _has_pairs_of_its_own(folder, recipe):
+    Lists count where ``lists`` is true, for partial shapes: full shapes' lists are for tests.
+    """
+    rule, file = folder.description.pairs, folder.root / folder.description.pairs_file
+    is_listed = rule == "listed" or (rule == "found" and file.is_file())
+    if not (rule == "same-class" or (lists and is_listed)):
         return ()
     listed = (pair for pair in folder.pairs("all") if pair[0] != pair[1])
     kept = tuple(pair for pair in listed if set(names).issuperset(pair))
     if not kept:
-        raise DataError(
-            f"{folder.root / folder.description.pairs_file} lists no pair of shapes that are trained on; "
-            "leave fewer of them out"
-        )
+        raise DataError(f"{file} lists no pair of shapes that are trained on; leave fewer of them out")
     return kept
-
-
-def _has_pairs_of_its_own(folder: ShapeFolder, recipe: Recipe) -> bool:
-    """Whether not any two shapes make a pair: lists are for parts, as whole shapes' lists are for tests."""
-    rule, listed = folder.description.pairs, folder.root / folder.description.pairs_file
-    is_listed = rule == "listed" or (rule == "found" and listed.is_file())
-    return rule == "same-class" or (recipe.partial is not None and is_listed)
 
 
 def _check_numbers(root: Path, names: Sequence[str], listed: Sequence[Pair], pairs: Sequence[Pair]) -> None:
@@ -198,12 +174,12 @@ def _check_numbers(root: Path, names: Sequence[str], listed: Sequence[Pair], pai
         )
 
 
-def _some_pairs(names: Sequence[str], listed: Sequence[Pair], recipe: Recipe) -> tuple[Pair, ...]:
+def _some_pairs(names: Sequence[str], listed: Sequence[Pair], number: int, seed: int) -> tuple[Pair, ...]:
     """Pairs to validate on: the same for every training with the same data, number of pairs and seed."""
-    random = np.random.default_rng([recipe.seed, _VALIDATION])
+    random = np.random.default_rng([seed, _VALIDATION])
     n_all = len(listed) or len(names) * (len(names) - 1)
-    chosen = random.choice(n_all, size=min(recipe.validation.pairs, n_all), replace=False)
-    return tuple(listed[number] if listed else _pair(names, int(number)) for number in chosen)
+    chosen = random.choice(n_all, size=min(number, n_all), replace=False)
+    return tuple(listed[i] if listed else _pair(names, int(i)) for i in chosen)
 
 
 def _pair(names: Sequence[str], number: int) -> Pair:

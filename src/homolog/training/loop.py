@@ -7,7 +7,6 @@ import logging
 import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,18 +21,22 @@ from homolog.core.progress import Progress, no_progress
 from homolog.datasets import DatasetDescription
 from homolog.features import DiffusionNet
 from homolog.geometry import OperatorCache
-from homolog.matching import Device, Matcher, MatcherSettings, OperatorSource, choose_device
-from homolog.training.bank import ShapeBank, TrainingPair, prefetched
+from homolog.matching import Matcher
+from homolog.pairs import Device, MatcherSettings, OperatorSource, choose_device
 from homolog.training.data import TrainingSet
+from homolog.training.distributed import failing_together, leaving_together
 from homolog.training.interrupts import Interrupts, deferred_interrupts
-from homolog.training.journal import Journal
-from homolog.training.objective import Losses, pair_losses
-from homolog.training.plan import Plan
-from homolog.training.recipe import Recipe
+from homolog.training.losses import TOTAL, Loss, losses_of
+from homolog.training.objective import pair_losses
+from homolog.training.pairs import PairLoader, TrainingPair
+from homolog.training.prefetch import prefetched
 from homolog.training.run_folder import RunFolder, weights_info
+from homolog.training.sampling import PairSampler
 from homolog.training.schedule import learning_rate
+from homolog.training.settings import Recipe, TrainingSettings
 from homolog.training.state import Record, TrainingState
-from homolog.training.together import failing_together, leaving_together
+from homolog.training.store import ShapeStore
+from homolog.training.training_log import TrainingLog
 from homolog.training.validation import scores, validation_losses
 
 if TYPE_CHECKING:
@@ -41,14 +44,13 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger(__name__)
 
-_TERMS = (*(field.name for field in fields(Losses)), "total")
-
 
 def train(
     recipe: Recipe,
     data: str | Path,
     run: str | Path,
     *,
+    losses: Sequence[Loss] = (),
     description: DatasetDescription | None = None,
     resume: bool = False,
     weights: str | Path | None = None,
@@ -69,30 +71,47 @@ def train(
         recipe: what to do.
         data: a folder; see ``TrainingSet.open``.
         run: the folder to write; see ``RunFolder``.
-        description: of the set in ``data``; by default the folder is one's own.
+        losses: of one's own, beside those of the recipe.
+        description: of the dataset in ``data``; by default the folder is one's own.
         resume: go on from the latest checkpoint in ``run``, or begin where there is none.
-        weights: to begin with, a file or the name of some that ship; random ones by default.
+        weights: to start from, a file or the name of pretrained ones; random ones by default. Ignored with ``resume``
+            where there is a checkpoint.
         device: where to compute.
         processes: on each machine; with GPUs, one for each.
         machines: on each of which the same command runs.
         operators: where operators come from; by default the cache on disk.
-        progress: told what is done.
+        progress: called with what is done.
 
     Returns:
         The state after the last step.
 
     Raises:
-        ArgumentError: if ``run`` holds files and ``resume`` is not given, or another training is at work in it.
+        ArgumentError: if ``run`` holds files and ``resume`` is not given, another training is at work in it, or a loss
+            cannot be used.
         DataError: if ``data`` has too few shapes.
         ShapeError: if a shape cannot be used.
         TrainingError: if a loss is not finite, or the checkpoint does not fit the recipe or the data.
         WeightsError: if there are no such weights, or they are of another network than the recipe's.
         MissingExtraError: without the packages of the extra ``train``.
+
+    Example:
+        With a loss of one's own beside the recipe's, a function of some of the ``QUANTITIES`` of a pair:
+
+        >>> from homolog.training import Loss, read_recipe, train
+        >>> def small_maps(c_xy, c_yx):
+        ...     return c_xy.square().mean() + c_yx.square().mean()
+        >>> mine = Loss("small_maps", 0.5, requires={"c_xy", "c_yx"}, function=small_maps)
+        >>> state = train(read_recipe("quick"), "scans", "run", losses=[mine])  # doctest: +SKIP
     """
-    recipe = recipe.for_set(description)
+    recipe = recipe.for_dataset(description)
+    objective = losses_of(recipe.loss, losses)
+    if recipe.upright and recipe.augmentation.turn == "any":
+        _log.warning(
+            "upright is true, though [augmentation] turn is 'any'; set upright = false for shapes in any pose."
+        )
     shapes = TrainingSet.open(data, recipe, description)
-    folder = RunFolder(expanded(run), recipe, shapes)
-    fabric = _fabric(recipe, device, processes, machines)
+    folder = RunFolder(expanded(run), recipe, shapes, tuple(losses))
+    fabric = _fabric(recipe.training, device, processes, machines)
     with contextlib.ExitStack() as until_the_end:
         if is_first_process():
             folder.make(resume=resume)
@@ -100,23 +119,16 @@ def train(
         fabric.launch()
         until_the_end.enter_context(leaving_together())
         report = progress if progress is not None and fabric.is_global_zero else no_progress
-        bank = ShapeBank(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
+        store = ShapeStore(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
         with failing_together():
             state = folder.load(fabric.device, weights=weights)
-        return _trained(fabric, folder, bank, state, report)
-
-
-def _trained(
-    fabric: Fabric, folder: RunFolder, bank: ShapeBank, state: TrainingState, progress: Progress
-) -> TrainingState:
-    """Take the steps that are left, in one of the processes that were started."""
-    with failing_together():
-        bank.prepare(folder.shapes.used[fabric.global_rank :: fabric.world_size], progress)
-    if state.step < folder.recipe.training.steps:
-        keep_freed_memory()
-        with deferred_interrupts() as interrupts:
-            _Training(fabric, folder, bank, state, progress).run(interrupts)
-    return state
+        with failing_together():
+            store.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
+        if state.step < recipe.training.steps:
+            keep_freed_memory()
+            with deferred_interrupts() as interrupts:
+                _Training(fabric, folder, store, objective, state, report).run(interrupts)
+        return state
 
 
 def is_first_process() -> bool:
@@ -136,20 +148,20 @@ def _fabric_package() -> type[Fabric]:
     return Fabric
 
 
-def _fabric(recipe: Recipe, device: Device, processes: int, machines: int) -> Fabric:
+def _fabric(settings: TrainingSettings, device: Device, processes: int, machines: int) -> Fabric:
     kind = choose_device(device).type
     if kind == "cuda" and processes > torch.cuda.device_count():
         raise ArgumentError(
             f"processes is {processes}, but CUDA devices are {torch.cuda.device_count()}; use as many, or --device cpu"
         )
-    if kind == "cpu" and recipe.training.precision == "bf16":
+    if kind == "cpu" and settings.precision == "bf16":
         _log.warning("[training] precision is 'bf16', which is for GPUs: here it is coarser and saves no time.")
     return _fabric_package()(
         accelerator=kind,
         devices=processes,
         num_nodes=machines,
         strategy="auto" if processes * machines == 1 else "ddp",
-        precision="bf16-mixed" if recipe.training.precision == "bf16" else "32-true",
+        precision="bf16-mixed" if settings.precision == "bf16" else "32-true",
     )
 
 
@@ -160,43 +172,46 @@ class _Training:
         self,
         fabric: Fabric,
         folder: RunFolder,
-        bank: ShapeBank,
+        store: ShapeStore,
+        losses: Sequence[Loss],
         state: TrainingState,
         progress: Progress,
     ) -> None:
-        self.fabric, self.folder, self.bank, self.state, self.progress = fabric, folder, bank, state, progress
-        self.recipe = folder.recipe
-        self.plan = Plan(folder.shapes, self.recipe)
+        self.fabric, self.folder, self.store, self.state, self.progress = fabric, folder, store, state, progress
+        self.recipe, self.losses = folder.recipe, losses
+        self.terms = (*(loss.name for loss in losses), TOTAL)
+        self.loader = PairLoader(store, self.recipe.partial, losses)
+        self.sampler = PairSampler(folder.shapes, self.recipe)
         self.gradient = _flat_gradient(state.network)
         self.clock = self.saved = time.monotonic()
-        self.journal = Journal(folder.path, _TERMS, state.step) if fabric.is_global_zero else None
+        self.log = TrainingLog(folder.path, self.terms, state.step) if fabric.is_global_zero else None
 
     def run(self, interrupts: Interrupts) -> None:
         """Take the steps that are left, until the last one or an interrupt."""
         steps = range(self.state.step, self.recipe.training.steps)
         pairs_of_steps = prefetched(self._load, steps, workers=self.recipe.data.workers)
         with contextlib.closing(self), contextlib.closing(pairs_of_steps):
-            if self.journal is not None:
+            if self.log is not None:
                 if self.state.step == 0 and self.state.begun_with:
                     self._save()  # gone on with from here, it need not be told again what it began with
                 self._validate_if_due()  # an interrupt is saved at once, and may leave this undone
             for _ in steps:
                 stopped = self._step(pairs_of_steps, interrupts)
-                if self.journal is not None:
+                if self.log is not None:
                     self._look_after(stopped)
                 if stopped:
                     break
 
     def close(self) -> None:
         """Write out what TensorBoard still holds."""
-        if self.journal is not None:
-            self.journal.close()
+        if self.log is not None:
+            self.log.close()
 
     # ---- one step
 
     def _load(self, step: int) -> list[TrainingPair]:
         """The share of a step's pairs that falls to this process."""
-        return self.bank.pairs(self.plan.draws(step)[self.fabric.global_rank :: self.fabric.world_size])
+        return self.loader.pairs(self.sampler.of_step(step)[self.fabric.global_rank :: self.fabric.world_size])
 
     def _step(self, pairs_of_steps: Iterator[list[TrainingPair]], interrupts: Interrupts) -> bool:
         """Take one step; whether any process was interrupted."""
@@ -208,29 +223,30 @@ class _Training:
         self._clip(norm)
         rate = learning_rate(self.recipe.optimiser, self.state.step, self.recipe.training.steps)
         self.state.take_step(rate, self.recipe.optimiser.average)
-        if self.journal is not None:
-            self.journal.step(self.state.step, losses, norm, rate)
+        if self.log is not None:
+            self.log.step(self.state.step, losses, norm, rate)
         return stopped
 
     def _gradients(self, pairs: Sequence[TrainingPair]) -> Float[Tensor, "p t"]:
         """Put this share of the mean gradient into the network; losses of the step's pairs, those of others zero."""
         self.gradient.zero_()
         n_pairs = self.recipe.training.pairs_per_step
-        values = torch.zeros(n_pairs, len(_TERMS), device=self.fabric.device)
+        values = torch.zeros(n_pairs, len(self.terms), device=self.fabric.device)
         for place, pair in zip(range(self.fabric.global_rank, n_pairs, self.fabric.world_size), pairs, strict=True):
             losses = self._losses(pair)
-            torch.autograd.backward(losses.total / n_pairs)
-            values[place] = torch.stack([getattr(losses, term).detach() for term in _TERMS])
+            torch.autograd.backward(losses[TOTAL] / n_pairs)
+            values[place] = torch.stack([value.detach() for value in losses.values()])
         return values
 
-    def _losses(self, pair: TrainingPair) -> Losses:
-        generator = torch.Generator(self.fabric.device).manual_seed(pair.draw.seed)
+    def _losses(self, pair: TrainingPair) -> dict[str, Tensor]:
+        generator = torch.Generator(self.fabric.device).manual_seed(pair.sampled.seed)
         with self.fabric.autocast():
             return pair_losses(
                 self.state.network,
                 pair.x,
                 pair.y,
                 settings=self.recipe.loss,
+                losses=self.losses,
                 augmentation=self.recipe.augmentation,
                 generator=generator,
                 partial=self.recipe.partial is not None,
@@ -250,10 +266,10 @@ class _Training:
         """Every process sees the same numbers here, so that all of them stop."""
         if bool(torch.isfinite(losses).all() & torch.isfinite(norm)):
             return
-        draws = self.plan.draws(self.state.step)
-        bad = [draw for draw, row in zip(draws, losses, strict=True) if not bool(torch.isfinite(row).all())]
+        sampled = self.sampler.of_step(self.state.step)
+        bad = [pair for pair, row in zip(sampled, losses, strict=True) if not bool(torch.isfinite(row).all())]
         what = "loss" if bad else "gradient"
-        pairs = ", ".join(map(str, bad or draws))
+        pairs = ", ".join(map(str, bad or sampled))
         raise TrainingError(
             f"step {self.state.step + 1}: the {what} of {pairs} is not finite; lower [optimiser] learning_rate, "
             "or look at these shapes with homolog info"
@@ -305,21 +321,22 @@ class _Training:
         """Note how good the network is, and keep it if it is the best so far."""
         self.progress(self.state.step, self.recipe.training.steps, "validating")
         network = self.state.result()
-        losses = validation_losses(network, self.bank.pairs(self.plan.held_out()), self.recipe)
+        pairs, partial = self.loader.pairs(self.sampler.held_out()), self.recipe.partial is not None
+        losses = validation_losses(network, pairs, self.recipe.loss, self.losses, partial=partial)
         found = {f"validation/{term}": value for term, value in losses.items()}
         if scored:
             found |= {f"geodesic error/{way}": error for way, error in self._scores(network).items()}
         self._note(found)
-        if losses["total"] < (math.inf if self.state.best is None else self.state.best):
-            self.state.best = losses["total"]
+        if losses[TOTAL] < (math.inf if self.state.best is None else self.state.best):
+            self.state.best = losses[TOTAL]
             self.folder.save_best(self.state)
 
     def _note(self, found: dict[str, float]) -> None:
         finite = {name: value for name, value in found.items() if math.isfinite(value)}  # JSON knows no other numbers
         record: Record = {"step": self.state.step, "minutes": self.state.seconds / 60, **finite}
         self.state.records.append(record)
-        if self.journal is not None:
-            self.journal.scalars(self.state.step, found)
+        if self.log is not None:
+            self.log.scalars(self.state.step, found)
         _log.info("step %d: %s", self.state.step, ", ".join(f"{name} {value:.4g}" for name, value in found.items()))
 
     def _scores(self, network: DiffusionNet) -> dict[str, float]:
@@ -331,10 +348,10 @@ class _Training:
             weights_info(self.recipe),
             settings=MatcherSettings(operators=self.recipe.operators),
             device="cuda" if self.fabric.device.type == "cuda" else "cpu",
-            operators=self.bank.operators,
+            operators=self.store.operators,
         )
         held_out = self.folder.shapes.held_out[: self.recipe.validation.score_pairs]
-        pairs = [self.bank.whole_first(pair) for pair in held_out]
+        pairs = [self.loader.full_first(pair) for pair in held_out]
         listed = self.folder.path / "scored-pairs.txt"
         return scores(matcher, truth, pairs, listed, partial=self.recipe.partial)
 

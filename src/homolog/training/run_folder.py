@@ -17,10 +17,11 @@ import torch
 from homolog.core.errors import ArgumentError
 from homolog.core.files import made_folder, sha256, write_json
 from homolog.core.versions import versions
-from homolog.features import WeightsInfo, save_weights
+from homolog.features import FeatureInfo, save_weights
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
-from homolog.training.recipe import Recipe
+from homolog.training.losses import Loss
+from homolog.training.settings import Recipe
 from homolog.training.state import TrainingState
 
 WEIGHTS = "weights.safetensors"
@@ -39,11 +40,13 @@ class RunFolder:
         path: of the folder.
         recipe: of the training.
         shapes: trained on.
+        losses: of one's own, beside those of the recipe.
     """
 
     path: Path
     recipe: Recipe
     shapes: TrainingSet
+    losses: tuple[Loss, ...] = ()
 
     @property
     def last(self) -> Path:
@@ -58,9 +61,9 @@ class RunFolder:
         """
         made_folder(self.path)
         if not os.access(self.path, os.W_OK):
-            raise ArgumentError(f"{self.path} is read-only; give another --out")
+            raise ArgumentError(f"{self.path} is read-only; give another -o")
         if not resume and any(entry.name != _LOCK for entry in self.path.iterdir()):
-            raise ArgumentError(f"{self.path} holds files already; give another --out, or --resume to go on with it")
+            raise ArgumentError(f"{self.path} holds files already; give another -o, or --resume to go on with it")
 
     @contextmanager
     def held(self) -> Iterator[None]:
@@ -77,12 +80,10 @@ class RunFolder:
             lock.acquire()
         except Timeout:
             raise ArgumentError(
-                f"another training is at work in {self.path}; wait for it, or give another --out"
+                f"another training is at work in {self.path}; wait for it, or give another -o"
             ) from None
         except (OSError, NotImplementedError) as error:
-            raise ArgumentError(
-                f"{file} cannot be locked ({error}); give an --out elsewhere, on another disk"
-            ) from None
+            raise ArgumentError(f"{file} cannot be locked ({error}); give an -o elsewhere, on another disk") from None
         try:
             yield
         finally:
@@ -91,24 +92,25 @@ class RunFolder:
     def load(self, device: torch.device | str, *, weights: str | Path | None = None) -> TrainingState:
         """The state of the latest checkpoint, or a new one where there is none, with these weights if any are given."""
         if self.last.is_file():
-            return load_checkpoint(self.last, self.recipe, self._digest, device)
+            return load_checkpoint(self.last, self.recipe, self._digest, device, losses=self.losses)
         return TrainingState.new(self.recipe, device, weights=weights)
 
     def save_last(self, state: TrainingState) -> None:
         """Write the latest checkpoint."""
-        save_checkpoint(self.last, state, self.recipe, self._digest)
+        save_checkpoint(self.last, state, self.recipe, self._digest, losses=self.losses)
         if state.best is None:  # nothing is validated, or nothing yet
             self._export(state)
 
     def save_best(self, state: TrainingState) -> None:
         """Write the best checkpoint, and its weights for use."""
-        save_checkpoint(self.path / "best.safetensors", state, self.recipe, self._digest)
+        save_checkpoint(self.path / "best.safetensors", state, self.recipe, self._digest, losses=self.losses)
         self._export(state)
 
     def save_report(self, state: TrainingState, device: torch.device) -> None:
         """Write what was done, for people to read."""
         report = {
             "recipe": asdict(self.recipe),
+            "losses": {loss.name: loss.weight for loss in self.losses},
             "data": str(self.shapes.root),
             "begun_with": state.begun_with,
             "shapes": len(self.shapes.used),
@@ -133,16 +135,17 @@ class RunFolder:
         return hashlib.sha256(json.dumps(described).encode()).hexdigest()
 
 
-def weights_info(recipe: Recipe) -> WeightsInfo:
+def weights_info(recipe: Recipe) -> FeatureInfo:
     """What one must know to use the weights of a training."""
-    return WeightsInfo(
+    return FeatureInfo(
         name=recipe.name,
         licence=recipe.licence,
-        upright=recipe.augmentation.turn != "any",
+        upright=recipe.upright,
         n_eigenpairs=recipe.operators.n_eigenpairs,
         laplacian=recipe.operators.laplacian,
         n_neighbours=recipe.operators.n_neighbours,
         map_eigenpairs=recipe.loss.map_eigenpairs,
         partial=recipe.partial is not None,
-        near_isometric=recipe.loss.orthogonality > 0,
+        near_isometric=recipe.near_isometric,
+        temperature=recipe.loss.soft_temperature,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from homolog.training.recipe import OptimiserSettings
+from homolog.training.settings import OptimiserSettings
 
 # A one-cycle schedule begins at this share of the highest learning rate, and rises for this share of all steps.
 _CYCLE_START = 1 / 25

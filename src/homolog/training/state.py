@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from homolog.core.errors import WeightsError
-from homolog.features import DiffusionNet, WeightsInfo, load_weights
-from homolog.training.recipe import OptimiserSettings, Recipe
+from homolog.features import DiffusionNet, FeatureInfo, load_weights
+from homolog.training.settings import OptimiserSettings, Recipe
 
 _log = logging.getLogger(__name__)
 
@@ -69,13 +69,13 @@ class TrainingState:
         return cls.of(network.to(device).train(), recipe.optimiser)
 
     @classmethod
-    def of(cls, network: DiffusionNet, wanted: OptimiserSettings) -> TrainingState:
+    def of(cls, network: DiffusionNet, settings: OptimiserSettings) -> TrainingState:
         """The state before the first step from the weights that a network has."""
         optimiser = torch.optim.AdamW(
-            network.parameters(), wanted.learning_rate, wanted.betas, weight_decay=wanted.weight_decay, fused=True
+            network.parameters(), settings.learning_rate, settings.betas, weight_decay=settings.weight_decay, fused=True
         )
         average = {name: weight.detach().clone() for name, weight in network.named_parameters()}
-        return cls(network, optimiser, average if wanted.average else None)
+        return cls(network, optimiser, average if settings.average else None)
 
     def take_step(self, learning_rate: float, decay: float) -> None:
         """Follow the gradients, and let the average follow the weights."""
@@ -96,14 +96,15 @@ class TrainingState:
         return network
 
 
-def _pretrained(recipe: Recipe, weights: str | Path) -> tuple[DiffusionNet, WeightsInfo]:
+def _pretrained(recipe: Recipe, weights: str | Path) -> tuple[DiffusionNet, FeatureInfo]:
     """The recipe's network with weights from a file, and what these are; dropout has none, and may differ."""
-    trained, info = load_weights(weights)
+    pretrained = load_weights(weights)
+    trained, info = pretrained.network, pretrained.info
     theirs = {**asdict(trained.settings), "dropout": recipe.network.dropout}
-    for name, wanted in asdict(recipe.network).items():
-        if theirs[name] != wanted:
+    for name, given in asdict(recipe.network).items():
+        if theirs[name] != given:
             raise WeightsError(
-                f"{weights} has {name} {theirs[name]!r}, but the recipe's [network] says {wanted!r}; "
+                f"{weights} has {name} {theirs[name]!r}, but the recipe's [network] says {given!r}; "
                 "change the recipe, or give other weights"
             )
     _warn_of_differences(recipe, info)
@@ -112,13 +113,13 @@ def _pretrained(recipe: Recipe, weights: str | Path) -> tuple[DiffusionNet, Weig
     return network, info
 
 
-def _warn_of_differences(recipe: Recipe, info: WeightsInfo) -> None:
+def _warn_of_differences(recipe: Recipe, info: FeatureInfo) -> None:
     """Say where a recipe departs from what the weights that it begins with were trained with, or are given under."""
-    for name, wanted in asdict(recipe.operators).items():
-        if getattr(info, name) != wanted:
+    for name, given in asdict(recipe.operators).items():
+        if getattr(info, name) != given:
             _log.warning(
                 "%s were trained with %s %s, and the recipe's [operators] say %s.",
-                *(info.name, name, getattr(info, name), wanted),
+                *(info.name, name, getattr(info, name), given),
             )
     if info.licence != recipe.licence:
         _log.warning(

@@ -16,9 +16,10 @@ from homolog.datasets import Pair, ShapeFolder
 from homolog.evaluation import Modalities, Protocol, evaluate
 from homolog.features import DiffusionNet
 from homolog.matching import Matcher
-from homolog.training.bank import TrainingPair
+from homolog.training.losses import Loss
 from homolog.training.objective import pair_losses
-from homolog.training.recipe import PartialSettings, Recipe
+from homolog.training.pairs import TrainingPair
+from homolog.training.settings import LossSettings, PartialSettings
 
 _log = logging.getLogger(__name__)
 
@@ -26,20 +27,28 @@ _SCORED: tuple[Modalities, ...] = ("mesh", "cloud")
 
 
 @torch.no_grad()
-def validation_losses(network: DiffusionNet, pairs: Sequence[TrainingPair], recipe: Recipe) -> dict[str, float]:
-    """Mean of each loss over pairs, for a network in evaluation mode, without augmentation."""
+def validation_losses(
+    network: DiffusionNet,
+    pairs: Sequence[TrainingPair],
+    settings: LossSettings,
+    losses: Sequence[Loss],
+    *,
+    partial: bool,
+) -> dict[str, float]:
+    """Mean of each loss over pairs, and of their total, for a network in evaluation mode, without augmentation."""
     sums: dict[str, float] = defaultdict(float)
     for pair in pairs:
-        losses = pair_losses(
+        values = pair_losses(
             network,
             pair.x,
             pair.y,
-            settings=recipe.loss,
-            partial=recipe.partial is not None,
+            settings=settings,
+            losses=losses,
+            partial=partial,
             registration_targets=pair.registration_targets,
         )
-        for term, value in losses.as_dict().items():
-            sums[term] += value / len(pairs)
+        for name, value in values.items():
+            sums[name] += float(value) / len(pairs)
     return dict(sums)
 
 
@@ -58,7 +67,7 @@ def scores(
         folder: with ground truth; where that is not as it should be there are no scores, and the log says why.
         pairs: to match.
         listed: where to write down which they are.
-        partial: of the recipe; the second shape of each pair is a part then.
+        partial: of the recipe; the second shape of each pair is partial then.
     """
     with atomic_path(listed) as temporary:
         temporary.write_text("".join(f"{source},{target}\n" for source, target in pairs), encoding="utf-8")

@@ -1,11 +1,12 @@
 """Transfer along a match: smooth maps between surfaces; arrays, labels, landmarks, colours, textures and skins."""
 
+from homolog.core.choices import TEXTURE_SIZE, System
 from homolog.transfer.appearance import NO_COLOUR, Appearance, Checkerboard, Texture, read_appearance
-from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, bake_texture, unwrap
+from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.delivery import OUTPUT_NAMES, Delivery, Kind, check_output_names
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels, read_original
-from homolog.transfer.landmarks import LANDMARK_SUFFIXES, Landmarks, System, read_landmarks
+from homolog.transfer.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
 from homolog.transfer.obj import write_obj
 from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 from homolog.transfer.skin import Skin, read_skin

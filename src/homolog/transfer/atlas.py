@@ -14,13 +14,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import distance_transform_edt
 
+from homolog.core.choices import TEXTURE_SIZE
 from homolog.core.errors import needs_extra
 from homolog.geometry.grouping import runs
 from homolog.transfer.appearance import NO_COLOUR
 from homolog.transfer.projection import SurfacePoints, SurfaceProjector
-
-TEXTURE_SIZE = 1024
-"""Texels along an image's width, by default."""
 
 # Texels between charts, so that filtering does not mix them.
 _PADDING = 4

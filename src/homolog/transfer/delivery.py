@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from homolog.core.choices import TEXTURE_SIZE, System
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import (
     all_or_nothing,
@@ -20,10 +21,10 @@ from homolog.core.files import (
 )
 from homolog.shapes import drawable, write_shape
 from homolog.transfer.appearance import Appearance, Checkerboard
-from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, bake_texture, unwrap
+from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels
-from homolog.transfer.landmarks import System, read_landmarks
+from homolog.transfer.landmarks import read_landmarks
 from homolog.transfer.obj import write_obj
 from homolog.transfer.transfer import Transfer, no_counterpart_label
 
@@ -54,7 +55,7 @@ class Delivery:
         texture_size: texels along the width of a new texture.
 
     Example:
-        >>> delivery = Delivery(Transfer(homolog.read_result("result")))  # doctest: +SKIP
+        >>> delivery = Delivery(Transfer(homolog.Match.load("result")))  # doctest: +SKIP
         >>> delivery.add_labels(Path("organs.npy"))  # doctest: +SKIP
         >>> delivery.write(Path("transferred"), {})  # doctest: +SKIP
     """

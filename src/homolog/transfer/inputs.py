@@ -11,7 +11,8 @@ from jaxtyping import Int, Num
 
 from homolog.core.errors import DataError
 from homolog.core.files import expanded, sha256
-from homolog.matching import MatchResult, Side
+from homolog.matching import Match
+from homolog.pairs import Side
 from homolog.shapes import Shape, files_of_shape, read_shape
 from homolog.transfer.appearance import Appearance, read_appearance
 from homolog.transfer.skin import Skin, read_skin
@@ -45,7 +46,7 @@ class Original:
         return files_of_shape(self.path)
 
 
-def read_original(result: MatchResult, side: Side, path: Path | None = None) -> Original:
+def read_original(result: Match, side: Side, path: Path | None = None) -> Original:
     """Read one of the files that a match was made of.
 
     Args:

@@ -10,18 +10,16 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from homolog.core.choices import System
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, expanded
-from homolog.shapes.parsing import UnreadableError, number_rows, shorten
-from homolog.shapes.point_formats import read_table_lines
-
-System = Literal["LPS", "RAS"]
-"""Anatomical axes of a scan: left-posterior-superior, or right-anterior-superior."""
+from homolog.shapes.formats.parsing import UnreadableError, number_rows, shorten
+from homolog.shapes.formats.tables import read_table_lines
 
 LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
 """The suffixes of the files that ``read_landmarks`` reads."""

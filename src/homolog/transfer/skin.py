@@ -114,7 +114,7 @@ def _inverse_binds(file: GltfReader, skin: dict[str, Any], n_joints: int) -> Flo
 
 def _parents(file: GltfReader, joints: list[int]) -> Int[np.ndarray, " j"]:
     """The nearest ancestor of each joint that is a joint."""
-    above = file.parents()
+    above = file.parents
     found = np.full(len(joints), -1)
     for number, joint in enumerate(joints):
         file.world(joint)  # refuses circles

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, unit
-from homolog.matching import Correspondence
+from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer.deformation import DeformedTemplate, WeightedPairs
 from homolog.transfer.projection import SurfacePoints, SurfaceProjector
@@ -97,9 +97,7 @@ class SurfaceMap:
         return self.source.repaired.to_original(self.orientation * deformed.vertex_normals, fill=0.0)
 
 
-def surface_map(
-    source: Shape | SurfaceProjector, target: Shape | SurfaceProjector, found: Correspondence
-) -> SurfaceMap:
+def surface_map(source: Shape | SurfaceProjector, target: Shape | SurfaceProjector, found: Match) -> SurfaceMap:
     """Turn point maps into a smooth map between surfaces, by non-rigid registration.
 
     Args:
@@ -126,7 +124,7 @@ def surface_map(
     return SurfaceMap(source, target, positions, orientation=orientation)
 
 
-def _weighted_pairs(source: SurfaceProjector, target: SurfaceProjector, found: Correspondence) -> WeightedPairs:
+def _weighted_pairs(source: SurfaceProjector, target: SurfaceProjector, found: Match) -> WeightedPairs:
     """The pairs of both directions, weighted by confidence; each direction has a total weight of at most one."""
     for projector, indices, other in (
         (source, found.source_to_target, target),

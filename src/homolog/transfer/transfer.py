@@ -7,11 +7,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int, Num, UInt8
 
+from homolog.core.choices import TEXTURE_SIZE
 from homolog.core.errors import ArgumentError
-from homolog.matching import MatchResult
+from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer.appearance import Appearance, Checkerboard
-from homolog.transfer.atlas import TEXTURE_SIZE, Atlas, bake_texture, unwrap
+from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.projection import SurfaceProjector
 from homolog.transfer.skin import Skin, transfer_skin
 from homolog.transfer.smooth_map import SurfaceMap, surface_map
@@ -23,17 +24,17 @@ class Transfer:
     Points without a counterpart get NaN, the label ``no_counterpart_label``, or grey.
 
     Args:
-        result: what ``read_result`` gives; ``result.inverse()`` transfers the other way.
+        result: the match; ``result.inverse()`` transfers the other way.
         source: the source as ``read_shape`` reads it, where faces must be counted as in its file; by default the
             result's own.
 
     Example:
-        >>> transfer = Transfer(homolog.read_result("result"))  # doctest: +SKIP
+        >>> transfer = Transfer(homolog.Match.load("result"))  # doctest: +SKIP
         >>> thickness_on_target = transfer.array(thickness_on_source)  # doctest: +SKIP
     """
 
-    def __init__(self, result: MatchResult, *, source: Shape | None = None) -> None:
-        self.found = result.found
+    def __init__(self, result: Match, *, source: Shape | None = None) -> None:
+        self.found = result
         self.source = SurfaceProjector(result.source if source is None else source)
         self.target = SurfaceProjector(result.target)
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-# What nothing is known of is grey, as in the files of a result; what is not shown is a paler grey.
+# What nothing is known of is grey, as in the files of a result.
 UNKNOWN = (160, 160, 160)
-HIDDEN = (222, 222, 220)
 
 # From dark to light, so that they can be told apart without hues, too.
 LOW_TO_HIGH = ((58, 32, 98), (45, 104, 152), (64, 172, 138), (244, 220, 92))

@@ -1,4 +1,4 @@
-"""Many shapes in one image, in rows, each with a few words."""
+"""Many shapes in one image, in rows, each with a caption."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ class _Body:
 
 
 def _spacing(points: Float[np.ndarray, "n 3"]) -> float:
-    # Placed points come in clumps: the nearest one says little of how densely they lie.
+    # Registered points come in clumps: the nearest one says little of the density.
     return float(np.median(KDTree(points).query(points, k=_AROUND + 1)[0][:, -1]))
 
 

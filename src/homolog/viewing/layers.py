@@ -1,4 +1,4 @@
-"""What colours can mean in a view: one layer at a time is seen on both shapes."""
+"""What colours can mean: correspondence, confidence, error, features; a page shows one layer at a time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from homolog.matching import MatchResult, Side, matched_colours
+from homolog.matching import Match, matched_colours
+from homolog.pairs import Side
 from homolog.viewing.colours import GOOD_TO_BAD, LOW_TO_HIGH, Ramp, principal_colours
 
 _ERROR_SHARE = 0.95
@@ -32,16 +33,16 @@ class Layer:
     values: dict[Side, Float[np.ndarray, " n"]] | None = None
 
 
-def matched_layer(result: MatchResult) -> Layer:
-    """The colours that a result's files have: the same one on points that were matched."""
-    source, target = matched_colours(result.source, result.found)
+def matched_layer(result: Match) -> Layer:
+    """The colours of the result's files: corresponding points have the same one."""
+    source, target = matched_colours(result)
     note = "The same colour marks the same point. Grey: no counterpart."
-    return Layer("Correspondence", note, {"source": source, "target": target})
+    return Layer("Match", note, {"source": source, "target": target})
 
 
-def confidence_layer(result: MatchResult) -> Layer:
-    """How far each point's match can be trusted; grey where it has none."""
-    found = result.found
+def confidence_layer(result: Match) -> Layer:
+    """The confidence of each point's match; grey where it has none."""
+    found = result
     values: dict[Side, np.ndarray] = {
         "source": np.where(found.source_to_target >= 0, found.source_confidence, np.nan),
         "target": np.where(found.target_to_source >= 0, found.target_confidence, np.nan),
@@ -51,9 +52,9 @@ def confidence_layer(result: MatchResult) -> Layer:
 
 
 def error_layer(errors: dict[Side, Float[np.ndarray, " n"]], unit: str) -> Layer:
-    """How far from the truth each point is matched; see ``map_errors``.
+    """The error of each point's match; see ``map_errors``.
 
-    The ramp ends where one error in twenty is larger.
+    The ramp ends at the 95th percentile.
     """
     known = np.concatenate([values[np.isfinite(values)] for values in errors.values()])
     high = float(np.quantile(known, _ERROR_SHARE)) if len(known) else 0.0
@@ -62,7 +63,7 @@ def error_layer(errors: dict[Side, Float[np.ndarray, " n"]], unit: str) -> Layer
 
 
 def feature_layer(source: Float[np.ndarray, "n_source d"], target: Float[np.ndarray, "n_target d"]) -> Layer:
-    """The features that points are compared by; see ``principal_colours``."""
+    """The features that points were compared by, as colours; see ``principal_colours``."""
     colours = principal_colours(source, target)
     note = "Like colours mark like features: their three principal components. Grey: left out of the match."
     return Layer("Features", note, {"source": colours[0], "target": colours[1]})

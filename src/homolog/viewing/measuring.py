@@ -1,8 +1,8 @@
-"""What is computed of a result for its view: errors of its maps, and features of its shapes."""
+"""Errors of a match against ground truth, and features of its shapes, to be shown as colours."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -11,27 +11,27 @@ from scipy.spatial import KDTree
 from homolog.core.progress import Steps
 from homolog.datasets import Truth
 from homolog.evaluation import geodesic_errors
-from homolog.matching import Matcher, MatchResult, Side
+from homolog.matching import Match, Matcher
+from homolog.pairs import PairOptions, Side
 from homolog.shapes import Shape
-from homolog.viewing.scene import SIDES
 
 # How far, in diagonals of the bounding box, a point takes its error from the nearest point that the truth names.
 _REACH = 0.03
 
 
-def map_errors(result: MatchResult, truth: Truth) -> tuple[dict[Side, Float[np.ndarray, " n"]], str]:
-    """The error of each point's match, and the unit: that of the source's points on the target, and the reverse.
+def map_errors(result: Match, truth: Truth) -> tuple[dict[Side, Float[np.ndarray, " n"]], str]:
+    """The error of each point's match against ground truth, per side, and the unit.
 
-    Between two meshes it is geodesic, in hundredths of the square root of the area of the shape that it is measured on;
-    where a cloud takes part it is straight, in hundredths of the diagonal of that shape's bounding box. Points that the
-    truth does not name have the error of the nearest one that it does, unless that is far; NaN is the error of those
-    without, and of points without a counterpart.
+    The error of a source point is measured on the target, and the reverse. Between two meshes it is geodesic, in
+    hundredths of the square root of the area of the shape that it is measured on; where a cloud takes part it is
+    Euclidean, in hundredths of the diagonal of that shape's bounding box. Points that the truth does not name have the
+    error of the nearest one that it does, unless that is far. It is NaN for others, and without a counterpart.
 
     Args:
         result: the match.
         truth: which point of the source each point of the target truly is.
     """
-    found = result.found
+    found = result
     geodesic = result.source.faces is not None and result.target.faces is not None
     sides: dict[Side, np.ndarray] = {
         "source": _errors(
@@ -55,7 +55,7 @@ def _errors(
     """Per point of ``shape``: how far on ``other`` it is matched from where it truly is."""
     matched = found[truth[0]] >= 0
     asked, true = truth[0][matched], truth[1][matched]
-    measure = geodesic_errors if geodesic else _straight_errors
+    measure = geodesic_errors if geodesic else _euclidean_errors
     errors = np.full(shape.n_points, np.nan)
     errors[asked] = 100 * measure(other, true, found[asked])
     filled = _filled(shape.points, errors)
@@ -63,7 +63,7 @@ def _errors(
     return filled
 
 
-def _straight_errors(
+def _euclidean_errors(
     shape: Shape, truth: Int[np.ndarray, " q"], mapped: Int[np.ndarray, " q"]
 ) -> Float[np.ndarray, " q"]:
     distances: np.ndarray = np.linalg.norm(shape.points[truth] - shape.points[mapped], axis=1) / _diagonal(shape.points)
@@ -83,30 +83,18 @@ def _diagonal(points: Float[np.ndarray, "n 3"]) -> float:
 
 
 def pair_features(
-    result: MatchResult, matcher: Matcher, *, steps: Steps | None = None
+    result: Match, matcher: Matcher, *, steps: Steps | None = None
 ) -> tuple[Float[np.ndarray, "n_source d"], Float[np.ndarray, "n_target d"]]:
-    """The features of a result's shapes, prepared as the report says that they were; NaN for points left out.
+    """The features of a match's shapes, computed with the options in its report; NaN for points that repair left out.
 
     Raises:
-        ArgumentError, ShapeError: as ``Matcher.prepare_pair`` does.
+        ArgumentError, ShapeError: as ``Matcher.pair`` does.
     """
-    options = _options(result.report)
-    ups = options.pop("up")
-    pair = matcher.prepare_pair(
-        result.source, result.target, **options, source_up=ups["source"], target_up=ups["target"], steps=steps
+    given = result.report.get("options", {})
+    options = {field.name: given[field.name] for field in fields(PairOptions) if field.name in given}
+    pair, _ = matcher.pair(result.source, result.target, **{**options, "strict": False}, steps=steps)
+    source, target = (
+        shape.repaired.to_original(shape.needed_features().float().cpu().numpy())
+        for shape in (pair.source, pair.target)
     )
-    source, target = (side.repaired.to_original(side.features.float().cpu().numpy()) for side in pair)
     return source, target
-
-
-def _options(report: dict[str, Any]) -> dict[str, Any]:
-    """How the shapes were prepared for their match; a match without options was made with the usual ones."""
-    given = report.get("options", {})
-    usual = {
-        "as_cloud": None,
-        "partial": None,
-        "partial_scale": 1.0,
-        "pre_aligned": False,
-        "up": dict.fromkeys(SIDES, "y"),
-    }
-    return {name: given.get(name, value) for name, value in usual.items()}

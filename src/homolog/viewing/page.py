@@ -14,9 +14,13 @@ import numpy as np
 from jaxtyping import Shaped
 
 from homolog.core.files import atomic_path
+from homolog.pairs import Side
+from homolog.viewing.decimation import Decimated, decimate
 from homolog.viewing.layers import Layer
-from homolog.viewing.scene import SIDES, Body, Scene
+from homolog.viewing.scene import SIDES, Scene, typical_spacing
 
+# Of each shape; browsers draw so many smoothly, and the page stays below some 15 MB.
+_MOST_POINTS, _MOST_FACES = 100_000, 220_000
 _PARTS = Path(__file__).parent / "page"
 # Of a number in the packed arrays, in bytes: where each array begins is a multiple of it.
 _ALIGNMENT = 4
@@ -28,10 +32,11 @@ def page_of(scene: Scene) -> str:
     Arrays are packed into one block, compressed, in base64.
     """
     arrays = PackedArrays()
+    shown = {side: decimate(body.points, body.faces, _MOST_POINTS, _MOST_FACES) for side, body in scene.bodies.items()}
     described = {
-        "route": scene.route,
-        "bodies": [_body(scene.bodies[side], arrays) for side in SIDES],
-        "layers": [_layer(layer, arrays) for layer in scene.layers],
+        "method": scene.method,
+        "bodies": [_body(scene, side, other, shown, arrays) for side, other in zip(SIDES, SIDES[::-1], strict=True)],
+        "layers": [_layer(layer, shown, arrays) for layer in scene.layers],
     }
     return assembled("match", scene.title, described, arrays)
 
@@ -89,24 +94,32 @@ class PackedArrays:
         return base64.b64encode(zlib.compress(bytes(self._block), 6)).decode("ascii")
 
 
-def _body(body: Body, arrays: PackedArrays) -> dict[str, Any]:
+def _body(scene: Scene, side: Side, other: Side, shown: dict[Side, Decimated], arrays: PackedArrays) -> dict[str, Any]:
+    """What is drawn of a shape, and what a click on each of its points tells: indices are those of the files."""
+    body, opposite, index = scene.bodies[side], scene.bodies[other], shown[side].index
+    points, faces, counterpart = body.points[index], shown[side].faces, body.counterpart[index]
+    opposite_is_whole = len(shown[other].index) == len(opposite.points)
     return {
         "title": body.title,
-        "spacing": body.spacing,
-        "points": arrays.add(body.points, "float32"),
-        "faces": None if body.faces is None else arrays.add(body.faces, "uint32"),
-        "counterpart": arrays.add(body.counterpart, "int32"),
-        "confidence": arrays.add(body.confidence, "float32"),
-        "rank": arrays.add(body.rank, "uint32"),
+        "total": len(body.points),
+        "spacing": body.spacing if len(index) == len(body.points) else typical_spacing(points),
+        "points": arrays.add(points, "float32"),
+        "faces": None if faces is None else arrays.add(faces, "uint32"),
+        "index": arrays.add(index, "uint32"),
+        "counterpart": arrays.add(counterpart, "int32"),
+        "place": None if opposite_is_whole else arrays.add(opposite.points[counterpart], "float32"),
+        "back": arrays.add(opposite.counterpart[counterpart], "int32"),
+        "confidence": arrays.add(body.confidence[index], "float32"),
+        "rank": arrays.add(np.random.default_rng(0).permutation(len(index)), "uint32"),
     }
 
 
-def _layer(layer: Layer, arrays: PackedArrays) -> dict[str, Any]:
+def _layer(layer: Layer, shown: dict[Side, Decimated], arrays: PackedArrays) -> dict[str, Any]:
     ramp, values = layer.ramp, layer.values
     return {
         "name": layer.name,
         "note": layer.note,
         "ramp": ramp and {"stops": ramp.stops, "low": ramp.low, "high": ramp.high, "unit": ramp.unit},
-        "colours": [arrays.add(layer.colours[side], "uint8") for side in SIDES],
-        "values": values and [arrays.add(values[side], "float32") for side in SIDES],
+        "colours": [arrays.add(layer.colours[side][shown[side].index], "uint8") for side in SIDES],
+        "values": values and [arrays.add(values[side][shown[side].index], "float32") for side in SIDES],
     }

@@ -1,4 +1,4 @@
-"""One image of a scene, for a paper: drawn by the processor alone, the same on any machine."""
+"""One image of a match, for a paper: drawn on the processor, the same on any machine."""
 
 from __future__ import annotations
 
@@ -8,14 +8,11 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from homolog.core.arguments import is_number
+from homolog.core.choices import PICTURE_WIDTHS, Side
 from homolog.core.errors import ArgumentError, bad_value, needs_extra
-from homolog.matching import Side
 from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
 from homolog.viewing.png import write_png
-from homolog.viewing.scene import SIDES, Body, Scene, Shown
-
-WIDTHS = (100, 6000)
-"""The narrowest and the widest picture, in pixels."""
+from homolog.viewing.scene import SIDES, Body, Scene
 
 # Of the picture's height: left free on all sides, and between the shapes.
 _MARGIN, _GAP = 0.04, 0.06
@@ -31,21 +28,21 @@ def picture_of(scene: Scene, *, width: int = 2000, lines: int = 0) -> UInt8[np.n
     Args:
         scene: what is drawn.
         width: of the picture, in pixels.
-        lines: so many thin ones join points of the source that are seen with their counterparts, where these are, too.
+        lines: how many thin lines join visible points of the source and their counterparts, where these are visible.
 
     Raises:
         ArgumentError: if the width is not from 100 to 6000, or the number of lines negative.
         MissingExtraError: if lines are asked for without the extra ``picture``.
     """
-    if not (is_number(width) and int(width) == width and WIDTHS[0] <= width <= WIDTHS[1]):
-        raise bad_value("width", width, f"a whole number of pixels from {WIDTHS[0]} to {WIDTHS[1]}")
+    if not (is_number(width) and int(width) == width and PICTURE_WIDTHS[0] <= width <= PICTURE_WIDTHS[1]):
+        raise bad_value("width", width, f"a whole number of pixels from {PICTURE_WIDTHS[0]} to {PICTURE_WIDTHS[1]}")
     if not (is_number(lines) and int(lines) == lines and lines >= 0):
         raise bad_value("lines", lines, "a whole number, 0 or more")
     size = (int(width) // 2 * SAMPLES, int(width) * SAMPLES)
-    places, unit = _placed(scene, size)
+    places, unit = _projected(scene, size)
     canvas = Canvas.blank(int(width) // 2, int(width))
     for side in SIDES:
-        body, colours = scene.bodies[side], scene.colours(scene.layers[0], side, Shown()).astype(np.float64)
+        body, colours = scene.bodies[side], scene.layers[0].colours[side].astype(np.float64)
         canvas.draw(shape_drawing(places[side], body.faces, colours, unit * _reach(body)))
     image = canvas.image
     if lines:
@@ -65,17 +62,20 @@ def write_picture(path: str | Path, scene: Scene, *, width: int = 2000, lines: i
 
 
 def check_picture(path: str | Path) -> None:
-    """Refuse a file that is no PNG by its name, or pictures without their extra, before any work is done."""
+    """Check, before any work is done, that a file's name ends in .png and that the extra ``picture`` is installed."""
     if Path(path).suffix.lower() != ".png":
         raise ArgumentError(f"{path} must end in .png; pictures are written as PNG only")
     with needs_extra("pictures", "picture"):
         import PIL  # noqa: F401
 
 
-def _placed(scene: Scene, size: tuple[int, int]) -> tuple[dict[Side, Float[np.ndarray, "n 3"]], float]:
-    """Where all points are in the image, and the length of the scene's unit there."""
+def _projected(scene: Scene, size: tuple[int, int]) -> tuple[dict[Side, Float[np.ndarray, "n 3"]], float]:
+    """All points in the image: pixels of samples and depth (n, 3); and the length of the scene's unit there."""
     turned = {side: scene.bodies[side].points @ view_rotation().T for side in SIDES}
-    boxes = {side: _box(turned[side], _reach(scene.bodies[side])) for side in SIDES}
+    reach = {side: _reach(scene.bodies[side]) for side in SIDES}
+    boxes = {
+        side: (points.min(axis=0) - reach[side], points.max(axis=0) + reach[side]) for side, points in turned.items()
+    }
     extents = {side: high - low for side, (low, high) in boxes.items()}
     unit, begins = _fitted(extents["source"], extents["target"], size)
     places: dict[Side, np.ndarray] = {}
@@ -89,7 +89,7 @@ def _placed(scene: Scene, size: tuple[int, int]) -> tuple[dict[Side, Float[np.nd
 def _fitted(
     source: Float[np.ndarray, " 3"], target: Float[np.ndarray, " 3"], size: tuple[int, int]
 ) -> tuple[float, dict[Side, float]]:
-    """How long the unit is so that shapes of these extents just fit into an image, and at which column each begins."""
+    """The length of the unit with which shapes of these extents just fit into an image, and where each begins."""
     height, width = size
     margin, gap = _MARGIN * height, _GAP * height
     across, tallest = source[0] + target[0], max(source[1], target[1])
@@ -101,11 +101,6 @@ def _fitted(
     return unit, {"source": free, "target": 2 * free + unit * source[0]}
 
 
-def _box(points: Float[np.ndarray, "n 3"], reach: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """The least and the most of each coordinate of what is drawn of points."""
-    return points.min(axis=0) - reach, points.max(axis=0) + reach
-
-
 def _reach(body: Body) -> float:
     """How far what is drawn of a point reaches beyond it."""
     return 0.0 if body.faces is not None else RADIUS * body.spacing
@@ -114,7 +109,7 @@ def _reach(body: Body) -> float:
 def _chosen(
     scene: Scene, places: dict[Side, Float[np.ndarray, "n 3"]], depth: Float[np.ndarray, "h w"], unit: float, lines: int
 ) -> Int[np.ndarray, " l"]:
-    """Points of the source, far from one another, that are seen as their counterparts are."""
+    """Visible points of the source with visible counterparts, far from one another."""
     counterpart = scene.bodies["source"].counterpart
     (known,) = np.nonzero(counterpart >= 0)
     seen = _seen(places["source"][known], depth, unit) & _seen(places["target"][counterpart[known]], depth, unit)
@@ -128,7 +123,7 @@ def _seen(places: Float[np.ndarray, "k 3"], depth: Float[np.ndarray, "h w"], uni
 
 
 def _spread(places: Float[np.ndarray, "n 3"], among: Int[np.ndarray, " k"], number: int) -> Int[np.ndarray, " l"]:
-    """Each the farthest in the image from those before it; the topmost first."""
+    """Farthest point sampling in the image, from the topmost point on."""
     chosen: list[int] = []
     distance = np.full(len(among), np.inf)
     while len(chosen) < min(number, len(among)):

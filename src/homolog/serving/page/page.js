@@ -58,8 +58,8 @@ function complain(text) {
 
 async function answerOf(response) {
   if (response.ok) return response;
-  const told = await response.json().catch(() => ({}));
-  throw complaintOf(told, response.status);
+  const answer = await response.json().catch(() => ({}));
+  throw complaintOf(answer, response.status);
 }
 
 // fetch does not tell how much is sent.
@@ -76,9 +76,9 @@ function send(one, side) {
 }
 
 function complaintIn(request) {
-  let told = {};
-  try { told = JSON.parse(request.responseText); } catch { /* something on the way answers */ }
-  return complaintOf(told, request.status);
+  let answer = {};
+  try { answer = JSON.parse(request.responseText); } catch { /* something on the way answers */ }
+  return complaintOf(answer, request.status);
 }
 
 // With the shape whose file is to blame, if one is.
@@ -94,8 +94,8 @@ async function match() {
   busy(true);
   showUpload(one);
   try {
-    const wishes = Object.fromEntries(["source_up", "target_up", "partial"].map((name) => [name, $(name).value]));
-    const response = await answerOf(await fetch("/jobs", { method: "POST", body: JSON.stringify(wishes) }));
+    const request = Object.fromEntries(["source_up", "target_up", "partial"].map((name) => [name, $(name).value]));
+    const response = await answerOf(await fetch("/jobs", { method: "POST", body: JSON.stringify(request) }));
     one.address = `/jobs/${(await response.json()).id}`;
     if (one !== run) return void forget(one);
     await listen(one);
@@ -112,10 +112,10 @@ function listen(one) {
     const on = (kind, act) => stream.addEventListener(kind, (event) => one === run && act(JSON.parse(event.data)));
     stream.onopen = () => { clearTimeout(one.lost); one.lost = null; opened(); };
     stream.onerror = () => lose(one);
-    on("waiting", ({ before }) => say(before ? `Waiting: ${before} before you` : "Waiting for its turn"));
-    on("step", (told) => showStep(one, told));
+    on("waiting", ({ ahead }) => say(ahead ? `Waiting: ${ahead} before you` : "Waiting for its turn"));
+    on("step", (step) => showStep(one, step));
     on("failed", ({ error, side }) => fail(one, error, side));
-    on("done", (told) => show(one, told).catch((error) => fail(one, error.message)));
+    on("done", (data) => show(one, data).catch((error) => fail(one, error.message)));
   });
 }
 
@@ -152,7 +152,7 @@ function forget(one) {
 
 function busy(working) {
   document.body.classList.toggle("busy", working);
-  $("wishes").disabled = working;
+  $("request").disabled = working;
   for (const input of document.querySelectorAll(".zone input")) input.disabled = working;
   $("match").hidden = working;
   $("cancel").hidden = !working;
@@ -171,19 +171,19 @@ function showUpload(one) {
   say(share < 1 ? "Uploading" : "Starting");
 }
 
-function showStep(one, { name, done, of }) {
+function showStep(one, { step, done, total }) {
   one.steps += 1;
   clearInterval(one.clock);
   const line = document.createElement("li"), seconds = document.createElement("span"), began = performance.now();
-  line.textContent = name;
+  line.textContent = step;
   seconds.className = "seconds";
   line.append(seconds);
   const tick = () => { seconds.textContent = `${((performance.now() - began) / 1000).toFixed(1)} s`; };
   tick();
   one.clock = setInterval(tick, 100);
   $("steps").append(line);
-  $("progress").value = Math.min(1, done / of);
-  say(`Step ${Math.min(done + 1, of)} of ${of}`);
+  $("progress").value = Math.min(1, done / total);
+  say(`Step ${Math.min(done + 1, total)} of ${total}`);
 }
 
 async function show(one, { archive, warnings }) {

@@ -3,12 +3,18 @@
 const SIDES = ["source", "target"];
 const MARK = [226, 0, 122];
 const REACH_PIXELS = 7;           // how far from a click a drawn point may be
+const EDGE = 1e-6;                // barycentric weights may be so far below zero: a ray through an edge meets a triangle
 
 // ---- the scene, as it was packed
+//
+// Of large shapes some points are here: `index` says which of the file's. For each of them there is what a click tells: its
+// counterpart in the other file (-1 for none), where that is, unless all points of the other are here, and which point that one
+// was matched back to.
 
 function readScene(scene, array) {
   for (const body of scene.bodies)
-    for (const name of ["points", "faces", "counterpart", "confidence", "rank"]) body[name] = array(body[name]);
+    for (const name of ["points", "faces", "index", "counterpart", "place", "back", "confidence", "rank"])
+      body[name] = array(body[name]);
   for (const layer of scene.layers) {
     layer.colours = layer.colours.map(array);
     layer.values = layer.values && layer.values.map(array);
@@ -18,7 +24,8 @@ function readScene(scene, array) {
 
 // ---- picking
 
-// A ray from the camera through a place of the canvas, in pixels, in the coordinates of the shape in that part.
+// A ray from the camera through a place of the canvas, in pixels, in the coordinates of the shape in that part. `slope` is
+// how far from it, per unit of distance, a point may lie.
 function rayAt(x, y) {
   const side = x < parts()[1].left ? 0 : 1, part = parts()[side], [across, up] = extents(part);
   const seen = unit([(2 * (x - part.left) / part.width - 1) * across, (1 - 2 * y / part.height) * up, -1]);
@@ -27,15 +34,17 @@ function rayAt(x, y) {
   return { side, origin, direction: back(seen), slope: REACH_PIXELS * scale() * 2 * up / part.height };
 }
 
+// The corner nearest, by weight, to where a ray first meets a surface, from either side: T. Moeller and B. Trumbore, "Fast,
+// Minimum Storage Ray/Triangle Intersection" (1997).
 function hitSurface({ points, faces }, ray) {
   let nearest = null;
   for (let f = 0; f < faces.length; f += 3) {
     const a = row(points, faces[f]), along = minus(row(points, faces[f + 1]), a), over = minus(row(points, faces[f + 2]), a);
     const normal = cross(ray.direction, over), determinant = dot(along, normal), start = minus(ray.origin, a);
     const u = dot(start, normal) / determinant;
-    if (!(u >= -1e-6 && u <= 1 + 1e-6)) continue;
+    if (!(u >= -EDGE && u <= 1 + EDGE)) continue;
     const lever = cross(start, along), v = dot(lever, ray.direction) / determinant;
-    if (!(v >= -1e-6 && u + v <= 1 + 1e-6)) continue;
+    if (!(v >= -EDGE && u + v <= 1 + EDGE)) continue;
     const depth = dot(over, lever) / determinant;
     if (!(depth > 0) || (nearest && depth >= nearest.depth)) continue;
     const weights = [1 - u - v, u, v];
@@ -44,6 +53,8 @@ function hitSurface({ points, faces }, ray) {
   return nearest;
 }
 
+// The shown point nearest to a ray, among the first ones that it passes: nearer than the spacing, or than a click reaches. What
+// lies so much deeper than the first still counts; what lies behind `before` does not.
 function hitPoints(body, shown, ray, before) {
   const passed = [];
   let first = null;
@@ -137,16 +148,24 @@ function draw() {
     if (body.faces) drawSurface(side, part, isSurface(body));
     // Fewer points are drawn larger, but not as large as the gaps between them.
     if (!isSurface(body)) drawDots(side, part, 1.5 * body.spacing * Math.min(2, share ** -0.25));
-    const point = marked && (marked.side === side ? marked.point : counterpart());
-    if (point !== null && point >= 0) drawMark(part, row(body.points, point));
+    const place = marked && markedPlace(side);
+    if (place) drawMark(part, place);
   });
 }
 
 // ---- the mark
 
-let marked = null;
+let marked = null;                // a side, and the place of a point in its arrays
 
-const counterpart = () => scene.bodies[marked.side].counterpart[marked.point];
+// The clicked point and its counterpart by the numbers of the files.
+const indices = ({ side, point }) => [scene.bodies[side].index[point], scene.bodies[side].counterpart[point]];
+
+function markedPlace(side) {
+  const { points, counterpart, place } = scene.bodies[marked.side], other = counterpart[marked.point];
+  if (side === marked.side) return row(points, marked.point);
+  if (other < 0) return null;
+  return place ? row(place, marked.point) : row(scene.bodies[side].points, other);
+}
 
 function mark(found) {
   marked = found;
@@ -156,13 +175,13 @@ function mark(found) {
 }
 
 function markTable() {
-  const { side, point } = marked, other = counterpart(), body = scene.bodies[side], rows = [];
+  const { side, point } = marked, [own, other] = indices(marked), rows = [];
   const there = other < 0 ? "no counterpart" : `point ${other}`;
-  const points = side === 0 ? [`point ${point}`, there] : [there, `point ${point}`];
+  const points = side === 0 ? [`point ${own}`, there] : [there, `point ${own}`];
   SIDES.forEach((name, i) => rows.push([`${i === side ? "\u25cf" : "\u25cb"} ${name}`, points[i]]));
   if (other >= 0) {
-    const back = scene.bodies[1 - side].counterpart[other];
-    rows.push(["and back", back < 0 ? "no counterpart" : back === point ? "the same point" : `point ${back}`]);
+    const back = scene.bodies[side].back[point];
+    rows.push(["and back", back < 0 ? "no counterpart" : back === own ? "the same point" : `point ${back}`]);
     for (const { name, values, ramp } of scene.layers)
       if (values) rows.push([name.toLowerCase(), valueText(values[side][point], ramp)]);
   }
@@ -209,6 +228,9 @@ function update() {
   recolour();
 }
 
+const countText = (shown, total) =>
+  (shown < total ? `showing ${shown.toLocaleString("en")} of ` : "") + total.toLocaleString("en");
+
 function setUpControls() {
   for (const { name } of scene.layers) $("layer").add(new Option(name));
   $("drawing").hidden = scene.bodies.every((body) => !body.faces);
@@ -217,10 +239,10 @@ function setUpControls() {
   scene.bodies.forEach((body, side) => {
     const name = document.createElement("b"), what = document.createElement("span");
     name.textContent = body.title;
-    what.textContent = ` ${SIDES[side]}, ${body.confidence.length.toLocaleString("en")} points`;
+    what.textContent = ` ${SIDES[side]}, ${countText(body.index.length, body.total)} points`;
     $(`caption-${side}`).replaceChildren(name, what);
   });
-  $("summary").textContent = `Method: ${scene.route}. Points count from 0.`;
+  $("summary").textContent = `Method: ${scene.method}. Points count from 0.`;
 }
 
 // ---- the page
@@ -241,8 +263,11 @@ async function start() {
 
 await start();
 
-// For programs that look at the page: the camera, by columns, for a part of the canvas, and what is marked.
+// For programs that look at the page: the camera, by columns, for a part of the canvas, which points are here, what is marked,
+// and picking.
 window.homolog = {
   camera: (side) => { fit(); return { view: [...viewMatrix()], clip: [...clipMatrix(parts()[side])], part: parts()[side] }; },
-  marked: () => marked && { side: SIDES[marked.side], point: marked.point, counterpart: counterpart() },
+  marked: () => marked && { side: SIDES[marked.side], point: indices(marked)[0], counterpart: indices(marked)[1] },
+  shown: (side) => scene.bodies[side].index,
+  hitSurface, hitPoints,
 };

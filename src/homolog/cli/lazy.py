@@ -1,0 +1,105 @@
+"""Commands that are imported when they run or when their help is asked for."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, MutableMapping
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+OTHER = "Other"
+"""The last group of options in a command's help."""
+
+
+class Command(TyperCommand):
+    """A command whose flags show no type, as they take no value, and whose ``--help`` stands with its other options."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """All parameters, ``--help`` included."""
+        params = _without_types_of_flags(super().get_params(ctx))
+        params[-1].rich_help_panel = OTHER
+        return params
+
+
+def _without_types_of_flags(params: list[Any]) -> list[Any]:
+    for param in params:
+        if getattr(param, "is_flag", False):
+            param.metavar = ""
+    return params
+
+
+class _Commands(MutableMapping[str, Any]):
+    """The commands of a group by name; each is imported when it is looked up."""
+
+    def __init__(self, places: dict[str, str]) -> None:
+        self._places, self._loaded = places, dict[str, Any]()
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._loaded:
+            module, _, function = self._places[name].partition(":")
+            self._loaded[name] = command_of(name, getattr(import_module(module), function))
+        return self._loaded[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __setitem__(self, name: str, command: Any) -> None:
+        self._loaded[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self._places[name]
+
+
+def lazy_group(**places: str) -> type[TyperGroup]:
+    """The class of a group of commands.
+
+    Args:
+        places: for each command, or group of commands, its ``module:name``.
+    """
+
+    class LazyGroup(TyperGroup):
+        def __init__(self, **settings: Any) -> None:
+            super().__init__(**{**settings, "commands": {}})
+            self.commands = _Commands(places)
+
+        def list_commands(self, ctx: Any) -> list[str]:
+            return list(self.commands)
+
+        def get_params(self, ctx: Any) -> list[Any]:
+            return _without_types_of_flags(super().get_params(ctx))
+
+    return LazyGroup
+
+
+def lazy_typer(name: str, *, help: str, **places: str) -> typer.Typer:
+    """A group of commands below ``homolog``; see ``lazy_group``."""
+    return typer.Typer(
+        name=name,
+        cls=lazy_group(**places),
+        callback=lambda: None,  # without commands or a callback it would be no group
+        add_completion=False,
+        no_args_is_help=True,
+        help=help,
+    )
+
+
+def command_of(name: str, function: Callable[..., Any] | typer.Typer) -> Any:
+    """The command that runs a function, with its docstring as help; or the group that a Typer is."""
+    if isinstance(function, typer.Typer):
+        return typer.main.get_command(function)
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+    alone.command(name, cls=Command, help=help_of(function))(function)
+    return typer.main.get_command(alone)
+
+
+def help_of(function: Callable[..., Any]) -> str:
+    """The docstring with each paragraph on one line, so that it wraps where the terminal ends; examples stay."""
+    paragraphs = [paragraph.split("\n") for paragraph in inspect.cleandoc(function.__doc__ or "").split("\n\n")]
+    laid_out = [any(line.startswith(" ") for line in lines) for lines in paragraphs]
+    return "\n\n".join(("\n" if kept else " ").join(lines) for lines, kept in zip(paragraphs, laid_out, strict=True))

@@ -1,0 +1,23 @@
+"""The words and bounds that options may have, kept apart from what acts on them: reading them loads no PyTorch."""
+
+from typing import Literal
+
+Side = Literal["source", "target"]
+"""One of the two shapes of a match."""
+AsCloud = Literal["source", "target", "both"]
+"""Whose faces are dropped."""
+Device = Literal["auto", "cpu", "cuda"]
+"""Where to compute; ``"auto"`` takes a GPU where there is one."""
+Up = Literal["x", "y", "z"]
+"""The axis that points up in a file."""
+Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
+"""What the source and the target of an evaluation are used as."""
+Split = Literal["train", "test", "all"]
+"""Which shapes of a dataset."""
+System = Literal["LPS", "RAS"]
+"""Which way a scan's axes point: to the patient's left, back and head, or to the right, front and head."""
+
+TEXTURE_SIZE = 1024
+"""Width and height of a transferred texture in texels, where none is given."""
+PICTURE_WIDTHS = (100, 6000)
+"""The narrowest and the widest picture of a match, in pixels."""

@@ -1,0 +1,35 @@
+"""The pretrained weights: their names and files, without loading any."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from homolog.core.errors import WeightsError
+from homolog.core.files import expanded
+
+DEFAULT_WEIGHTS = "people"
+"""The name of the weights that are used where none are given."""
+
+_FOLDER = Path(__file__).parents[1] / "features" / "pretrained"
+
+
+def pretrained_weights() -> dict[str, Path]:
+    """Name and file of each of the pretrained weights."""
+    return {file.stem: file for file in sorted(_FOLDER.glob("*.safetensors"))}
+
+
+def weights_file(given: str | Path) -> Path:
+    """The file of weights that a user named: a path, or the name of pretrained weights.
+
+    Raises:
+        WeightsError: if there is neither.
+    """
+    path, known = expanded(given), pretrained_weights()
+    if path.is_file():
+        return path
+    if str(given) in known:
+        return known[str(given)]
+    raise WeightsError(
+        f"there are no weights {str(given)!r}; "
+        f"give the path of a file, or one of the pretrained ones: {', '.join(known)}"
+    )

@@ -1,0 +1,61 @@
+"""Point maps that another program computed, as a method for ``evaluate``."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePath
+
+import numpy as np
+from jaxtyping import Int
+
+from homolog.core.errors import DataError
+from homolog.core.files import expanded
+from homolog.matching import read_point_map
+from homolog.shapes import Shape
+
+_SUFFIXES = (".txt", ".vts", ".map", ".mat", ".npz")
+_JOINTS = ("_", "-", "__")
+
+
+class MapsFolder:
+    """A folder with a file per pair: for each target point its source point.
+
+    Files are called ``SOURCE_TARGET.txt``, ``SOURCE-TARGET.vts`` and the like, without the suffixes of the shapes;
+    their formats are those of ``read_point_map``.
+
+    Args:
+        folder: where the files are.
+        base: the first index, 0 or 1; by default 0 for ``.txt`` and ``.npz``, 1 for the others.
+
+    Raises:
+        DataError: if there is no such folder.
+
+    Example:
+        >>> from homolog.evaluation import MapsFolder
+        >>> MapsFolder(".").file("tr_reg_080", "tr_reg_091") is None
+        True
+    """
+
+    def __init__(self, folder: str | Path, *, base: int | None = None) -> None:
+        self.folder, self.base = expanded(folder), base
+        if not self.folder.is_dir():
+            raise DataError(f"{folder} is not a folder; give one with a file per pair, such as SOURCE_TARGET.txt")
+
+    def file(self, source: str, target: str) -> Path | None:
+        """The file of a pair, by the names of its shapes; None if there is none."""
+        names = (f"{source}{joint}{target}{suffix}" for joint in _JOINTS for suffix in _SUFFIXES)
+        return next((self.folder / name for name in names if (self.folder / name).is_file()), None)
+
+    def __call__(self, source: Shape, target: Shape) -> Int[np.ndarray, " n_target"]:
+        """The map of a pair.
+
+        Raises:
+            DataError: if there is no file of it, or it cannot be read.
+        """
+        names = PurePath(source.name).stem, PurePath(target.name).stem
+        file = self.file(*names)
+        if file is None:
+            raise DataError(
+                f"{self.folder} has no map of {names[0]} and {names[1]}; it must be called "
+                f"{names[0]}_{names[1]} with one of the suffixes {', '.join(_SUFFIXES)}"
+            )
+        return read_point_map(file, base=self.base)

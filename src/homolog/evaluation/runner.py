@@ -1,0 +1,333 @@
+"""The field's protocol: error of the map that gives each target point its source point."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from homolog.core.errors import ArgumentError, DataError
+from homolog.core.progress import Progress, no_progress
+from homolog.datasets import Counterparts, ShapeFolder, Truth, drawn_pairs
+from homolog.datasets import Pair as PairOfNames
+from homolog.evaluation.metrics import Detection, geodesic_diameter, geodesic_errors
+from homolog.evaluation.protocol import Protocol
+from homolog.evaluation.result import Evaluation, PairErrors
+from homolog.geometry import unit_frame
+from homolog.matching import Match, Matcher, check_point_map, low_confidence_warnings
+from homolog.pairs import SIDES, Pair, PairOptions, PreprocessedShape, Side
+from homolog.shapes import Modality, Shape, add_noise, repair
+
+# Name, side if that matters, whether it is a cloud, and whose scale it takes if not its own.
+_Variant = tuple[str, str, bool, str]
+
+MatchShapes = Callable[[Shape, Shape], Any]
+"""A method of one's own: takes two shapes and gives a ``Match``, or for each target point its source point (n_target,).
+
+The shapes are as the protocol has them (without faces where they are clouds, with noise where there is any), and
+indices are theirs.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredPair:
+    """What a metric of one's own is given.
+
+    Args:
+        match: the maps, and both shapes.
+        truth: pairs of points that are known to correspond: ``truth.source`` and ``truth.target`` (p,).
+        errors: of each of these (p,), as in ``PairErrors``.
+    """
+
+    match: Match
+    truth: Truth
+    errors: Float[np.ndarray, " p"]
+
+
+Metric = Callable[[ScoredPair], float]
+"""A figure of one pair; its mean over pairs is reported."""
+
+
+def evaluate(
+    matcher: Matcher | None,
+    folder: ShapeFolder,
+    protocol: Protocol | None = None,
+    *,
+    match: MatchShapes | None = None,
+    match_pair: Callable[[Pair], Match] | None = None,
+    metrics: Mapping[str, Metric] | None = None,
+    progress: Progress | None = None,
+) -> Evaluation:
+    """Match every pair of a folder and measure the maps against its ground truth.
+
+    A point that a map leads to none counts as the diameter of the source, so that abstaining is not rewarded. The
+    published protocol has a counterpart for every point; the mean over matched points alone stands beside.
+
+    A shape's scale is that of its repaired mesh, before any noise is added and any face dropped, as the published
+    protocol has it. Of a dataset of clouds the errors are Euclidean distances on the source, in the files' unit.
+
+    Args:
+        matcher: makes the maps; operators and features of each shape are computed once, those of a partial shape once
+            for each full one. None where ``match`` makes them.
+        folder: shapes with ground truth.
+        protocol: which shapes, as what; by default the meshes of the test split.
+        match: a method of one's own.
+        match_pair: makes the maps of a preprocessed pair; by default ``matcher.find``.
+        metrics: figures of one's own by name.
+        progress: told how far the work is.
+
+    Raises:
+        ArgumentError: if more pairs are to be drawn than there are, or a map does not fit its shapes.
+        DataError: if the ground truth does not fit the shapes, or not one of its points is matched.
+
+    Example:
+        >>> import homolog
+        >>> from homolog.datasets import ShapeFolder
+        >>> from homolog.evaluation import Protocol, evaluate
+        >>> folder = ShapeFolder.open(homolog.demo_folder())
+        >>> evaluation = evaluate(homolog.Matcher.from_weights(), folder, Protocol(split="all", n_pairs=1))
+        >>> evaluation.to_dict()["mean_geodesic_error"] < 5
+        True
+    """
+    protocol = protocol or Protocol()
+    folder = replace(folder, seed=protocol.seed)
+    pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
+    if protocol.n_pairs is not None:
+        pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
+    if matcher is None and match is None:
+        raise ArgumentError("matcher is None, but maps must come from a matcher or from match; give one of them")
+    run = _Run(folder, protocol, pairs, metrics or {}, progress or no_progress)
+    source: _Source = _ByFunction(run, match) if match is not None else _ByMatcher(run, matcher, match_pair)
+    return run.evaluation(source)
+
+
+class _Run:
+    """One evaluation: shapes, truth, and the bookkeeping of time."""
+
+    def __init__(
+        self,
+        folder: ShapeFolder,
+        protocol: Protocol,
+        pairs: tuple[PairOfNames, ...],
+        metrics: Mapping[str, Metric],
+        progress: Progress,
+    ) -> None:
+        self.folder, self.protocol, self.pairs, self.metrics, self.progress = folder, protocol, pairs, metrics, progress
+        names = dict.fromkeys(name for pair in pairs for name in pair)
+        self.shapes = {name: folder.shape(name) for name in names}
+        self.frame = cache(lambda name: unit_frame(repair(self.shapes[name]).shape))  # many parts may share one
+        self.ground_truth = folder.ground_truth(self.shapes.__getitem__)
+        own_clouds = protocol.is_cloud("target")  # full shapes, which lead the pairs, have none
+        self.clouds = {name: folder.cloud(name) for name in names if own_clouds and folder.has_cloud(name)}
+        for pair in pairs:
+            self.truth(pair)  # what is wrong with any is said before anything is computed
+        self.euclidean = folder.description.holds == "clouds"  # without a surface that distances could run along
+        self.total = self.done = 0
+        self.seconds = {"preprocess": 0.0, "match": 0.0, "measure": 0.0}
+
+    def evaluation(self, source: _Source) -> Evaluation:
+        self.total += len(self.pairs)
+        matches = [source.match(pair) for pair in self.pairs]
+        with self.timed("measure"):
+            scored = list(self._scored(matches))
+        if not any(pair.matched.any() for pair in scored):
+            raise DataError(
+                f"{self.folder.root}: no common point of any pair is matched, so there is nothing to score; "
+                "ground truth must name points that the faces use"
+            )
+        seconds = {**self.seconds, "total": sum(self.seconds.values())}
+        unit = (self.folder.description.unit or "units of the files") if self.euclidean else None
+        return Evaluation(tuple(scored), source.method, seconds, unit)
+
+    def truth(self, pair: PairOfNames) -> Truth:
+        """Points of source and target that are known to correspond."""
+        cloud = self.clouds.get(pair[1])
+        return self.ground_truth.between(*pair) if cloud is None else self.ground_truth.of_cloud(*pair, cloud)
+
+    def given(self, pair: PairOfNames, side: Side) -> Shape:
+        """A shape as the protocol has it, with its noise and with its faces."""
+        name = pair[SIDES.index(side)]
+        shape = self.clouds.get(name, self.shapes[name]) if side == "target" else self.shapes[name]
+        if not self.is_noisy(side):
+            return shape
+        seed = zlib.crc32(f"{self.protocol.seed} {name} {side}".encode())
+        return add_noise(shape, self.protocol.noise * self.frame(self.scaled_by(pair, side)).scale, seed=seed)
+
+    def is_noisy(self, side: Side) -> bool:
+        """Whether the shapes of a side have noise."""
+        return bool(self.protocol.is_cloud(side) and self.protocol.noise)
+
+    def scaled_by(self, pair: PairOfNames, side: Side) -> str:
+        """Whose scale a shape takes: its own, but a partial one that of the full one."""
+        return pair[0] if self.protocol.partial else pair[SIDES.index(side)]
+
+    def tick(self, what: str) -> None:
+        """Say what is done next."""
+        self.progress(self.done, self.total, what)
+        self.done += 1
+
+    @contextmanager
+    def timed(self, part: str) -> Iterator[None]:
+        """Count a block's seconds for a part of the work."""
+        began = time.perf_counter()
+        yield
+        self.seconds[part] += time.perf_counter() - began
+
+    def _scored(self, matches: list[Match]) -> Iterator[PairErrors]:
+        """Errors of all pairs, those of one source measured at once: a search from a point serves all its pairs."""
+        by_source: dict[str, list[int]] = defaultdict(list)
+        for number, pair in enumerate(self.pairs):
+            by_source[pair[0]].append(number)
+        truths = [self.truth(pair) for pair in self.pairs]
+        mapped = [match.target_to_source[truth.target] for match, truth in zip(matches, truths, strict=True)]
+        errors: dict[int, Float[np.ndarray, " p"]] = {}
+        for source, numbers in by_source.items():
+            starts, ends = (
+                np.concatenate([found[n] for n in numbers]) for found in ([t.source for t in truths], mapped)
+            )
+            cuts = np.cumsum([len(mapped[number]) for number in numbers])[:-1]
+            errors |= dict(zip(numbers, np.split(self._errors(self.shapes[source], starts, ends), cuts), strict=True))
+        for number, pair in enumerate(self.pairs):
+            yield self._pair(pair, matches[number], truths[number], mapped[number], errors[number])
+
+    def _pair(
+        self,
+        pair: PairOfNames,
+        match: Match,
+        truth: Truth,
+        mapped: Int[np.ndarray, " p"],
+        errors: Float[np.ndarray, " p"],
+    ) -> PairErrors:
+        known = self.ground_truth.counterparts(*pair) if self.protocol.partial else None
+        scored = ScoredPair(match, truth, errors)
+        return PairErrors(
+            pair=pair,
+            errors=errors,
+            matched=mapped >= 0,
+            confidences=match.target_confidence[truth.target],
+            missing=None if known is None else _missing(match, known),
+            quality=match.quality,
+            doubtful=match.quality is not None and bool(low_confidence_warnings(match)),
+            metrics={name: float(metric(scored)) for name, metric in self.metrics.items()},
+        )
+
+    def _errors(
+        self, shape: Shape, truth: Int[np.ndarray, " p"], mapped: Int[np.ndarray, " p"]
+    ) -> Float[np.ndarray, " p"]:
+        """Distances on a shape from true points to where they are mapped; its diameter where that is nowhere."""
+        reached = np.where(mapped < 0, truth, mapped)
+        if self.euclidean:
+            errors: np.ndarray = np.linalg.norm(shape.points[truth] - shape.points[reached], axis=1)
+        else:
+            errors = geodesic_errors(shape, truth, reached)
+        if (mapped < 0).any():
+            errors[mapped < 0] = self._diameter(shape)
+        return errors
+
+    def _diameter(self, shape: Shape) -> float:
+        if self.euclidean:
+            return float(np.linalg.norm(np.ptp(shape.points, axis=0)))
+        return geodesic_diameter(shape)
+
+
+class _Source:
+    """Where the maps of an evaluation come from."""
+
+    method: str
+
+    def match(self, pair: PairOfNames) -> Match:
+        raise NotImplementedError
+
+
+class _ByFunction(_Source):
+    """Maps by a method of one's own, which is given the shapes that are scored."""
+
+    def __init__(self, run: _Run, match: MatchShapes) -> None:
+        self.run, self.function = run, match
+        self.method = getattr(match, "__name__", type(match).__name__)
+
+    def match(self, pair: PairOfNames) -> Match:
+        run = self.run
+        run.tick(" - ".join(pair))
+        source, target = (
+            shape.as_cloud() if run.protocol.is_cloud(side) else shape
+            for side, shape in ((side, run.given(pair, side)) for side in SIDES)
+        )
+        with run.timed("match"):
+            found = self.function(source, target)
+        if isinstance(found, Match):
+            sizes = {"source": source.n_points, "target": target.n_points}
+            for side, points in (("source", found.source_to_target), ("target", found.target_to_source)):
+                if len(points) != sizes[side]:
+                    raise ArgumentError(
+                        f"{' - '.join(pair)}: the match has {len(points)} {side} points, but must have {sizes[side]}, "
+                        "those of the shape that was given"
+                    )
+            return found
+        name = f"{' - '.join(pair)}: target_to_source"
+        back = check_point_map(name, found, n_points=target.n_points, n_others=source.n_points)
+        nowhere = np.full(source.n_points, -1)
+        return Match(source, target, nowhere, back, method=self.method)
+
+
+class _ByMatcher(_Source):
+    """Maps by a matcher; a shape is preprocessed when it is first needed, and let go of when it is needed no more."""
+
+    def __init__(self, run: _Run, matcher: Matcher | None, match_pair: Callable[[Pair], Match] | None) -> None:
+        assert matcher is not None
+        self.run, self.matcher, self.find = run, matcher, match_pair or matcher.find
+        self.uses = Counter(self._variant(pair, side) for pair in run.pairs for side in SIDES)
+        self.preprocessed: dict[_Variant, PreprocessedShape] = {}
+        self.options = PairOptions(
+            partial="target" if run.protocol.partial else None, pre_aligned=run.protocol.pre_aligned
+        )
+        modalities = tuple(self._modality(run.pairs[0], side) for side in SIDES)
+        self.method = matcher.method_of(*modalities).name
+        run.total += len(self.uses)
+
+    def match(self, pair: PairOfNames) -> Match:
+        source, target = self._take(pair, "source"), self._take(pair, "target")
+        self.run.tick(" - ".join(pair))
+        with self.run.timed("match"):
+            return self.find(self.matcher.paired(source, target, self.options))
+
+    def _modality(self, pair: PairOfNames, side: Side) -> Modality:
+        faces = None if self.run.protocol.is_cloud(side) else self.run.shapes[pair[SIDES.index(side)]].faces
+        return "cloud" if faces is None else "mesh"
+
+    def _variant(self, pair: PairOfNames, side: Side) -> _Variant:
+        """What tells preparations apart: noise makes source and target of one name two clouds, scale a part several."""
+        name, partner, cloud = pair[SIDES.index(side)], self.run.scaled_by(pair, side), self.run.protocol.is_cloud(side)
+        own = cloud and (self.run.protocol.noise or name in self.run.clouds)
+        return name, side if own else "", cloud, "" if partner == name else partner
+
+    def _take(self, pair: PairOfNames, side: Side) -> PreprocessedShape:
+        variant = self._variant(pair, side)
+        if variant not in self.preprocessed:
+            self.run.tick(pair[SIDES.index(side)])
+            with self.run.timed("preprocess"):
+                self.preprocessed[variant] = self._preprocess(pair, side)
+        self.uses[variant] -= 1
+        return self.preprocessed[variant] if self.uses[variant] else self.preprocessed.pop(variant)
+
+    def _preprocess(self, pair: PairOfNames, side: Side) -> PreprocessedShape:
+        run, cloud = self.run, self.run.protocol.is_cloud(side)
+        scaled_by, shape = run.scaled_by(pair, side), run.given(pair, side)
+        if scaled_by == pair[SIDES.index(side)] and not run.is_noisy(side):
+            return self.matcher.preprocess(shape, as_cloud=cloud)
+        frame = run.frame(scaled_by)
+        centre = frame.centre if run.protocol.pre_aligned else None
+        return self.matcher.preprocess(shape, as_cloud=cloud, scale=frame.scale, centre=centre)
+
+
+def _missing(match: Match, known: Counterparts) -> Detection:
+    """How well a match tells which of these points of the full shape the partial one lacks."""
+    return Detection.of(match.source_to_target[known.points] < 0, ~known.present)

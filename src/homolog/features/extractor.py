@@ -1,0 +1,184 @@
+"""What turns the operators of a shape into features per point: a network, a function, a module of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from homolog.core.errors import ArgumentError
+from homolog.features.diffusion_net import DiffusionNet
+from homolog.features.info import FeatureInfo
+from homolog.geometry import Basis, Operators
+from homolog.maps import heat_kernel_signature, wave_kernel_signature
+
+# Published networks take signatures of the lowest eigenpairs, however many there are.
+_SIGNATURE_EIGENPAIRS = 128
+
+
+@runtime_checkable
+class FeatureExtractor(Protocol):
+    """Computes features per point from the operators of one shape.
+
+    Features that follow from positions (``info.input == "xyz"``) are also asked for at other poses and at some of a
+    shape's points, and are then given the ``Basis`` there: it has the same ``points``, ``mass``, ``eigenvalues`` and
+    ``eigenvectors``.
+
+    Args:
+        info: what the extractor expects of shapes, and how its features are to be compared.
+    """
+
+    @property
+    def info(self) -> FeatureInfo:
+        """What the extractor expects of shapes, and how its features are to be compared."""
+        ...
+
+    def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
+        """Features of all points (n, d)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkFeatures:
+    """Features of a DiffusionNet, as ``load_weights`` reads it.
+
+    Args:
+        network: the network.
+        info: what its weights expect.
+
+    Example:
+        >>> import homolog
+        >>> extractor = homolog.load_weights("people")
+        >>> extractor.info.name, extractor.network.settings.out_channels
+        ('people', 128)
+    """
+
+    network: DiffusionNet
+    info: FeatureInfo = field(default_factory=FeatureInfo)
+
+    def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
+        """Features of all points (n, d)."""
+        features: Tensor = self.network(self._input(operators), operators)
+        return features
+
+    def _input(self, operators: Operators | Basis) -> Float[Tensor, "n i"]:
+        if self.info.input == "xyz":
+            return operators.points
+        n_channels, k = self.network.settings.in_channels, _SIGNATURE_EIGENPAIRS
+        eigenvalues, eigenvectors = operators.eigenvalues[:k], operators.eigenvectors[:, :k]
+        if self.info.input == "hks":
+            return heat_kernel_signature(eigenvalues, eigenvectors, n_times=n_channels)
+        signature = wave_kernel_signature(eigenvalues, eigenvectors, n_energies=n_channels)
+        # Each channel of unit norm on the surface, as the published networks were given it.
+        return signature / (operators.mass[:, None] * signature.square()).sum(dim=0).sqrt()
+
+    def to(self, device: torch.device) -> NetworkFeatures:
+        """The same on a device, in evaluation mode."""
+        return replace(self, network=self.network.to(device).eval())
+
+    def __repr__(self) -> str:
+        settings = self.network.settings
+        return f"NetworkFeatures({self.info.name!r}: {self.info.input}, {settings.out_channels} channels)"
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionFeatures:
+    """Features of a function of operators, or of any ``torch.nn.Module`` that is called with them.
+
+    Args:
+        function: takes ``Operators`` and gives a tensor or array (n, d).
+        info: how the features are to be compared. By default they are taken not to follow the pose.
+    """
+
+    function: Callable[[Any], Any]
+    info: FeatureInfo
+
+    def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
+        """Features of all points (n, d).
+
+        Raises:
+            ArgumentError: if the function does not give one finite row per point.
+        """
+        points = operators.points
+        features = torch.as_tensor(self.function(operators), dtype=points.dtype, device=points.device)
+        check_features(self.info.name, features, len(points))
+        return features
+
+
+@dataclass(frozen=True)
+class GivenFeatures:
+    """Stands for features that are given with each pair, as arrays.
+
+    Args:
+        info: how they are to be compared.
+    """
+
+    info: FeatureInfo
+
+    def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
+        """There is nothing to compute."""
+        raise ArgumentError(
+            f"features {self.info.name!r} are given with each pair, but none are; give features=(of_source, of_target)"
+        )
+
+
+def check_features(name: str, features: Tensor, n_points: int) -> None:
+    """Refuse features that are not one row of finite numbers per point.
+
+    Raises:
+        ArgumentError: naming what was found.
+    """
+    if features.ndim != 2 or len(features) != n_points or not features.shape[1]:
+        raise ArgumentError(
+            f"features {name!r} have shape {tuple(features.shape)}, but must have one row per point, ({n_points}, d)"
+        )
+    if not torch.isfinite(features).all():
+        raise ArgumentError(f"features {name!r} hold NaN or infinite numbers, but must be finite")
+
+
+def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureExtractor:
+    """Make a feature extractor of what a user has.
+
+    Args:
+        features: a ``FeatureExtractor``; a ``DiffusionNet``; a ``FeatureInfo`` of features that are given with each
+            pair; or a function of ``Operators``, such as any
+            ``torch.nn.Module`` that is called with them, which gives (n, d).
+        info: what it expects of shapes. By default a DiffusionNet is taken to be trained on upright shapes, and the
+            features of a function not to follow the pose.
+
+    Raises:
+        ArgumentError: if it is nothing of the kind.
+
+    Example:
+        >>> import homolog
+        >>> from homolog.maps import heat_kernel_signature, wave_kernel_signature
+        >>> from homolog.features import as_extractor
+        >>> wks = as_extractor(lambda shape: wave_kernel_signature(shape.eigenvalues, shape.eigenvectors))
+        >>> matcher = homolog.Matcher(wks)
+    """
+    if isinstance(features, DiffusionNet):
+        return NetworkFeatures(features, info or FeatureInfo())
+    if isinstance(features, FeatureInfo):
+        return GivenFeatures(features)
+    if isinstance(features, FeatureExtractor):
+        return features
+    if callable(features):
+        name = getattr(features, "__name__", type(features).__name__)
+        return FunctionFeatures(features, info or FeatureInfo(name=name, input="operators", upright=False))
+    raise ArgumentError(
+        f"features is a {type(features).__name__}, but must be a feature extractor, a network or a function of "
+        "operators; homolog.load_weights reads one from a file"
+    )
+
+
+def on_device(extractor: FeatureExtractor, device: torch.device) -> FeatureExtractor:
+    """The extractor with its parameters, if it has any, on a device and in evaluation mode."""
+    if isinstance(extractor, NetworkFeatures):
+        return extractor.to(device)
+    if isinstance(extractor, FunctionFeatures) and isinstance(extractor.function, nn.Module):
+        extractor.function.to(device).eval()
+    return extractor

@@ -1,0 +1,72 @@
+"""What one must know of features to use them rightly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+from homolog.core.arguments import check_count, is_real
+from homolog.core.errors import bad_choice, bad_value
+from homolog.geometry import CLOUD_NEIGHBOURS, LaplacianKind
+
+NetworkInput = Literal["xyz", "wks", "hks", "operators"]
+"""What features are computed from: positions, wave or heat kernel signatures, or whatever a function takes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FeatureInfo:
+    """What a feature extractor expects of shapes, and how its features are to be compared.
+
+    Weight files carry it in their header. It is explicit: nothing of it is derived from how a network was trained.
+
+    Args:
+        name: a short name, or the file's.
+        licence: the terms of the weights.
+        input: what features are computed from: ``"xyz"`` for positions, so that features follow the pose; ``"wks"`` or
+            ``"hks"`` for wave or heat kernel signatures, and ``"operators"`` for a function of one's own, which do not.
+        upright: whether shapes must stand as those trained on did: +y up, facing +z.
+        n_eigenpairs: eigenpairs of the operators that features are computed from.
+        laplacian: the Laplacian of meshes that they were trained with.
+        n_neighbours: points that each point of a cloud is connected to in its operators.
+        map_eigenpairs: size of the functional map that fits the features.
+        partial: whether a network was trained on partial shapes with their full ones.
+        near_isometric: whether surfaces are taken to bend without stretching much: maps between meshes are then
+            functional maps, and all maps are refined as such. Where not, features alone say what goes where.
+        temperature: of the soft map between features that were brought to unit norm.
+        sha256: hash of the file; empty before it is saved.
+
+    Raises:
+        ArgumentError: if one of them is of another kind or size.
+
+    Example:
+        >>> from homolog.features import FeatureInfo
+        >>> FeatureInfo(name="mine", upright=False).near_isometric
+        True
+    """
+
+    name: str = "untitled"
+    licence: str = "unknown"
+    input: NetworkInput = "xyz"
+    upright: bool = True
+    n_eigenpairs: int = 128
+    laplacian: LaplacianKind = "robust"
+    n_neighbours: int = CLOUD_NEIGHBOURS
+    map_eigenpairs: int = 80
+    partial: bool = False
+    near_isometric: bool = True
+    temperature: float = 0.1
+    sha256: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("input", get_args(NetworkInput)), ("laplacian", get_args(LaplacianKind))):
+            if getattr(self, name) not in allowed:
+                raise bad_choice(name, str(getattr(self, name)), allowed)
+        for name in ("n_eigenpairs", "n_neighbours", "map_eigenpairs"):
+            check_count(name, getattr(self, name))
+        if not (is_real(self.temperature) and self.temperature > 0):
+            raise bad_value("temperature", self.temperature, "a finite number above 0")
+
+    @property
+    def follows_pose(self) -> bool:
+        """Whether features change when a shape is turned."""
+        return self.input == "xyz"

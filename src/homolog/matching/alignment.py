@@ -1,0 +1,174 @@
+"""Aligning a partial shape with the full one by a similarity transform. New here.
+
+Features follow from positions, and a scan seldom stands as the same part of the full shape does. The map itself, good
+enough here and there, says where the partial shape belongs; from there on features, and so the map, are better. This is
+iterated closest points (Besl and McKay, 1992) with the most similar features in place of the closest points.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from homolog.features import FeatureExtractor
+from homolog.geometry import Basis
+from homolog.maps import most_similar, normalised, rigid_motion
+from homolog.pairs import AlignmentSettings, Pair, Preprocessor
+from homolog.shapes import rotation_about
+
+# Centres this near to one another are the same.
+_SAME_CENTRE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """A pose and size of the partial shape.
+
+    Args:
+        points: its positions there, in the full shape's normalised coordinates (n, 3).
+        scale: what its lengths were multiplied by.
+        similarity: mean cosine between its features there and the most similar ones of the full shape.
+    """
+
+    points: Float[Tensor, "n 3"]
+    scale: float = 1.0
+    similarity: float = -math.inf
+
+
+def align_partial(pair: Pair) -> Pair:
+    """The pair with its partial shape rotated, moved and scaled to fit the features of the full shape best.
+
+    The pair as it is, where neither shape is partial, the features do not follow the pose, or the settings say so. The
+    operators' points are then no longer where ``centre`` and ``scale`` put those of the file.
+    """
+    settings, extractor = pair.settings.alignment, pair.extractor
+    if not pair.is_partial or settings is None or extractor is None or not extractor.info.follows_pose:
+        return pair
+    full, partial = pair.x, pair.y
+    basis = partial.operators.basis
+    found = best_alignment(
+        basis,
+        extractor,
+        full.operators.points,
+        full.needed_features(),
+        search=extractor.info.partial,
+        settings=settings,
+    )
+    if found.points is basis.points:
+        return pair
+    operators = replace(partial.operators.scaled(found.scale), points=found.points)
+    features = Preprocessor(extractor=extractor).features(operators)
+    return pair.with_y(replace(partial, operators=operators, features=features))
+
+
+def best_alignment(
+    partial: Basis,
+    extractor: FeatureExtractor,
+    full: Float[Tensor, "m 3"],
+    full_features: Float[Tensor, "m d"],
+    *,
+    search: bool,
+    settings: AlignmentSettings | None = None,
+) -> Alignment:
+    """The pose and size in which a partial shape's features resemble those of the full shape the most.
+
+    Each step, the partial shape follows the rigid motion towards the points of the full one with the most similar
+    features. It starts as it is given, and with both centres in one place.
+
+    Args:
+        partial: in the full shape's scale.
+        extractor: of features that follow the pose.
+        full: positions of the full shape.
+        full_features: there.
+        search: where the partial shape does not come to resemble the full one, start anew with it larger or smaller, as
+            it may be of another individual, and then rotated. That is for networks that know partial shapes: to others,
+            a wrong pose is often as good as the right one.
+        settings: of the search.
+    """
+    settings = settings or AlignmentSettings()
+    starts = _Search(partial, extractor, full, full_features, settings)
+    unturned, *turned = settings.rotations
+    best = starts.followed([starts.at(partial.points)])
+    if search and best.similarity < settings.similar:
+        others = [starts.at(_moved(partial.points, *unturned, scale), scale) for scale in settings.scales]
+        best = _clearly_better(starts.followed(others), best, settings.margin)
+    if search and best.similarity < settings.similar:
+        scales = dict.fromkeys((1.0, best.scale))
+        others = [starts.at(_moved(partial.points, *rotation, scale), scale) for scale in scales for rotation in turned]
+        best = _clearly_better(starts.followed(others), best, settings.margin)
+    return best
+
+
+def _clearly_better(other: Alignment, best: Alignment, margin: float) -> Alignment:
+    return other if other.similarity > best.similarity + margin else best
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """An alignment that was looked at, and the motion towards where the partial shape seems to belong from there."""
+
+    alignment: Alignment
+    rotation: Float[Tensor, "3 3"]
+    shift: Float[Tensor, " 3"]
+
+
+class _Search:
+    """Samples of both shapes, and how well alignments fit."""
+
+    def __init__(
+        self,
+        partial: Basis,
+        extractor: FeatureExtractor,
+        full: Float[Tensor, "m 3"],
+        full_features: Float[Tensor, "m d"],
+        settings: AlignmentSettings,
+    ) -> None:
+        self._some = _samples(partial.n_points, settings.partial_samples).to(partial.points.device)
+        among = _samples(len(full), settings.full_samples).to(partial.points.device)
+        self._basis, self._extractor, self._settings = partial.sampled(self._some), extractor, settings
+        self._positions, self._candidates = full[among], normalised(full_features[among])
+        self._centre = full.mean(dim=0)
+
+    def at(self, points: Float[Tensor, "n 3"], scale: float = 1.0) -> list[_Step]:
+        """A start, and the same with both centres in one place."""
+        away = self._centre - points.mean(dim=0)
+        starts = (points, points + away) if away.norm() > _SAME_CENTRE else (points,)
+        return [self._step(start, scale) for start in starts]
+
+    def followed(self, starts: Sequence[Sequence[_Step]]) -> Alignment:
+        """The best alignment on the ways from those starts that are the most promising."""
+        ranked = sorted(starts, key=lambda steps: -max(step.alignment.similarity for step in steps))
+        promising = itertools.chain.from_iterable(ranked[: self._settings.followed])
+        ways = (alignment for step in promising for alignment in self._way(step))
+        return max(ways, key=lambda alignment: alignment.similarity)
+
+    def _way(self, step: _Step) -> Iterator[Alignment]:
+        """An alignment, and those that each lie where the one before it seems to belong."""
+        yield step.alignment
+        for _ in range(self._settings.steps - 1):
+            step = self._step(step.alignment.points @ step.rotation.T + step.shift, step.alignment.scale)
+            yield step.alignment
+
+    def _step(self, points: Float[Tensor, "n 3"], scale: float) -> _Step:
+        some = points[self._some]
+        features = self._extractor(replace(self._basis.scaled(scale), points=some))
+        found = most_similar(normalised(features), self._candidates)
+        alignment = Alignment(points, scale, float(found.value.mean()))
+        return _Step(alignment, *rigid_motion(some, self._positions[found.index]))
+
+
+def _moved(points: Float[Tensor, "n 3"], axis: int, degrees: float, scale: float) -> Float[Tensor, "n 3"]:
+    """Positions rotated and scaled about their centre."""
+    centre = points.mean(dim=0)
+    return scale * (points - centre) @ torch.from_numpy(rotation_about(axis, degrees).T).to(points) + centre
+
+
+def _samples(n_points: int, count: int) -> Int[Tensor, " s"]:
+    """Some of the points, at random but always the same ones: files list points region by region."""
+    return torch.randperm(n_points, generator=torch.Generator().manual_seed(0))[:count]

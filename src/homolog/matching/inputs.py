@@ -1,0 +1,62 @@
+"""What is given to be matched: shapes, files, and options in words."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from homolog.core.arguments import check_kind
+from homolog.core.errors import ArgumentError
+from homolog.core.progress import Steps
+from homolog.matching.result import Match
+from homolog.pairs import PairOptions, Side
+from homolog.shapes import Shape, as_shape, read_hashed_shape
+
+
+def options_of(options: PairOptions | None, words: dict[str, Any]) -> PairOptions:
+    """Options as given, or from their words.
+
+    Raises:
+        ArgumentError: if both are given, or a word is not allowed.
+    """
+    if options is not None and words:
+        raise ArgumentError(f"options are given twice, as options and as {next(iter(words))}; give one of them")
+    if options is not None:
+        check_kind("options", options, PairOptions)
+        return options
+    try:
+        return PairOptions(**words)
+    except TypeError:
+        unknown = next(name for name in words if name not in PairOptions.__dataclass_fields__)
+        raise TypeError(f"match() got an unexpected keyword argument {unknown!r}") from None
+
+
+def read_inputs(source: Any, target: Any, steps: Steps) -> tuple[tuple[Shape, Shape], dict[Side, dict[str, str]]]:
+    """Both shapes, read where they are paths, and which files they came from."""
+    shapes: list[Shape] = []
+    files: dict[Side, dict[str, str]] = {"source": {}, "target": {}}
+    given: dict[Side, Any] = {"source": source, "target": target}
+    for side, shape in given.items():
+        if isinstance(shape, str | PathLike):
+            with steps.step(f"read {side}"):
+                shape, digest = read_hashed_shape(Path(shape))
+            files[side] = {"file": str(given[side]), "sha256": digest}
+        shapes.append(_shape(side, shape))
+    return (shapes[0], shapes[1]), files
+
+
+def _shape(side: Side, given: Any) -> Shape:
+    try:
+        return as_shape(given)
+    except ArgumentError as error:
+        raise ArgumentError(f"{side}: {error}") from None
+
+
+def with_inputs(match: Match, files: dict[Side, dict[str, str]], steps: Steps, *, adapt: int = 0) -> Match:
+    """The match with the files that its shapes came from, and the seconds of its steps, in its report."""
+    known = match.report["inputs"]
+    inputs = {side: {**files[side], **known[side]} for side in files}
+    timed = [asdict(step) for step in steps.finished]
+    return replace(match, report={**match.report, "inputs": inputs, "adapt": adapt, "steps": timed})

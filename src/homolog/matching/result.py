@@ -1,0 +1,357 @@
+"""The result of a match: point maps both ways, in the indices of the shapes as they were given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.sparse import csr_matrix
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from homolog.core.errors import ArgumentError, DataError
+from homolog.core.versions import versions
+from homolog.geometry import Operators, OperatorSettings, compute_operators
+from homolog.maps import confidence, overlap
+from homolog.matching import result_files
+from homolog.matching.quality import MapQuality, quality
+from homolog.pairs import SIDES, Pair, PointMaps, PreprocessedShape, Side
+from homolog.shapes import Shape, repair
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Match:
+    """Point maps both ways between two shapes, in the indices of the shapes as they were given.
+
+    Args:
+        source: one shape, as it was given.
+        target: the other.
+        source_to_target: for each source point its target point's index (n_source,), int64; -1 = no counterpart.
+        target_to_source: for each target point its source point's index (n_target,), int64; -1 = no counterpart.
+        source_confidence: trust in each entry of ``source_to_target``, from 0 to 1; 0 where that is -1. By default 1
+            for every point with a counterpart.
+        target_confidence: likewise for ``target_to_source``.
+        method: how the maps were found.
+        warnings: what the user should know, a line each.
+        quality: figures of the maps as a whole, where they were found here.
+        report: inputs, options, settings, and what was repaired, for JSON.
+
+    Raises:
+        ArgumentError: if an array is not of the length that its shape asks for, or an index is that of no point.
+
+    Example:
+        >>> import homolog
+        >>> source, target = homolog.demo_shapes()
+        >>> match = homolog.match(source, target, method="axiomatic")
+        >>> match.source_to_target.shape == (source.n_points,)
+        True
+        >>> match.inverse().source is target
+        True
+    """
+
+    source: Shape
+    target: Shape
+    source_to_target: Int[np.ndarray, " n_source"]
+    target_to_source: Int[np.ndarray, " n_target"]
+    source_confidence: Float[np.ndarray, " n_source"] = None  # type: ignore[assignment]
+    target_confidence: Float[np.ndarray, " n_target"] = None  # type: ignore[assignment]
+    method: str = "given"
+    warnings: tuple[str, ...] = ()
+    quality: MapQuality | None = None
+    report: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for side, shape, other in (("source", self.source, self.target), ("target", self.target, self.source)):
+            name = "source_to_target" if side == "source" else "target_to_source"
+            indices = check_point_map(name, getattr(self, name), n_points=shape.n_points, n_others=other.n_points)
+            object.__setattr__(self, name, indices)
+            trust = getattr(self, f"{side}_confidence")
+            trust = (indices >= 0).astype(float) if trust is None else np.asarray(trust)
+            if trust.shape != indices.shape:
+                raise ArgumentError(
+                    f"{side}_confidence has shape {trust.shape}, but must have one entry per point, ({len(indices)},)"
+                )
+            object.__setattr__(self, f"{side}_confidence", trust)
+
+    @classmethod
+    def of(cls, pair: Pair, maps: PointMaps, *, method: str) -> Match:
+        """The match that point maps between the repaired shapes of a pair make.
+
+        Adds confidences, the points of a full shape that have no counterpart on a partial one, figures of quality and a
+        report, and goes back to the indices of the shapes as they were given.
+
+        Args:
+            pair: two preprocessed shapes.
+            maps: between their operators' points.
+            method: how these were found.
+
+        Raises:
+            ArgumentError: if the maps do not fit the pair.
+        """
+        x, y = pair.x, pair.y
+        _check_maps(pair, maps, method)
+        x_to_y = _following_main_component(maps.x_to_y, x.operators)
+        y_to_x = _following_main_component(maps.y_to_x, y.operators)
+        settings = pair.settings.confidence
+        at_x, at_y = x.operators.points, y.operators.points
+        x_trust = confidence(at_x, at_y, x_to_y, y_to_x, settings=settings)
+        y_trust = confidence(at_y, at_x, y_to_x, x_to_y, settings=settings)
+        of_x = None if pair.is_partial else quality(x, y, x_to_y, y_to_x, x_trust)
+        figures = MapQuality(of_x, quality(y, x, y_to_x, x_to_y, y_trust))
+        if pair.is_partial:
+            found = overlap(x.operators, y.operators, y_to_x, settings=settings)
+            x_to_y, x_trust = torch.where(found, x_to_y, -1), torch.where(found, x_trust, 0.0)
+        match = cls(
+            source=x.given,
+            target=y.given,
+            source_to_target=x.repaired.original_map(x_to_y.cpu().numpy(), y.repaired),
+            target_to_source=y.repaired.original_map(y_to_x.cpu().numpy(), x.repaired),
+            source_confidence=x.repaired.to_original(x_trust.cpu().numpy(), fill=0),
+            target_confidence=y.repaired.to_original(y_trust.cpu().numpy(), fill=0),
+            method=method,
+            quality=figures,
+        )
+        match = match if x is pair.source else match.inverse()
+        return replace(match, report=_report(pair, match))
+
+    def inverse(self) -> Match:
+        """The same maps with source and target exchanged; the report stays as it is."""
+        return replace(
+            self,
+            source=self.target,
+            target=self.source,
+            source_to_target=self.target_to_source,
+            target_to_source=self.source_to_target,
+            source_confidence=self.target_confidence,
+            target_confidence=self.source_confidence,
+            quality=None if self.quality is None else self.quality.inverse(),
+        )
+
+    def compose(self, other: Match) -> Match:
+        """The match from this one's source to the other's target, by way of the shape in between.
+
+        A point has no counterpart where either map has none. Confidences are multiplied.
+
+        Args:
+            other: whose source has the points of this match's target.
+
+        Raises:
+            ArgumentError: if the shape in between has another number of points in the other match.
+        """
+        if other.source.n_points != self.target.n_points:
+            raise ArgumentError(
+                f"the other match begins at {other.source.name} with {other.source.n_points} points, but must begin at "
+                f"{self.target.name} with {self.target.n_points}"
+            )
+        forth, forth_trust = _composed(
+            self.source_to_target, self.source_confidence, other.source_to_target, other.source_confidence
+        )
+        back, back_trust = _composed(
+            other.target_to_source, other.target_confidence, self.target_to_source, self.target_confidence
+        )
+        return Match(self.source, other.target, forth, back, forth_trust, back_trust, "composed")
+
+    def to_matrix(self) -> csr_matrix:
+        """The map as a sparse matrix (n_target, n_source) that takes functions on the source to the target.
+
+        Row i has a one at the source point of target point i, and is empty where that has no counterpart.
+        """
+        (rows,) = np.nonzero(self.target_to_source >= 0)
+        columns = self.target_to_source[rows]
+        return csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(self.target.n_points, self.source.n_points))
+
+    def functional_map(self, k: int = 50) -> Float[np.ndarray, "k k"]:
+        """The functional map C = Phi_target^+ Pi Phi_source of the map, in the lowest k eigenfunctions of both shapes.
+
+        Ovsjanikov et al., "Functional maps: a flexible representation of maps between shapes", SIGGRAPH 2012. Operators
+        are computed anew; target points without a counterpart take no part.
+
+        Args:
+            k: how many eigenfunctions.
+        """
+        clean = repair(self.source), repair(self.target)
+        source, target = (compute_operators(each.shape, settings=OperatorSettings(n_eigenpairs=k)) for each in clean)
+        found = self.target_to_source[clean[1].kept]
+        mapped = np.where(found >= 0, clean[0].clean_index[found], -1)
+        (known,) = np.nonzero(mapped >= 0)
+        weight = target.mass[known].double().sqrt()[:, None]
+        phi_target = weight * target.eigenvectors[known].double()
+        carried = weight * source.eigenvectors[torch.from_numpy(mapped[known])].double()
+        found_map: np.ndarray = torch.linalg.lstsq(phi_target, carried).solution.numpy()
+        return found_map
+
+    def save(self, path: str | Path, *, base: int | None = None, direction: str = "target_to_source") -> list[Path]:
+        """Write the match: a result folder, or one file.
+
+        A path without a suffix is a folder, with ``correspondence.npz``, ``source.ply`` and ``target.ply`` (coloured
+        alike) and ``report.json``, as ``homolog match`` writes it. A file is a point map by its suffix:
+
+        ========  =====================================================================  ============
+        suffix    what it holds                                                          indices from
+        ========  =====================================================================  ============
+        ``.npz``  both maps and confidences                                              0
+        ``.mat``  both maps and confidences, for MATLAB                                  1
+        ``.txt``  one map: a line per point with the index of its counterpart            0
+        ``.vts``  one map, likewise                                                      1
+        ========  =====================================================================  ============
+
+        A point without a counterpart has the index before the first one: -1, or 0 where indices count from 1.
+
+        Args:
+            path: where to.
+            base: the first index, 0 or 1; by default that of the table.
+            direction: which map ``.txt`` and ``.vts`` hold: ``"target_to_source"``, for each target point its source
+                point, as the field's tables score it, or ``"source_to_target"``.
+
+        Returns:
+            The files that were written.
+
+        Raises:
+            ArgumentError: if there is no such format, or the path cannot be written to.
+        """
+        if Path(path).suffix and not Path(path).is_dir():
+            return [result_files.write_maps(path, self, base=base, direction=direction)]
+        return result_files.write_folder(path, self)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Match:
+        """Read a match from a folder that ``save`` or ``homolog match`` wrote.
+
+        Raises:
+            DataError: if one of its files is missing, damaged, or does not fit the others.
+            ShapeError: if a shape cannot be read.
+        """
+        stored = result_files.read_folder(folder)
+        try:
+            return cls(**stored)
+        except ArgumentError as error:
+            raise DataError(f"{folder}: correspondence.npz does not fit the shapes ({error}); match again") from None
+
+    def plot(self, path: str | Path | None = None) -> Image:
+        """A picture of both shapes side by side, in which the same colour marks the same point; shown by notebooks.
+
+        Args:
+            path: a ``.png`` to write it to, too.
+
+        Raises:
+            MissingExtraError: if the extra ``picture`` is not installed.
+        """
+        from homolog import viewing  # the one way up: what shows a match stands above it
+
+        return viewing.plot(viewing.scene_of(self), path)
+
+    def _repr_html_(self) -> str:
+        """Picture and figures, for notebooks."""
+        from homolog import viewing
+
+        figures = {} if self.quality is None else asdict(self.quality.mean)
+        shown = {name: f"{value:.3g}" for name, value in figures.items() if value is not None}
+        return viewing.notebook_html(viewing.scene_of(self), {**shown, "warnings": len(self.warnings)})
+
+    def matched(self, side: Side) -> dict[str, int | float]:
+        """What became of the points of a shape."""
+        indices = self.source_to_target if side == "source" else self.target_to_source
+        trust = self.source_confidence if side == "source" else self.target_confidence
+        left_out = int(self.report.get("inputs", {}).get(side, {}).get("points_left_out", 0))
+        return {
+            "points": len(indices),
+            "points_left_out": left_out,
+            "points_without_counterpart": int((indices < 0).sum()) - left_out,
+            "mean_confidence": float(trust.mean()),
+        }
+
+    def __repr__(self) -> str:
+        doubt = f", {len(self.warnings)} warnings" if self.warnings else ""
+        trust = f"confidence {self.source_confidence.mean():.2f} and {self.target_confidence.mean():.2f}"
+        return f"Match({self.source.name!r} -> {self.target.name!r} by {self.method}, {trust}{doubt})"
+
+
+def check_point_map(name: str, indices: Any, *, n_points: int, n_others: int) -> Int[np.ndarray, " n"]:
+    """A point map as int64, checked to have an entry per point, each an index of the other shape or -1.
+
+    Raises:
+        ArgumentError: naming what was found.
+    """
+    indices = np.asarray(indices.detach().cpu() if isinstance(indices, Tensor) else indices)
+    if indices.dtype.kind not in "iu":
+        raise ArgumentError(f"{name} holds {indices.dtype}, but must hold whole numbers, indices of points from 0")
+    if indices.shape != (n_points,):
+        raise ArgumentError(
+            f"{name} has shape {indices.shape}, but must have one entry per point of the shape as given, ({n_points},)"
+        )
+    if n_points and not -1 <= indices.min() <= indices.max() < n_others:
+        wrong = indices.max() if indices.max() >= n_others else indices.min()
+        raise ArgumentError(
+            f"{name} holds {wrong}, but must hold indices of the other shape, 0 to {n_others - 1}, or -1 for none"
+        )
+    found: np.ndarray = indices.astype(np.int64, copy=False)
+    return found
+
+
+def _check_maps(pair: Pair, maps: PointMaps, method: str) -> None:
+    """Refuse what a method gave if it does not fit the repaired shapes."""
+    if not isinstance(maps, PointMaps):
+        raise ArgumentError(f"method {method!r} gave a {type(maps).__name__}, but must give homolog.pairs.PointMaps")
+    sizes = pair.x.operators.n_points, pair.y.operators.n_points
+    for name, indices, (n, n_others) in (("x_to_y", maps.x_to_y, sizes), ("y_to_x", maps.y_to_x, sizes[::-1])):
+        if not isinstance(indices, Tensor) or indices.shape != (n,) or indices.is_floating_point():
+            found = getattr(indices, "shape", type(indices).__name__)
+            raise ArgumentError(
+                f"{name} of method {method!r} is {found}, but must be a tensor of whole numbers, ({n},)"
+            )
+        if not 0 <= int(indices.min()) <= int(indices.max()) < n_others:
+            raise ArgumentError(
+                f"{name} of method {method!r} holds {int(indices.min())} to {int(indices.max())}, but must hold "
+                f"indices of the repaired shape's points, 0 to {n_others - 1}"
+            )
+
+
+def _following_main_component(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:
+    """The map with points of small components going where the nearest point of the main component goes."""
+    if operators.in_main_component.all():
+        return point_map
+    inside, points = operators.in_main_component.cpu(), operators.points.cpu().numpy()
+    (main,) = torch.nonzero(inside, as_tuple=True)
+    nearest = main[torch.from_numpy(KDTree(points[main]).query(points)[1])]
+    return point_map[nearest.to(point_map.device)]
+
+
+def _composed(
+    first: Int[np.ndarray, " n"],
+    first_trust: Float[np.ndarray, " n"],
+    second: Int[np.ndarray, " m"],
+    second_trust: Float[np.ndarray, " m"],
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    there = np.where(first >= 0, second[first], -1)
+    return there, np.where(there >= 0, first_trust * second_trust[first], 0.0)
+
+
+def _report(pair: Pair, match: Match) -> dict[str, Any]:
+    """What is known of a match, for JSON."""
+    info = None if pair.extractor is None else asdict(pair.extractor.info)
+    settings = {**asdict(pair.settings), "method": str(getattr(pair.settings.method, "name", pair.settings.method))}
+    inputs = {side: _input(shape) for side, shape in zip(SIDES, (pair.source, pair.target), strict=True)}
+    described = replace(match, report={"inputs": inputs})
+    return {
+        "inputs": inputs,
+        "method": match.method,
+        "quality": None if match.quality is None else match.quality.to_dict(),
+        "options": asdict(pair.options),
+        "features": info,
+        "settings": settings,
+        "device": str(pair.source.operators.points.device),
+        "matched": {f"{side}_{name}": n for side in SIDES for name, n in described.matched(side).items()},
+        "versions": versions(),
+    }
+
+
+def _input(shape: PreprocessedShape) -> dict[str, Any]:
+    return {"name": shape.name, **shape.to_dict(), "points_left_out": shape.n_left_out}

@@ -1,0 +1,111 @@
+"""The method ``axiomatic``: wave kernel signatures and smoothed positions, without learning."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.core.errors import ArgumentError, ShapeError
+from homolog.features import FeatureInfo
+from homolog.geometry import Basis, Operators
+from homolog.maps import smoothed_positions, wave_kernel_signature
+from homolog.methods.functional_map import MapProblem, point_maps_of
+from homolog.methods.protocol import FunctionMethod
+from homolog.pairs import AxiomaticSettings, Pair, PointMaps
+
+# Added to the mask where signatures stand alone: what is odd about a symmetry they leave undetermined.
+_LEAST_PENALTY = 1e-4
+
+# What a signature's channel must vary by, as a share of its size, to be of unit norm.
+_LEAST_VARIATION = 1e-4
+
+
+class AxiomaticFeatures:
+    """Wave kernel signatures, and the smoothed position, which tells left from right.
+
+    Needs the two shapes to stand alike: the same way up, facing the same way.
+    """
+
+    # Descriptors follow the pose, but only their functional map is looked at for other poses.
+    info = FeatureInfo(name="axiomatic", licence="none", input="operators", upright=False)
+
+    def __init__(self, settings: AxiomaticSettings | None = None) -> None:
+        self.settings = settings or AxiomaticSettings()
+
+    def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
+        """Descriptors of all points (n, d)."""
+        assert isinstance(operators, Operators)
+        positions = self.settings.position_weight * smoothed_positions(operators)
+        return torch.cat([_signatures(operators), positions], dim=1)
+
+
+def axiomatic_problem(
+    x: Operators,
+    y: Operators,
+    features: tuple[Float[Tensor, "n_x d"], Float[Tensor, "n_y d"]],
+    settings: AxiomaticSettings | None = None,
+) -> MapProblem:
+    """The first functional map, from the descriptors of both shapes."""
+    settings = settings or AxiomaticSettings()
+    return MapProblem.between(x, y, features, size=settings.n_eigenpairs, regularisation=settings.regularisation)
+
+
+def axis_agreement(x: Operators, y: Operators, settings: AxiomaticSettings | None = None) -> Float[Tensor, "3 3"]:
+    """How well each coordinate of y (rows) agrees with each of x (columns), between -1 and 1.
+
+    The coordinates of x are carried over by a functional map of signatures alone, which do not know the pose. As they
+    cannot tell left from right either, only the rows of what lies in the plane of symmetry mean much.
+    """
+    settings = settings or AxiomaticSettings()
+    problem = axiomatic_problem(x, y, (_signatures(x), _signatures(y)), settings)
+    c_xy = replace(problem, mask=problem.mask + _LEAST_PENALTY).c_xy()
+    on_x, on_y = (_coordinates(shape, settings.n_eigenpairs) for shape in (x, y))
+    agreement: Tensor = on_y.T @ (c_xy @ on_x) / (on_x.norm() * on_y.norm())
+    return agreement
+
+
+def _signatures(operators: Operators) -> Float[Tensor, "n e"]:
+    """Wave kernel signatures about their mean, each channel of unit norm."""
+    signature = wave_kernel_signature(operators.eigenvalues, operators.eigenvectors)
+    share = operators.mass[:, None] / operators.mass.sum()
+    deviation = signature - (share * signature).sum(dim=0)
+    size, whole = (_norms(operators, channels) for channels in (deviation, signature))
+    # On a symmetric shape a channel may be the same everywhere, but for rounding.
+    return deviation / size.clamp(min=_LEAST_VARIATION * whole)
+
+
+def _norms(operators: Operators, functions: Float[Tensor, "n c"]) -> Float[Tensor, " c"]:
+    squared: Tensor = (operators.mass[:, None] * functions.square()).sum(dim=0)
+    return squared.sqrt()
+
+
+def _coordinates(operators: Operators, size: int) -> Float[Tensor, "k 3"]:
+    """Spectral coefficients of the positions about their mean."""
+    share = operators.mass[:, None] / operators.mass.sum()
+    centred = operators.points - (share * operators.points).sum(dim=0)
+    return operators.truncated(size).coefficients(centred)
+
+
+def _point_maps(pair: Pair) -> PointMaps:
+    x, y = pair.x, pair.y
+    features = x.needed_features(), y.needed_features()
+    try:
+        problem = axiomatic_problem(x.operators, y.operators, features, pair.settings.axiomatic)
+        return point_maps_of(problem.c_xy(), problem.c_yx(), pair)
+    except ArgumentError:
+        raise ShapeError(f"{x.name} or {y.name} {_why_undetermined(x.operators, y.operators)}") from None
+
+
+def _why_undetermined(*both: Operators) -> str:
+    if any(operators.n_pieces > 1 for operators in both):
+        return (
+            "falls into too many pieces for the axiomatic method; keep the largest piece, use it as a cloud, "
+            "or give weights"
+        )
+    return "is too small or too symmetric for the axiomatic method; use one with more points, or give weights"
+
+
+METHOD = FunctionMethod("axiomatic", _point_maps, features=lambda settings: AxiomaticFeatures(settings.axiomatic))

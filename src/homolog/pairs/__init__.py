@@ -1,0 +1,64 @@
+"""Two shapes before they are matched: what is known of them, their operators and features, and how maps are made.
+
+A name is imported when it is first used: options are checked without PyTorch.
+"""
+
+from typing import TYPE_CHECKING
+
+from homolog.core.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from homolog.core.choices import AsCloud, Device, Side
+    from homolog.pairs.options import SIDES, PairOptions
+    from homolog.pairs.pair import Pair, PointMaps
+    from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
+    from homolog.pairs.settings import (
+        AlignmentSettings,
+        AxiomaticSettings,
+        FunctionalMapSettings,
+        MatcherSettings,
+        SoftMapSettings,
+        WarningSettings,
+        choose_device,
+    )
+
+__all__ = [
+    "SIDES",
+    "AlignmentSettings",
+    "AsCloud",
+    "AxiomaticSettings",
+    "Device",
+    "FunctionalMapSettings",
+    "MatcherSettings",
+    "OperatorSource",
+    "Pair",
+    "PairOptions",
+    "PointMaps",
+    "PreprocessedShape",
+    "Preprocessor",
+    "Side",
+    "SoftMapSettings",
+    "WarningSettings",
+    "choose_device",
+]
+
+_MODULES = {
+    "SIDES": "options",
+    "AlignmentSettings": "settings",
+    "AsCloud": "options",
+    "AxiomaticSettings": "settings",
+    "Device": "settings",
+    "FunctionalMapSettings": "settings",
+    "MatcherSettings": "settings",
+    "OperatorSource": "preprocessing",
+    "Pair": "pair",
+    "PairOptions": "options",
+    "PointMaps": "pair",
+    "PreprocessedShape": "preprocessing",
+    "Preprocessor": "preprocessing",
+    "Side": "options",
+    "SoftMapSettings": "settings",
+    "WarningSettings": "settings",
+    "choose_device": "settings",
+}
+__getattr__ = lazy_names(__name__, _MODULES)

@@ -1,0 +1,76 @@
+"""What a user says of the two shapes of a match, decided once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, get_args
+
+from homolog.core.choices import AsCloud, Side, Up
+from homolog.core.errors import ArgumentError, bad_choice, bad_value
+
+SIDES: tuple[Side, Side] = ("source", "target")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PairOptions:
+    """What is known of two shapes before they are matched.
+
+    Args:
+        as_cloud: which of the two to use without its faces.
+        partial: which of the two, if any, is a part of a shape like the other. Points of the full shape that have no
+            counterpart then get -1.
+        partial_scale: what the partial shape's lengths are multiplied by to be in the full shape's units: 0.001 for a
+            partial shape in millimetres and a full one in metres.
+        pre_aligned: the partial shape is already aligned with the full one; otherwise its pose does not count.
+        source_up: which axis of the source points up.
+        target_up: which axis of the target.
+        strict: fail if a shape needs repair or a warning would be issued.
+
+    Raises:
+        ArgumentError: if a word is none of those allowed, or an option needs a partial shape and there is none.
+
+    Example:
+        >>> from homolog.pairs import PairOptions
+        >>> PairOptions(partial="source", partial_scale=0.001).is_cloud("source")
+        False
+    """
+
+    as_cloud: AsCloud | None = None
+    partial: Side | None = None
+    partial_scale: float = 1.0
+    pre_aligned: bool = False
+    source_up: Up = "y"
+    target_up: Up = "y"
+    strict: bool = False
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("as_cloud", get_args(AsCloud)), ("partial", SIDES)):
+            if getattr(self, name) is not None and getattr(self, name) not in allowed:
+                raise bad_choice(name, str(getattr(self, name)), allowed)
+        for name in ("source_up", "target_up"):
+            if getattr(self, name) not in get_args(Up):
+                raise bad_choice(name, str(getattr(self, name)), get_args(Up))
+        for name in ("pre_aligned", "strict"):
+            if not isinstance(getattr(self, name), bool):
+                raise bad_value(name, getattr(self, name), "True or False")
+        if not _is_positive(self.partial_scale):
+            raise bad_value("partial_scale", self.partial_scale, "a positive finite number")
+        if self.partial is None:
+            for name in ("partial_scale", "pre_aligned"):
+                if getattr(self, name) not in (1, False):
+                    raise ArgumentError(
+                        f"{name} is {getattr(self, name)!r}, but neither shape is partial; say which one is, by partial"
+                    )
+
+    def is_cloud(self, side: Side) -> bool:
+        """Whether a shape is used without its faces."""
+        return self.as_cloud in (side, "both")
+
+    def up(self, side: Side) -> Up:
+        """Which axis of a shape points up."""
+        return self.source_up if side == "source" else self.target_up
+
+
+def _is_positive(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and value > 0

@@ -1,0 +1,166 @@
+"""Two shapes on their way to a match, and the point maps between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from homolog.core.arguments import check_kind
+from homolog.core.choices import Side
+from homolog.core.progress import Steps
+from homolog.features import FeatureExtractor
+from homolog.pairs.options import SIDES, PairOptions
+from homolog.pairs.preprocessing import PreprocessedShape, Preprocessor
+from homolog.pairs.settings import MatcherSettings
+from homolog.shapes import Shape
+
+# Eigenpairs of the functional map to a partial shape, with features of full shapes alone.
+_PARTIAL_SIZE = 50
+
+
+@dataclass(frozen=True, eq=False)
+class PointMaps:
+    """Point maps between the repaired shapes x and y of a ``Pair``; every point has a counterpart.
+
+    Their indices are those of the operators. ``Match.of(pair, maps)`` gives those of the files.
+
+    Args:
+        x_to_y: for each point of x its point of y (n_x,).
+        y_to_x: for each point of y its point of x (n_y,).
+    """
+
+    x_to_y: Int[Tensor, " n_x"]
+    y_to_x: Int[Tensor, " n_y"]
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two preprocessed shapes, with all that was decided about them.
+
+    In the mathematics they are x and y: the source and the target, or the full and the partial shape.
+
+    Args:
+        source: one shape.
+        target: the other.
+        options: what is known of the two.
+        settings: how maps are made.
+        extractor: what computed their features; None where nothing did.
+    """
+
+    source: PreprocessedShape
+    target: PreprocessedShape
+    options: PairOptions
+    settings: MatcherSettings
+    extractor: FeatureExtractor | None = None
+
+    @classmethod
+    def of(
+        cls,
+        source: Shape,
+        target: Shape,
+        preprocessor: Preprocessor,
+        *,
+        options: PairOptions | None = None,
+        settings: MatcherSettings | None = None,
+        features: tuple[ArrayLike, ArrayLike] | None = None,
+        steps: Steps | None = None,
+    ) -> Pair:
+        """Preprocess two shapes for each other: a partial one takes the scale of the full one, and comes second.
+
+        Args:
+            source: a mesh or cloud in any state; never changed.
+            target: another.
+            preprocessor: how.
+            options: what is known of the two.
+            settings: how maps will be made.
+            features: of the points of both shapes as given (n, d), in place of an extractor's.
+            steps: collects time and memory of the steps.
+
+        Raises:
+            ArgumentError: if something given is no shape.
+            ShapeError: if a shape cannot be used, or ``strict`` forbids it.
+        """
+        options = options or PairOptions()
+        shapes: dict[Side, Shape] = {"source": source, "target": target}
+        for side, shape in shapes.items():
+            check_kind(side, shape, Shape)
+        order: tuple[Side, Side] = ("target", "source") if options.partial == "source" else SIDES
+        found: dict[Side, PreprocessedShape] = {}
+        scale: float | None = None
+        centre: Float[Tensor, " 3"] | None = None
+        for side in order:
+            found[side] = preprocessor(
+                shapes[side],
+                as_cloud=options.is_cloud(side),
+                up=options.up(side),
+                scale=scale,
+                centre=centre,
+                features=None if features is None else features[SIDES.index(side)],
+                strict=options.strict,
+                steps=steps,
+                label=side,
+            )
+            full = found[side].operators
+            scale = full.scale / options.partial_scale if options.partial else None
+            centre = full.centre / options.partial_scale if options.pre_aligned else None
+        return cls(found["source"], found["target"], options, settings or MatcherSettings(), preprocessor.extractor)
+
+    @property
+    def x(self) -> PreprocessedShape:
+        """The source, or the full shape where one is partial."""
+        return self.target if self.options.partial == "source" else self.source
+
+    @property
+    def y(self) -> PreprocessedShape:
+        """The target, or the partial shape where one is."""
+        return self.source if self.options.partial == "source" else self.target
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether y is partial."""
+        return self.options.partial is not None
+
+    @property
+    def are_meshes(self) -> bool:
+        """Whether both shapes have faces."""
+        return self.source.modality == self.target.modality == "mesh"
+
+    @property
+    def near_isometric(self) -> bool:
+        """Whether the features are of surfaces that bend without stretching much."""
+        return self.extractor is None or self.extractor.info.near_isometric
+
+    @property
+    def map_size(self) -> int:
+        """Eigenpairs of the functional map from the features."""
+        settings, info = self.settings.functional_map, None if self.extractor is None else self.extractor.info
+        trained = _PARTIAL_SIZE if info is None else info.map_eigenpairs
+        if not self.is_partial:
+            return settings.n_eigenpairs or trained
+        return settings.n_eigenpairs_partial or (trained if info is not None and info.partial else _PARTIAL_SIZE)
+
+    @property
+    def temperature(self) -> float:
+        """Of the soft map between the features."""
+        trained = 0.1 if self.extractor is None else self.extractor.info.temperature
+        return self.settings.soft_map.temperature or trained
+
+    def with_y(self, y: PreprocessedShape) -> Pair:
+        """The same with y in another pose or scale."""
+        return replace(self, source=y) if self.options.partial == "source" else replace(self, target=y)
+
+    @torch.no_grad()
+    def with_extractor(self, extractor: FeatureExtractor) -> Pair:
+        """The same with the features of another extractor."""
+        preprocessor = Preprocessor(extractor=extractor, device=self.source.operators.points.device)
+        source, target = (
+            replace(shape, features=preprocessor.features(shape.operators)) for shape in (self.source, self.target)
+        )
+        return replace(self, source=source, target=target, extractor=extractor)
+
+    def __repr__(self) -> str:
+        return f"Pair(source={self.source!r},\n     target={self.target!r})"

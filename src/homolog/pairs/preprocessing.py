@@ -1,0 +1,192 @@
+"""Preprocessing one shape for matching: repair, operators, features."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from homolog.core.arguments import check_kind
+from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.progress import Steps
+from homolog.features import FeatureExtractor, check_features
+from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
+from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
+
+OperatorSource = Callable[..., Operators]
+"""A function like ``compute_operators``: the operators of a clean shape, from wherever they come."""
+
+# Where faces use fewer of a shape's points, they do not say how large the cloud of all of them is.
+_SHARE_WITH_FACES = 0.95
+
+
+@dataclass(frozen=True, eq=False)
+class PreprocessedShape:
+    """A shape that was repaired, with its operators and features; it can be matched any number of times.
+
+    Args:
+        given: the shape as it was given, whose indices and coordinates users see.
+        repaired: the clean shape, upright, and the way back to the points as given.
+        operators: of the clean shape.
+        features: per clean point (n, d); None for methods that need none.
+        up: the axis of the shape as given that was turned to +y.
+    """
+
+    given: Shape
+    repaired: Repaired
+    operators: Operators
+    features: Float[Tensor, "n d"] | None = None
+    up: Up = "y"
+
+    @property
+    def name(self) -> str:
+        """How messages call the shape."""
+        return self.given.name
+
+    @property
+    def n_left_out(self) -> int:
+        """How many points of the shape as given repair left out, so that nothing was asked of them."""
+        return int((self.repaired.clean_index < 0).sum())
+
+    @property
+    def modality(self) -> Modality:
+        """``"mesh"`` or ``"cloud"``."""
+        return self.repaired.shape.modality
+
+    def needed_features(self) -> Float[Tensor, "n d"]:
+        """The features, where a method cannot do without them.
+
+        Raises:
+            ArgumentError: if there are none.
+        """
+        if self.features is None:
+            raise ArgumentError(f"{self.name} has no features, but the method needs them; give weights or features")
+        return self.features
+
+    def to_dict(self) -> dict[str, Any]:
+        """What was found in the shape, what was done about it, and how its eigenpairs were found, for JSON."""
+        eigenpairs = {"number": self.operators.n_eigenpairs, "method": self.operators.method}
+        return {**self.repaired.report.to_dict(), "eigenpairs": eigenpairs}
+
+    def __repr__(self) -> str:
+        clean = f"{self.operators.n_points} of {self.given.n_points} points"
+        width = "no" if self.features is None else self.features.shape[1]
+        return f"PreprocessedShape({self.name!r}: {self.modality}, {clean}, {width} features)"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Preprocessor:
+    """How shapes are preprocessed: by which operators, on which device, with which features.
+
+    Args:
+        extractor: computes features; None for methods that need none.
+        settings: what operators to compute.
+        device: where.
+        source: where operators come from; an ``OperatorCache``'s ``operators`` keeps them on disk.
+    """
+
+    extractor: FeatureExtractor | None = None
+    settings: OperatorSettings = field(default_factory=OperatorSettings)
+    device: torch.device = field(default_factory=lambda: torch.device("cpu"))
+    source: OperatorSource = compute_operators
+
+    def __call__(
+        self,
+        shape: Shape,
+        *,
+        as_cloud: bool = False,
+        up: Up = "y",
+        scale: float | None = None,
+        centre: ArrayLike | None = None,
+        features: ArrayLike | None = None,
+        strict: bool = False,
+        steps: Steps | None = None,
+        label: str = "shape",
+    ) -> PreprocessedShape:
+        """Repair a shape and compute its operators and features.
+
+        Args:
+            shape: as it was read.
+            as_cloud: leave the faces out, but keep the scale that they give.
+            up: which of its axes points up.
+            scale: what one unit of the normalised coordinates is in the file's; by default sqrt(surface area).
+            centre: the origin of the normalised coordinates, in those of the upright shape (3,); by default the mean of
+                its points.
+            features: of each point of the shape as given (n, d), in place of the extractor's.
+            strict: refuse a shape that needs repair.
+            steps: collects time and memory of the steps.
+            label: what the steps call the shape.
+
+        Raises:
+            ArgumentError: if it is no shape, ``up`` no axis, or there are not as many features as points.
+            ShapeError: if the shape cannot be used, or is refused.
+        """
+        check_kind(label, shape, Shape)
+        steps = steps or Steps()
+        with steps.step(f"repair {label}"):
+            repaired, as_cloud = _repaired(stand_upright(shape, up), as_cloud=as_cloud)
+            if strict:
+                _refuse_repairs(repaired)
+        with steps.step(f"operators of {label}"):
+            operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
+            operators = operators if centre is None else operators.around(torch.as_tensor(centre))
+        with steps.step(f"features of {label}"):
+            found = self.features(operators) if features is None else _of_points(features, shape, repaired, operators)
+        if as_cloud:
+            repaired = replace(repaired, shape=repaired.shape.as_cloud())
+        return PreprocessedShape(shape, repaired, operators, found, up)
+
+    def operators(self, shape: Shape, *, as_cloud: bool = False, scale: float | None = None) -> Operators:
+        """The operators of a clean shape, on the device."""
+        check_kind("shape", shape, Shape)
+        if as_cloud:
+            scale = scale or unit_frame(shape).scale
+            shape = shape.as_cloud()
+        return self.source(shape, settings=self.settings, scale=scale).to(self.device)
+
+    @torch.no_grad()
+    def features(self, operators: Operators) -> Float[Tensor, "n d"] | None:
+        """Features per point (n, d); zero on small components, of which operators know the position alone."""
+        check_kind("operators", operators, Operators)
+        if self.extractor is None:
+            return None
+        return self.extractor(operators) * operators.in_main_component[:, None]
+
+
+def _of_points(features: ArrayLike, shape: Shape, repaired: Repaired, operators: Operators) -> Float[Tensor, "n d"]:
+    """Features that a user gave for the points of a shape, at its clean points."""
+    values = torch.as_tensor(np.array(features), dtype=operators.points.dtype)
+    check_features(shape.name, values, shape.n_points)
+    return values[torch.from_numpy(repaired.kept)].to(operators.points.device)
+
+
+def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
+    """A repaired shape, and whether its faces are still to be dropped, which only give its scale.
+
+    They do not where they are unusable, or are those of a part alone: a cloud's points need no faces.
+    """
+    if not as_cloud:
+        return repair(shape), False
+    try:
+        repaired = repair(shape)
+    except ShapeError:
+        return repair(shape.as_cloud()), False
+    n_used = repaired.shape.n_points
+    # Points that repair takes out count, too: where few have faces, the cloud as repaired tells how many there were.
+    if n_used < _SHARE_WITH_FACES * shape.n_points:
+        cloud = repair(shape.as_cloud())
+        if n_used < _SHARE_WITH_FACES * cloud.shape.n_points:
+            return cloud, False
+    return repaired, True
+
+
+def _refuse_repairs(repaired: Repaired) -> None:
+    for finding in repaired.report.findings:
+        if finding.severity != "note":
+            raise ShapeError(f"{repaired.shape.name}: {finding} (refused as strict)")

@@ -1,0 +1,70 @@
+"""The command that makes a match, run for a job: its progress as events, its end as a result or a refusal."""
+
+from __future__ import annotations
+
+import logging
+import zipfile
+from collections import deque
+from pathlib import Path
+
+from homolog.matching import RESULT_FILES
+from homolog.pairs import Side
+from homolog.serving.command import PAGE, MatchCommand, public_error, read_message
+from homolog.serving.job import Job
+from homolog.serving.limits import Limits
+from homolog.serving.process import LimitExceededError, run_limited
+from homolog.serving.upload import RefusedError
+from homolog.viewing import SIDES
+
+_log = logging.getLogger(__name__)
+
+ARCHIVE = "result.zip"
+"""The whole result, in a match's folder once it is done."""
+
+UNKNOWN_ERROR = "the match failed, for a reason that is not known; tell whoever runs this page"
+
+# Of what the command writes, for the log of the server, should it end in no way that is foreseen.
+_LAST_LINES = 30
+
+
+async def run_match(job: Job, command: MatchCommand, limits: Limits) -> None:
+    """Run the command on the files of a job; each of its steps is an event.
+
+    Raises:
+        RefusedError: if it fails, or exceeds a limit.
+    """
+    lines, error, side = deque[str](maxlen=_LAST_LINES), "", None
+
+    def read_line(line: str) -> None:
+        nonlocal error, side
+        lines.append(line)
+        message = read_message(line)
+        if "step" in message:
+            side = message.get("side")
+            job.publish("step", step=message["step"], done=message["done"], total=message["total"])
+        error = message.get("error", error)
+
+    names: dict[Side, str] = {side: job.upload.names[side] for side in SIDES}
+    try:
+        code = await run_limited(
+            command.line(names, job.request),
+            folder=job.folder,
+            environment=command.environment(job.folder / "temporary", limits.threads),
+            limits=limits,
+            on_line=read_line,
+        )
+    except LimitExceededError as excess:
+        raise RefusedError(422, f"the match {excess}, the limit here, and was stopped; use smaller shapes") from None
+    if code and error:
+        raise RefusedError(422, public_error(error, job.folder, names, side), side)
+    if code:
+        _log.error("a match ended with code %d:\n%s", code, "\n".join(lines))
+        killed = f"the match broke off, most likely as it needed more than {limits.memory_gb:g} GB of memory"
+        raise RefusedError(422, killed if code < 0 else UNKNOWN_ERROR)
+
+
+def pack_result(folder: Path) -> None:
+    """Pack the result of a match, and its page, into an archive in its folder."""
+    with zipfile.ZipFile(folder / ARCHIVE, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in (*RESULT_FILES, PAGE):
+            archive.write(folder / "result" / name, f"homolog-result/{name}")

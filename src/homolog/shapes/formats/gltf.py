@@ -1,0 +1,491 @@
+"""glTF 2.0, text and binary: the active scene as viewers show it, and a binary file that is put together.
+
+Specification: Khronos, "glTF 2.0", 2021. What it says of accessors (sparse, normalised, without a view) is done in one
+place, ``Gltf.accessor``; what it says of nodes, skins and morph targets in ``parts``.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import struct
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+from urllib.parse import unquote
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from homolog.shapes.finding import Finding
+from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out, shorten
+from homolog.shapes.polygons import fans, strips
+from homolog.shapes.shape import Shape
+
+Pose = Literal["posed", "rest"]
+"""Skinned meshes as their joints pose them in the file, as viewers show them, or as they were bound."""
+
+_DRACO = "KHR_draco_mesh_compression"
+_MESHOPT = "EXT_meshopt_compression"
+_INSTANCES = "EXT_mesh_gpu_instancing"
+_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+_CODES = {np.dtype(name): code for code, name in _COMPONENTS.items()}
+_TYPES = {width: name for name, width in _WIDTHS.items()}
+_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
+# The modes of primitives.
+_POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
+# Of meshes that are placed several times.
+_MOST_POINTS = 10_000_000
+_MOST_JOINTS_PER_POINT = 16
+
+
+class Gltf:
+    """A GLB or glTF file: its header, and what its accessors hold.
+
+    Args:
+        path: the file; its buffers are inside it, or in files beside it.
+
+    Raises:
+        UnreadableError: if it is damaged, of version 1, or refers to a file that is not beside it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        content = path.read_bytes()
+        self.header, binary = _opened(path, content)
+        self.files = _files_beside(path.parent, self.header)
+        entries = self.header.get("buffers", [])
+        available = len(content) + sum(file.stat().st_size for file in self.files.values())
+        check_claim(sum(int(entry["byteLength"]) for entry in entries), "bytes of buffers", 1, available)
+        for accessor in self.header.get("accessors", []):
+            check_claim(int(accessor["count"]), "elements", 1, available)
+        self._entries, self._binary = entries, binary
+
+    @cached_property
+    def buffers(self) -> list[bytes | None]:
+        """The content of each buffer; None where the file has none, as compressed files have them."""
+        return [self._buffer(number, entry) for number, entry in enumerate(self._entries)]
+
+    def _buffer(self, number: int, entry: dict[str, Any]) -> bytes | None:
+        name = entry.get("uri")
+        if name is None:
+            return self._binary if number == 0 else None
+        if name.startswith("data:"):
+            return base64.b64decode(name.partition(",")[2])
+        return self.files[name].read_bytes()
+
+    def view(self, number: int) -> bytes:
+        """The bytes of a buffer view."""
+        view = self.header["bufferViews"][number]
+        content = self.buffers[view["buffer"]]
+        if content is None:
+            raise self._compressed(_MESHOPT)
+        start = view.get("byteOffset", 0)
+        if start + view["byteLength"] > len(content):
+            raise UnreadableError(f"a buffer ends after {len(content)} bytes, too early; {CUT_OFF}")
+        return content[start : start + view["byteLength"]]
+
+    def accessor(self, number: int) -> np.ndarray:
+        """The rows (count, width) of an accessor: sparse ones filled in, normalised whole numbers as shares of one."""
+        accessor = self.header["accessors"][number]
+        dtype, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
+        rows = self._rows(accessor, dtype, width, accessor["count"])
+        if sparse := accessor.get("sparse"):
+            index_type = np.dtype(_COMPONENTS[sparse["indices"]["componentType"]])
+            which = self._rows(sparse["indices"], index_type, 1, sparse["count"])[:, 0]
+            rows = rows.copy()
+            rows[which] = self._rows(sparse["values"], dtype, width, sparse["count"])
+        if accessor.get("normalized") and dtype.kind != "f":
+            return np.maximum(rows / np.iinfo(dtype).max, -1.0)
+        return rows
+
+    def _rows(self, entry: dict[str, Any], dtype: np.dtype[Any], width: int, count: int) -> np.ndarray:
+        """Rows of a buffer view; zeros without one."""
+        if "bufferView" not in entry:
+            return np.zeros((count, width), dtype)
+        content, start = self.view(entry["bufferView"]), entry.get("byteOffset", 0)
+        row = dtype.itemsize * width
+        stride = self.header["bufferViews"][entry["bufferView"]].get("byteStride", row)
+        if start < 0 or stride < 0 or count < 0 or (count and start + (count - 1) * stride + row > len(content)):
+            raise UnreadableError(f"an accessor leaves its {len(content)} bytes; {CUT_OFF}")
+        return np.ndarray((count, width), dtype, content, start, (stride, dtype.itemsize))
+
+    def _compressed(self, extension: str) -> UnreadableError:
+        return UnreadableError(f"it is compressed with {extension}; export it without compression")
+
+    @property
+    def nodes(self) -> list[dict[str, Any]]:
+        """All nodes, as the file has them."""
+        return list(self.header.get("nodes", []))
+
+    @cached_property
+    def parents(self) -> dict[int, int]:
+        """For each node that has one, the node above it."""
+        return {child: number for number, node in enumerate(self.nodes) for child in node.get("children", [])}
+
+    def world(self, node: int) -> Float[np.ndarray, "4 4"]:
+        """The transform from a node's own coordinates to the scene's."""
+        transform, seen = np.eye(4), set[int]()
+        step: int | None = node
+        while step is not None:
+            if step in seen or not 0 <= step < len(self.nodes):
+                raise UnreadableError("its nodes make no tree; export it again")
+            seen.add(step)
+            transform, step = local_transform(self.nodes[step]) @ transform, self.parents.get(step)
+        return transform
+
+    def shown(self) -> list[int]:
+        """The nodes of the scene that viewers show, depth first; all nodes of a file without scenes."""
+        scenes = self.header.get("scenes")
+        roots = scenes[self.header.get("scene", 0)].get("nodes", []) if scenes else self._roots()
+        found, waiting = list[int](), list(reversed(roots))
+        while waiting:
+            found.append(waiting.pop())
+            if len(found) > len(self.nodes):
+                raise UnreadableError("its nodes make no tree; export it again")
+            waiting += reversed(self.nodes[found[-1]].get("children", []))
+        return found
+
+    def _roots(self) -> list[int]:
+        return [number for number in range(len(self.nodes)) if number not in self.parents]
+
+    def check_compression(self) -> None:
+        """Refuse a file whose numbers, or some of them, exist in compressed form alone."""
+        required = self.header.get("extensionsRequired", [])
+        for extension in (_DRACO, _MESHOPT):
+            if extension in required:
+                raise self._compressed(extension)
+        accessors = self.header.get("accessors", [])
+        for primitive in (entry for mesh in self.header.get("meshes", []) for entry in mesh["primitives"]):
+            position = accessors[primitive["attributes"]["POSITION"]]
+            if _DRACO in primitive.get("extensions", {}) and "bufferView" not in position:
+                raise self._compressed(_DRACO)
+
+
+def _opened(path: Path, content: bytes) -> tuple[dict[str, Any], bytes | None]:
+    """The header, and the binary chunk of a GLB."""
+    if path.suffix.lower() == ".glb":
+        return _glb_chunks(content)
+    return _checked_header(content), None
+
+
+def _glb_chunks(content: bytes) -> tuple[dict[str, Any], bytes | None]:
+    if len(content) < 20 or content[:4] != b"glTF":
+        raise UnreadableError("it does not start with glTF")
+    version, length, chunk = struct.unpack("<III", content[4:16])
+    if version == 1:
+        raise _version_one("1")
+    if length > len(content) or chunk > len(content) - 20:
+        raise UnreadableError(f"the header announces {length} bytes, but the file has {len(content)}; {CUT_OFF}")
+    # Behind the header come the length and the kind of the second chunk, and then its bytes.
+    binary = content[28 + chunk :] if len(content) >= 28 + chunk else None
+    return _checked_header(content[20 : 20 + chunk]), binary
+
+
+def _version_one(found: str) -> UnreadableError:
+    return UnreadableError(f"it is glTF {found}, but glTF 2 is needed; convert it, for example with Blender")
+
+
+def _checked_header(content: bytes) -> dict[str, Any]:
+    try:
+        header = json.loads(content)
+    except ValueError:
+        raise UnreadableError(f"it holds no valid JSON; {CUT_OFF}") from None
+    if not isinstance(header, dict):
+        raise UnreadableError("its JSON is not an object")
+    version = str(header.get("asset", {}).get("version", "2.0"))
+    if version.startswith("1") or isinstance(header.get("meshes"), dict):
+        raise _version_one(shorten(version, 10) if version.startswith("1") else "1")
+    return header
+
+
+def buffer_files(path: Path) -> tuple[Path, ...]:
+    """The files beside a GLB or glTF that hold its buffers, in the order of the buffers."""
+    header, _ = _opened(path, path.read_bytes())
+    return tuple(_files_beside(path.parent, header).values())
+
+
+def _files_beside(folder: Path, header: dict[str, Any]) -> dict[str, Path]:
+    """The files that hold a glTF's buffers, which must lie in its own folder, by the names that it has for them."""
+    files = {}
+    for name in [str(b["uri"]) for b in header.get("buffers", []) if "uri" in b]:
+        if name.startswith("data:"):
+            continue
+        file = (folder / unquote(name)).resolve()
+        if "://" in name or file.parent != folder.resolve():
+            raise UnreadableError(f"it refers to {shorten(name)!r} outside its own folder; put that file beside it")
+        if not file.is_file():
+            mend = "put that file there, or export as GLB, one file for all"
+            raise UnreadableError(f"it refers to {shorten(name)!r}, which is not beside it; {mend}")
+        files[name] = file
+    return files
+
+
+class Part(NamedTuple):
+    """What one primitive of a placed mesh adds to the shape.
+
+    Args:
+        primitive: as the file has it.
+        points: where its points lie in the scene; shape (0, 3) if an earlier primitive has brought them.
+        first: the index of its first point among those of the shape.
+        faces: triangles as indices from its first point.
+    """
+
+    primitive: dict[str, Any]
+    points: Float[np.ndarray, "n 3"]
+    first: int
+    faces: Int[np.ndarray, "m 3"]
+
+
+def parts(file: Gltf, *, pose: Pose = "posed") -> Iterator[Part]:
+    """All that the scene shows, primitive by primitive, in the order of the shape's points and faces.
+
+    Primitives of one mesh that share their points, as those of several materials often do, share them in the shape.
+
+    Args:
+        file: the file.
+        pose: whether joints move skinned meshes. In either case the transform of the mesh's own node is ignored, as the
+            specification asks for.
+    """
+    n_points = 0
+    for node in file.shown():
+        if "mesh" not in file.nodes[node]:
+            continue
+        mesh = file.header["meshes"][file.nodes[node]["mesh"]]
+        weights = file.nodes[node].get("weights", mesh.get("weights", []))
+        for placed in _placements(file, node):
+            known = dict[str, int]()
+            for primitive in mesh["primitives"]:
+                mode = primitive.get("mode", _TRIANGLES)
+                if mode != _POINTS and mode < _TRIANGLES:
+                    continue
+                key = _key(primitive)
+                points = np.zeros((0, 3))
+                if key not in known:
+                    known[key] = n_points
+                    points = _placed(file, node, placed, primitive, weights, pose)
+                count = file.header["accessors"][primitive["attributes"]["POSITION"]]["count"]
+                faces = _faces(file, primitive, mode, count)
+                # By the specification a transform that mirrors turns the triangles round as well.
+                mirrored = np.linalg.det(placed[:3, :3]) < 0 and "skin" not in file.nodes[node]
+                yield Part(primitive, points, known[key], faces[:, [0, 2, 1]] if mirrored else faces)
+                n_points += len(points)
+
+
+def _key(primitive: dict[str, Any]) -> str:
+    """What two primitives of a mesh have in common whose points are the same."""
+    movers = ("POSITION", "JOINTS_", "WEIGHTS_")
+    attributes = {name: number for name, number in primitive["attributes"].items() if name.startswith(movers)}
+    return json.dumps([attributes, primitive.get("targets")], sort_keys=True)
+
+
+def _placements(file: Gltf, node: int) -> list[Float[np.ndarray, "4 4"]]:
+    """Where a node's mesh is shown: once, or at each of its instances."""
+    world = file.world(node)
+    instances = file.nodes[node].get("extensions", {}).get(_INSTANCES)
+    if instances is None:
+        return [world]
+    rows = {name.lower(): file.accessor(number) for name, number in instances["attributes"].items()}
+    own = [{name: row.tolist() for name, row in zip(rows, values, strict=True)} for values in zip(*rows.values())]
+    return [world @ local_transform(entry) for entry in own]
+
+
+def _placed(
+    file: Gltf,
+    node: int,
+    world: Float[np.ndarray, "4 4"],
+    primitive: dict[str, Any],
+    weights: list[float],
+    pose: Pose,
+) -> Float[np.ndarray, "n 3"]:
+    """The points of a primitive in the scene: moved by morph targets, and then by joints or by the node."""
+    points = file.accessor(primitive["attributes"]["POSITION"]).astype(np.float64)
+    for weight, target in zip(weights, primitive.get("targets", []), strict=False):
+        if weight and "POSITION" in target:
+            points = points + weight * file.accessor(target["POSITION"])
+    if "skin" not in file.nodes[node] or "JOINTS_0" not in primitive["attributes"]:
+        return points @ world[:3, :3].T + world[:3, 3]
+    return _posed(file, file.nodes[node]["skin"], primitive["attributes"], points) if pose == "posed" else points
+
+
+def _posed(
+    file: Gltf, skin: int, attributes: dict[str, int], points: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Where joints carry the points of a skinned mesh: linear blend skinning."""
+    joints = file.header["skins"][skin]["joints"]
+    carried = np.stack([file.world(joint) for joint in joints]) @ inverse_binds(file, skin)
+    posed, total = np.zeros_like(points), np.zeros((len(points), 1))
+    for layer in range(_MOST_JOINTS_PER_POINT // 4):
+        if f"JOINTS_{layer}" not in attributes:
+            break
+        which = file.accessor(attributes[f"JOINTS_{layer}"]).astype(np.int64)
+        shares = file.accessor(attributes[f"WEIGHTS_{layer}"]).astype(np.float64)
+        for joint, share in zip(which.T, shares.T, strict=True):
+            matrices = carried[joint]
+            moved = np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3]
+            posed += share[:, None] * moved
+            total += share[:, None]
+    return np.where(total > 0, posed / np.where(total > 0, total, 1.0), points)
+
+
+def inverse_binds(file: Gltf, skin: int) -> Float[np.ndarray, "j 4 4"]:
+    """The matrices that take the points of a mesh to the coordinates of each of a skin's joints, as it was bound."""
+    entry = file.header["skins"][skin]
+    if "inverseBindMatrices" not in entry:
+        return np.tile(np.eye(4), (len(entry["joints"]), 1, 1))
+    return file.accessor(entry["inverseBindMatrices"]).astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+
+
+def _faces(file: Gltf, primitive: dict[str, Any], mode: int, n_points: int) -> Int[np.ndarray, "m 3"]:
+    if mode == _POINTS:
+        return np.zeros((0, 3), dtype=np.int64)
+    corners = np.arange(n_points)
+    if "indices" in primitive:
+        corners = file.accessor(primitive["indices"])[:, 0].astype(np.int64)
+    if mode == _TRIANGLES:
+        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    return corners[{_STRIP: strips, _FAN: fans}[mode](np.array([len(corners)]))]
+
+
+def read(path: Path, *, pose: Pose = "posed") -> Arrays:
+    """Read all meshes and points that the scene shows, one after the other.
+
+    Args:
+        path: the file.
+        pose: skinned meshes as their joints pose them in the file, as viewers show them, or at rest, as they were bound.
+    """
+    file = Gltf(path)
+    file.check_compression()
+    _check_size(file)
+    found = list(parts(file, pose=pose))
+    if not found:
+        raise UnreadableError("its scene holds no mesh and no points")
+    points = np.concatenate([part.points for part in found])
+    faces = [part.first + part.faces for part in found if part.primitive.get("mode", _TRIANGLES) != _POINTS]
+    return Arrays(points, np.concatenate(faces) if faces else None, tuple(_notes(file, pose)))
+
+
+def read_rest(path: Path) -> Arrays:
+    """Read a file as ``read`` does, with skinned meshes at rest."""
+    return read(path, pose="rest")
+
+
+def _check_size(file: Gltf) -> None:
+    """Refuse small meshes placed so often that the scene would not fit."""
+    header = file.header
+    accessors = header.get("accessors", [])
+    sizes = [
+        sum(int(accessors[p["attributes"]["POSITION"]]["count"]) for p in m["primitives"])
+        for m in header.get("meshes", [])
+    ]
+    total = 0
+    for node in file.nodes:
+        instances = node.get("extensions", {}).get(_INSTANCES, {}).get("attributes", {})
+        often = max([int(accessors[number]["count"]) for number in instances.values()], default=1)
+        total += often * sizes[node["mesh"]] if "mesh" in node else 0
+    if total > max(_MOST_POINTS, sum(sizes)):
+        raise UnreadableError(f"its scene has {total} points, more than {_MOST_POINTS}; export one object alone")
+
+
+def _notes(file: Gltf, pose: Pose) -> Iterator[Finding]:
+    """What viewers show that a shape has not, and what of the file the scene leaves out."""
+    shown = set(file.shown())
+    meshes = [file.header["meshes"][file.nodes[node]["mesh"]] for node in shown if "mesh" in file.nodes[node]]
+    n_lines = sum(0 < p.get("mode", _TRIANGLES) < _TRIANGLES for mesh in meshes for p in mesh["primitives"])
+    if n_lines:
+        yield left_out("primitives of lines", n_lines, "a shape has points and triangles")
+    if hidden := sum("mesh" in node for number, node in enumerate(file.nodes) if number not in shown):
+        yield left_out("meshes outside the scene", hidden, "viewers do not show them either")
+    if skinned := sum("skin" in file.nodes[node] and "mesh" in file.nodes[node] for node in shown):
+        how = "posed by their joints, as viewers show them" if pose == "posed" else "at rest, as they were bound"
+        yield Finding("skinned meshes", skinned, "note", how)
+
+
+def local_transform(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
+    """A node's transform relative to the one above it."""
+    if "matrix" in node:
+        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+    rotation = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    transform = np.eye(4)
+    transform[:3, :3] = rotation * np.array(node.get("scale", (1.0, 1.0, 1.0)))
+    transform[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return transform
+
+
+class GlbWriter:
+    """A binary glTF that is put together part by part."""
+
+    def __init__(self) -> None:
+        self.header: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": "homolog"},
+            "accessors": [],
+            "bufferViews": [],
+        }
+        self._chunks: list[bytes] = []
+        self._size = 0
+
+    def accessor(self, rows: np.ndarray, *, bounds: bool = False, indices: bool = False, vertices: bool = True) -> int:
+        """Add an array (count,) or (count, width) of a type that glTF knows; its number.
+
+        Args:
+            rows: little-endian numbers.
+            bounds: whether to state the least and largest values, as positions need.
+            indices: whether these are a mesh's triangles.
+            vertices: whether a row belongs to a vertex.
+        """
+        rows = np.ascontiguousarray(rows)
+        width = 1 if rows.ndim == 1 else rows.shape[1]
+        target = _ELEMENT_ARRAY_BUFFER if indices else _ARRAY_BUFFER if vertices else None
+        entry = {
+            "bufferView": self.view(rows.tobytes(), target),
+            "componentType": _CODES[rows.dtype],
+            "count": len(rows),
+            "type": _TYPES[width],
+        }
+        if bounds:
+            entry |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
+        return self.add("accessors", entry)
+
+    def view(self, content: bytes, target: int | None = None) -> int:
+        """Add bytes to the buffer; the number of their view."""
+        entry = {"buffer": 0, "byteOffset": self._size, "byteLength": len(content)}
+        padded = content + bytes(-len(content) % 4)
+        self._chunks.append(padded)
+        self._size += len(padded)
+        return self.add("bufferViews", entry if target is None else entry | {"target": target})
+
+    def add(self, kind: str, entry: dict[str, Any]) -> int:
+        """Add an object to one of the header's lists, such as ``nodes``; its number."""
+        entries = self.header.setdefault(kind, [])
+        entries.append(entry)
+        return len(entries) - 1
+
+    def content(self) -> bytes:
+        """The whole file."""
+        header = json.dumps(self.header | {"buffers": [{"byteLength": self._size}]}, allow_nan=False).encode()
+        header += b" " * (-len(header) % 4)
+        body = b"".join(self._chunks)
+        chunks = struct.pack("<II", len(header), 0x4E4F534A) + header + struct.pack("<II", len(body), 0x004E4942) + body
+        return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+def write_glb(path: Path, shape: Shape) -> None:
+    """Write a mesh or a cloud as a binary glTF of one node, in single precision."""
+    glb = GlbWriter()
+    primitive: dict[str, Any] = {"attributes": {"POSITION": glb.accessor(shape.points.astype("<f4"), bounds=True)}}
+    if shape.faces is None:
+        primitive["mode"] = _POINTS
+    else:
+        primitive["indices"] = glb.accessor(shape.faces.ravel().astype("<u4"), indices=True)
+    glb.add("meshes", {"primitives": [primitive]})
+    glb.add("nodes", {"mesh": 0, "name": shape.name})
+    glb.header |= {"scenes": [{"nodes": [0]}], "scene": 0}
+    path.write_bytes(glb.content())

@@ -1,0 +1,102 @@
+"""OBJ: points and faces, and the lines that textures are read from."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from homolog.shapes.formats.parsing import (
+    CUT_OFF,
+    Arrays,
+    UnreadableError,
+    number_rows,
+    polygon_corners,
+    read_text,
+    shorten,
+    space_of,
+)
+from homolog.shapes.formats.text_rows import write_rows
+from homolog.shapes.polygons import triangulate
+from homolog.shapes.shape import Shape
+
+# Statements whose words are names, in which a # is no comment.
+_NAMES = ("usemtl", "mtllib", "newmtl", "map_", "g", "o")
+
+
+class ObjMesh(NamedTuple):
+    """The points and polygons of an OBJ file.
+
+    Args:
+        points: in file order.
+        sizes: corners of each polygon.
+        corners: indices of points from 0, one polygon after the other; -1 where a number leads nowhere.
+        triangles: positions in ``corners``.
+    """
+
+    points: Float[np.ndarray, "n 3"]
+    sizes: Int[np.ndarray, " m"]
+    corners: Int[np.ndarray, " c"]
+    triangles: Int[np.ndarray, "t 3"]
+
+
+def read(path: Path) -> Arrays:
+    """Read points and faces of an OBJ file, in file order; no other file is opened."""
+    text = read_text(path)
+    mesh = parse_obj(obj_statements(text))
+    faces = mesh.corners[mesh.triangles] if len(mesh.sizes) else None
+    return Arrays(mesh.points, faces, space=space_of(text[:1000].encode()))
+
+
+def obj_statements(text: str) -> list[tuple[str, str]]:
+    """The statements of an OBJ or MTL file: keywords in lower case, and what follows them.
+
+    Lines that end with a backslash go on, and comments are left out; a ``#`` within names is part of them.
+    """
+    found = list[tuple[str, str]]()
+    for line in text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
+        words = line.split(None, 1)
+        if not words or words[0].startswith("#"):
+            continue
+        key = words[0].lower()
+        rest = words[1] if len(words) > 1 else ""
+        found.append((key, rest.strip() if key.startswith(_NAMES) else rest.partition("#")[0].strip()))
+    return found
+
+
+def parse_obj(statements: list[tuple[str, str]]) -> ObjMesh:
+    """The points and polygons among the statements of an OBJ file."""
+    points = number_rows([f"v {rest}" for key, rest in statements if key == "v"], (1, 2, 3))
+    if not len(points):
+        raise UnreadableError("it holds no points (lines that start with 'v')")
+    polygons = [rest for key, rest in statements if key == "f"]
+    if not polygons:
+        nothing = np.zeros(0, dtype=np.int64)
+        return ObjMesh(points, nothing, nothing, nothing.reshape(0, 3))
+    # A corner is point/texture/normal; only the point matters.
+    lines = re.sub(r"/\S*", "", "\n".join(polygons)).split("\n")
+    sizes = np.array([len(line.split()) for line in lines])
+    if sizes.min() < 3:
+        short = shorten("f " + polygons[int(sizes.argmin())])
+        raise UnreadableError(f"the face {short!r} has fewer than three corners; {CUT_OFF}")
+    corners = _indices(polygon_corners(lines, sizes, 0), sizes, [key for key, _ in statements])
+    return ObjMesh(points, sizes, corners, triangulate(points, sizes, corners))
+
+
+def _indices(numbers: Int[np.ndarray, " c"], sizes: Int[np.ndarray, " m"], keys: list[str]) -> Int[np.ndarray, " c"]:
+    """Turn OBJ's counting, from 1 or backward from the face's own line, into indices; -1 if there is none."""
+    from_start = np.where(numbers > 0, numbers - 1, -1)
+    if numbers.min() >= 0:
+        return from_start
+    key = np.array(keys)
+    points_before = np.repeat(np.cumsum(key == "v")[key == "f"], sizes)
+    return np.where(numbers < 0, np.maximum(points_before + numbers, -1), from_start)
+
+
+def write(path: Path, shape: Shape) -> None:
+    """Write an OBJ file whose numbers read back bit by bit."""
+    faces = np.zeros((0, 3), np.int64) if shape.faces is None else shape.faces
+    write_rows(path, [("v %r %r %r\n", shape.points), ("f %d %d %d\n", faces + 1)])

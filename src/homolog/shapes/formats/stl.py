@@ -1,0 +1,87 @@
+"""STL, text and binary: separate triangles, whose equal corners become one point."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from homolog.shapes.equal_rows import first_of_equal_rows
+from homolog.shapes.finding import Finding
+from homolog.shapes.formats.parsing import (
+    CUT_OFF,
+    Arrays,
+    UnreadableError,
+    content_lines,
+    left_out,
+    number_rows,
+    read_text,
+    space_of,
+)
+from homolog.shapes.shape import Shape
+from homolog.shapes.topology import face_vectors
+
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+# The title and the number of triangles.
+_HEAD = 84
+# What programs write that do not know the number of triangles when they begin.
+_UNKNOWN_COUNTS = (0, 2**32 - 1)
+
+
+def read(path: Path) -> Arrays:
+    """Read an STL file and weld its separate triangles: points that are exactly equal become one.
+
+    The points are numbered as they first appear in the file.
+    """
+    content = path.read_bytes()
+    announced = int.from_bytes(content[80:_HEAD], "little") if len(content) >= _HEAD else -1
+    exact = len(content) == _HEAD + announced * _FACET.itemsize
+    if not exact and content.lstrip()[:5].lower() == b"solid" and b"\0" not in content:
+        corners, notes = _text_corners(read_text(path)), tuple[Finding, ...]()
+    else:
+        corners, notes = _binary_corners(content, announced)
+    points, faces = _weld(corners)
+    return Arrays(points, faces, notes, space_of(content[:1000]))
+
+
+def _binary_corners(content: bytes, announced: int) -> tuple[Float[np.ndarray, "c 3"], tuple[Finding, ...]]:
+    held, over = divmod(max(len(content) - _HEAD, 0), _FACET.itemsize)
+    count = held if announced in _UNKNOWN_COUNTS else announced
+    if not 0 < count == held:
+        too_many = len(content) - _HEAD - count * _FACET.itemsize
+        found = f"has {too_many} bytes too many for" if 0 < count < held else f"of {len(content)} bytes cannot hold"
+        raise UnreadableError(f"the file {found} the {announced} triangles that its header announces; {CUT_OFF}")
+    corners = np.frombuffer(content, _FACET, count, offset=_HEAD)["corners"].reshape(-1, 3).astype(np.float64)
+    notes = [left_out("bytes after the last triangle", over, "all triangles that the header announces are read")]
+    return corners, tuple(notes if over else ())
+
+
+def _text_corners(text: str) -> Float[np.ndarray, "c 3"]:
+    """The corners of all facets; each must be complete, but the line ``endsolid`` may be missing."""
+    lines = content_lines(text.lower())
+    corners = number_rows([line for line in lines if line.startswith("vertex")], (1, 2, 3))
+    n_begun, n_ended = (sum(line.startswith(word) for line in lines) for word in ("facet", "endfacet"))
+    if not len(corners) == 3 * n_begun == 3 * n_ended or not n_begun:
+        raise UnreadableError(f"its last triangle is missing, or not complete; {CUT_OFF}")
+    return corners
+
+
+def _weld(corners: Float[np.ndarray, "c 3"]) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:
+    """Make a mesh of separate triangles, one point per position, numbered by first appearance."""
+    first = first_of_equal_rows(corners)
+    kept = np.flatnonzero(first == np.arange(len(corners)))
+    number = np.zeros(len(corners), dtype=np.int64)
+    number[kept] = np.arange(len(kept))
+    return corners[kept], number[first].reshape(-1, 3)
+
+
+def write(path: Path, shape: Shape) -> None:
+    """Write a mesh as binary STL, in single precision."""
+    assert shape.faces is not None
+    facets = np.zeros(shape.n_faces, _FACET)
+    facets["corners"] = shape.points[shape.faces]
+    normals = face_vectors(shape.points[shape.faces])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    facets["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    path.write_bytes(b"homolog".ljust(80) + np.uint32(shape.n_faces).tobytes() + facets.tobytes())

@@ -1,0 +1,195 @@
+"""Text tables of points: XYZ, TXT and CSV."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from homolog.shapes.finding import Finding
+from homolog.shapes.formats.parsing import (
+    CUT_OFF,
+    Arrays,
+    UnreadableError,
+    content_lines,
+    left_out,
+    number_rows,
+    read_text,
+    shorten,
+)
+from homolog.shapes.formats.text_rows import write_rows
+from homolog.shapes.shape import Shape
+
+# Other names of coordinates than x, y and z, in lower case: pos_x, x_coord, x [mm], x_mm, and ParaView's Points:0.
+_AXIS = re.compile(
+    r"points[:_](?P<number>[012])|(?:(?:pos|position|points?|coord|coordinate)[ _.:-]?)?(?P<axis>[xyz])"
+    r"(?:[ _.:-]?(?:pos|position|coord|coordinate))?(?:_(?:mm|cm|m)|[ _]*[\[(][^])]*[])])?"
+)
+
+
+def read(path: Path) -> Arrays:
+    """Read a text file with one point a line, separated by commas, semicolons, tabs or blanks.
+
+    ``#`` starts a comment. A first line that holds the number of points is passed over, and so is the line of words
+    behind it in chemists' XYZ. A first row of words, or a comment before the first row, names the columns: those of x,
+    y and z are taken, in whatever case, with a unit in brackets, or as in ``pos_x``. Without names, or where there are
+    only three columns, the first three are; a column of names or row numbers before them is left out.
+
+    Raises:
+        UnreadableError: if more than three columns have names, and x, y and z are not among them.
+    """
+    table = read_table_lines(path)
+    if not table.lines:
+        return Arrays(np.zeros((0, 3)))
+    return Arrays(number_rows(table.lines, table.columns, delimiter=table.delimiter), notes=table.notes)
+
+
+class TableLines(NamedTuple):
+    """The rows of a table of points, without comments and names, and where in a row the coordinates are.
+
+    Args:
+        lines: the rows.
+        columns: those of the coordinates.
+        delimiter: what separates cells; None for blanks.
+        axes: the names of the columns: "xyz", or of the others that were asked for those that the table has.
+        notes: what was left out.
+    """
+
+    lines: list[str]
+    columns: list[int]
+    delimiter: str | None
+    axes: str = "xyz"
+    notes: tuple[Finding, ...] = ()
+
+
+def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLines:
+    """Read a table of points as ``read`` does, up to its numbers.
+
+    Args:
+        path: the file.
+        other_axes: other names that the columns may have in its first row, such as "ras", a letter each.
+    """
+    text = read_text(path)
+    lines = _without_count(text, content_lines(text))
+    if not lines:
+        raise UnreadableError("it holds no points")
+    names = _names(lines.pop(0)) if _is_header(lines) else []
+    if not lines:
+        return TableLines([], [0, 1, 2], None)
+    delimiter, cells = _delimiter(lines[0]), _cells(lines[0])
+    # A table with one name too few has row numbers or names before its columns, as R writes them.
+    names = ["", *names] if names and len(names) + 1 == len(cells) and cells[-1] else names
+    for axes in other_axes:
+        if all(names.count(axis) == 1 for axis in axes):
+            return TableLines(lines, [names.index(axis) for axis in axes], delimiter, axes)
+    names = names or _commented_names(text, lines[0])
+    if not names and len(cells) > 3 and _starts_with_index(lines):
+        note = left_out("first column", 1, "it names or numbers the rows")
+        return TableLines(lines, [1, 2, 3], delimiter, notes=(note,))
+    return TableLines(lines, _xyz_columns(names), delimiter)
+
+
+def _without_count(text: str, lines: list[str]) -> list[str]:
+    """The lines without a first one that holds the number of points, and a comment that may follow it."""
+    if not lines or not re.fullmatch(r"\d+", lines[0]):
+        return lines
+    count, comment = int(lines[0]), text.partition(lines[0])[2].splitlines()[1:2]
+    # Chemists' second line is a comment whatever it holds, even nothing, or numbers.
+    rows = lines[1:]
+    if len(rows) == count + 1 and comment and comment[0].strip() == rows[0]:
+        rows = rows[1:]
+    if len(rows) != count:
+        raise UnreadableError(f"its first line announces {count} points, but {len(rows)} lines follow; {CUT_OFF}")
+    return rows
+
+
+def _is_header(lines: list[str]) -> bool:
+    """Whether the first row names the columns: by words, or by their numbers from 0, as pandas writes them."""
+    cells = _cells(lines[0])
+    numbered = [cell for cell in cells if cell] == [str(number) for number in range(len(cells) - (not cells[0]))]
+    if numbered and len(cells) > 2 and len(lines) > 1:
+        return not cells[0] or "." in lines[1]
+    return not _is_numbers(lines[0])
+
+
+def _starts_with_index(lines: list[str]) -> bool:
+    """Whether the first cells of all rows are words, or count the rows from 0 or 1."""
+    first = [_cells(line)[0] for line in lines]
+    if not first[0].isdigit():
+        return not _is_numbers(first[0])
+    return first[0] in ("0", "1") and first == [
+        str(number) for number in range(int(first[0]), int(first[0]) + len(first))
+    ]
+
+
+def _delimiter(line: str) -> str | None:
+    """What separates the cells of a line; None for blanks."""
+    return next((mark for mark in ";,\t" if mark in line), None)
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip(" \"'") for cell in line.split(_delimiter(line))]
+
+
+def _is_numbers(line: str) -> bool:
+    """Whether a row holds a number at all; a row of words is a header."""
+    for cell in _cells(line):
+        try:
+            float(cell)
+        except ValueError:
+            continue
+        return True
+    return False
+
+
+def _names(header: str) -> list[str]:
+    """The names of columns, in lower case; a unit in brackets stays with its name, and CloudCompare's // goes."""
+    return [name.lower() for name in _cells(re.sub(r"\s+(?=[\[(])", "", header.lstrip("/ ")))]
+
+
+def _commented_names(text: str, first_row: str) -> list[str]:
+    """The names in the comment before the first row, where they are often kept; a remark names no columns."""
+    before = text.partition(first_row)[0].strip().splitlines()
+    comment = re.sub(r"^\w+:\s+", "", before[-1].lstrip("# ")) if before else ""
+    names, n_columns = _names(comment), len(_cells(first_row))
+    named = len(names) == n_columns or (len(names) < n_columns and _axes(names) is not None)
+    return names if named and not _is_numbers(comment) else []
+
+
+def _xyz_columns(names: list[str]) -> list[int]:
+    columns = _axes(names)
+    if columns is None and len(names) == 4 and not names[0]:
+        return [1, 2, 3]  # an index, and three columns
+    if columns is None and len(names) > 3:
+        found = shorten(", ".join(names), 100)
+        raise UnreadableError(
+            f"its columns are named {found}; name those of the coordinates x, y, z, or keep only them"
+        )
+    return columns or [0, 1, 2]
+
+
+def _axes(names: list[str]) -> list[int] | None:
+    """The columns of x, y and z, by their bare names before any others; None where they cannot be told."""
+    for axes in (names, [_axis(name) for name in names]):
+        if all(axes.count(axis) == 1 for axis in "xyz"):
+            return [axes.index(axis) for axis in "xyz"]
+    return None
+
+
+def _axis(name: str) -> str:
+    found = _AXIS.fullmatch(name)
+    if found is None:
+        return ""
+    return found["axis"] or "xyz"[int(found["number"])]
+
+
+def write_blanks(path: Path, shape: Shape) -> None:
+    """Write a line of three numbers a point, with blanks between them."""
+    write_rows(path, [("%r %r %r\n", shape.points)])
+
+
+def write_csv(path: Path, shape: Shape) -> None:
+    """Write a table with the columns x, y and z, with commas between them."""
+    write_rows(path, [("%r,%r,%r\n", shape.points)], "x,y,z\n")

@@ -1,0 +1,254 @@
+"""VTK in a process of its own, because on a damaged file it ends the whole process.
+
+Run as a script with a path and its suffix, this reads the file and writes points and polygons to standard
+output, or a reason to standard error. It imports nothing of Homolog, to start fast. Writing uses some of it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+if __name__ == "__main__":
+    # The search path of the calling process, which may have been changed there.
+    sys.path[:] = json.loads(sys.argv[3])
+
+import numpy as np
+from vtkmodules.util import numpy_support
+from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutputWindow
+from vtkmodules.vtkCommonDataModel import (
+    VTK_BIQUADRATIC_QUAD,
+    VTK_BIQUADRATIC_TRIANGLE,
+    VTK_PIXEL,
+    VTK_QUAD,
+    VTK_QUADRATIC_LINEAR_QUAD,
+    VTK_QUADRATIC_QUAD,
+    VTK_QUADRATIC_TRIANGLE,
+    VTK_TRIANGLE,
+    vtkGenericCell,
+)
+from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
+from vtkmodules.vtkIOLegacy import vtkGenericDataObjectReader
+from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
+
+# Not typed by VTK.
+vtk_to_numpy: Any = numpy_support.vtk_to_numpy
+
+REFUSED = 3
+"""The exit code when standard error holds the reason why the file is refused."""
+
+_LEAST_MEMORY = 6 * 2**30
+_MEMORY_PER_BYTE = 64
+
+
+def main() -> int:
+    """Read the file named on the command line; gives the exit code."""
+    path = Path(sys.argv[1])
+    _limit_memory(path.stat().st_size)
+    try:
+        arrays = surface(load(path, sys.argv[2]))
+    except (ValueError, MemoryError) as error:
+        sys.stderr.write(str(error) or "it does not fit into memory")
+        return REFUSED
+    stream = BytesIO()
+    for array in arrays:
+        np.save(stream, array, allow_pickle=False)
+    sys.stdout.buffer.write(stream.getbuffer())
+    return 0
+
+
+def _limit_memory(file_size: int) -> None:
+    """Let damaged sizes in a file fail here, not exhaust the machine; there is no such limit on Windows."""
+    try:
+        import resource
+    except ImportError:
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    wanted = _LEAST_MEMORY + _MEMORY_PER_BYTE * file_size
+    if hard == resource.RLIM_INFINITY or wanted < hard:
+        resource.setrlimit(resource.RLIMIT_AS, (wanted, hard))
+
+
+@contextmanager
+def collected_messages() -> Iterator[vtkStringOutputWindow]:
+    """Collect what VTK would print to standard error."""
+    window = vtkStringOutputWindow()
+    before, verbosity = vtkOutputWindow.GetInstance(), vtkLogger.GetCurrentVerbosityCutoff()
+    vtkOutputWindow.SetInstance(window)
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_OFF)
+    try:
+        yield window
+    finally:
+        vtkOutputWindow.SetInstance(before)
+        vtkLogger.SetStderrVerbosity(verbosity)
+
+
+def reason(messages: str) -> str:
+    """What VTK said first, without its file names and addresses."""
+    lines = [line for line in messages.splitlines() if line and not re.match(r"(ERROR|.*Warning): In ", line)]
+    said = re.sub(r"^\w+ \(0x\w+\): ", "", lines[0]) if lines else "VTK gives no reason"
+    return said.partition(" for file")[0][:80].rstrip(".! ")
+
+
+def load(path: Path, suffix: str) -> Any:
+    """Read a data set.
+
+    Raises:
+        ValueError: with VTK's reason, for a warning as well: a file that ends too early is filled up.
+    """
+    readers: dict[str, Any] = {
+        ".vtk": vtkGenericDataObjectReader,
+        ".vtp": vtkXMLPolyDataReader,
+        ".vtu": vtkXMLUnstructuredGridReader,
+    }
+    reader = readers[suffix]()
+    with collected_messages() as messages:
+        reader.SetFileName(str(path))
+        reader.Update()
+        data = reader.GetOutput()
+    if complaint := messages.GetOutput():
+        raise ValueError(reason(complaint))
+    if data is None:
+        raise ValueError("it holds no points")
+    return data
+
+
+def surface(data: Any) -> tuple[np.ndarray, ...]:
+    """Points in file order, and the surface over them; of volume cells the outer surface.
+
+    Returns:
+        Points, the sizes and corners of polygons, and the sizes and corners of triangle strips.
+    """
+    if data.GetPoints() is None:
+        raise ValueError("it holds no points")
+    points = vtk_to_numpy(data.GetPoints().GetData())
+    if data.IsA("vtkPolyData"):
+        return points, *_cells(data.GetPolys(), len(points)), *_cells(data.GetStrips(), len(points))
+    nothing = np.zeros(0, dtype=np.int64)
+    _cells(data.GetCells(), len(points))
+    types = np.unique(vtk_to_numpy(data.GetCellTypesArray())) if data.GetNumberOfCells() else nothing
+    linear = all(_cell_of(cell_type).IsLinear() for cell_type in types.tolist())
+    polygons = _linear_surface(data) if linear else _quadratic_surface(data)
+    return points, *polygons, nothing, nothing
+
+
+def _cells(cells: Any, n_points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes and corners of cells; corners that do not exist, which VTK would look up wherever they lead, are refused."""
+    if cells is None or not cells.GetNumberOfCells():
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    corners = vtk_to_numpy(cells.GetConnectivityArray()).astype(np.int64)
+    offsets = vtk_to_numpy(cells.GetOffsetsArray()).astype(np.int64)
+    if len(corners) and not 0 <= corners.min() <= corners.max() < n_points:
+        raise ValueError("its cells refer to points that it does not hold")
+    if offsets[0] != 0 or offsets[-1] != len(corners) or np.any(np.diff(offsets) < 0):
+        raise ValueError("its cells do not add up")
+    return np.diff(offsets), corners
+
+
+def _linear_surface(data: Any) -> tuple[np.ndarray, np.ndarray]:
+    extract = vtkGeometryFilter()
+    extract.PassThroughPointIdsOn()
+    extract.SetOriginalPointIdsName("file_index")
+    extract.SetInputData(data)
+    with collected_messages():
+        extract.Update()
+    found = extract.GetOutput()
+    sizes, corners = _cells(found.GetPolys(), found.GetNumberOfPoints())
+    if len(corners):
+        corners = vtk_to_numpy(found.GetPointData().GetArray("file_index")).astype(np.int64)[corners]
+    return sizes, corners
+
+
+def _quadratic_surface(data: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The outer faces of cells with points on their edges, each split into triangles and quadrilaterals over these.
+
+    VTK's own filter makes new points, which have no number in the file.
+    """
+    types = vtk_to_numpy(data.GetCellTypesArray())
+    offsets = vtk_to_numpy(data.GetCells().GetOffsetsArray())
+    corners = vtk_to_numpy(data.GetCells().GetConnectivityArray())
+    pieces = list[np.ndarray]()
+    inner, keys = list[np.ndarray](), list[np.ndarray]()
+    for cell_type in np.unique(types).tolist():
+        (cells,) = np.nonzero(types == cell_type)
+        is_surface, faces = _faces_of(cell_type)
+        for n_corners, nodes, parts in faces:
+            of_cells = corners[offsets[cells][:, None] + np.array(nodes)]
+            split = [np.pad(of_cells[:, part], ((0, 0), (0, 4 - len(part))), constant_values=-1) for part in parts]
+            key = np.sort(of_cells[:, :n_corners], axis=1)
+            key = np.pad(key, ((0, 0), (0, 4 - n_corners)), constant_values=-1)
+            # Faces that belong to no volume are all kept.
+            keys.append(key if not is_surface else np.column_stack([-2 - cells, *[cells * 0] * 3]))
+            inner.append(np.full(len(cells), len(parts)))
+            pieces.append(np.stack(split, axis=1).reshape(-1, 4))
+    if not keys:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    _, which, counts = np.unique(np.concatenate(keys), axis=0, return_inverse=True, return_counts=True)
+    outer = np.repeat((counts == 1)[which.ravel()], np.concatenate(inner))
+    polygons = np.concatenate(pieces)[outer].astype(np.int64)
+    return (polygons >= 0).sum(axis=1), polygons[polygons >= 0]
+
+
+def _cell_of(cell_type: int) -> Any:
+    cell: Any = vtkGenericCell.InstantiateCell(cell_type)
+    if cell is None:
+        raise ValueError(f"it holds cells of the unknown type {cell_type}; export it with linear cells")
+    return cell
+
+
+_Face = tuple[int, list[int], list[list[int]]]
+
+
+def _faces_of(cell_type: int) -> tuple[bool, list[_Face]]:
+    """Whether cells of a type are faces themselves, and their faces.
+
+    Of each face the number of corners, its nodes as positions in the cell, and its pieces as positions among the nodes.
+
+    Raises:
+        ValueError: for cells whose faces have other nodes than corners, middles of edges and a middle.
+    """
+    cell = _cell_of(cell_type)
+    dimension = cell.GetCellDimension()
+    if dimension < 2:
+        return True, []
+    for position in range(cell.GetNumberOfPoints()):
+        cell.GetPointIds().SetId(position, position)
+    found = list[_Face]()
+    for number in range(1 if dimension == 2 else cell.GetNumberOfFaces()):
+        # A cell has one object for all of its faces, one after the other.
+        face = cell if dimension == 2 else cell.GetFace(number)
+        nodes = [face.GetPointId(position) for position in range(face.GetNumberOfPoints())]
+        if face.GetCellType() not in _SPLITS or not nodes:
+            raise ValueError(
+                f"its cells of the kind {cell.GetClassName()} are not read; export it with linear cells alone"
+            )
+        n_corners, parts = _SPLITS[face.GetCellType()]
+        found.append((n_corners, nodes, parts))
+    return dimension == 2, found
+
+
+# For each type of faces the corners, and its pieces as positions among its nodes: corners first, then the middles of
+# edges from the first one on, then the middle.
+_SPLITS: dict[int, tuple[int, list[list[int]]]] = {
+    VTK_TRIANGLE: (3, [[0, 1, 2]]),
+    VTK_QUAD: (4, [[0, 1, 2, 3]]),
+    VTK_PIXEL: (4, [[0, 1, 3, 2]]),
+    VTK_QUADRATIC_LINEAR_QUAD: (4, [[0, 4, 5, 3], [4, 1, 2, 5]]),
+    VTK_QUADRATIC_TRIANGLE: (3, [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]),
+    VTK_BIQUADRATIC_TRIANGLE: (
+        3,
+        [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 6], [4, 5, 6], [5, 3, 6]],
+    ),
+    VTK_QUADRATIC_QUAD: (4, [[0, 4, 7], [4, 1, 5], [5, 2, 6], [6, 3, 7], [4, 5, 6, 7]]),
+    VTK_BIQUADRATIC_QUAD: (4, [[0, 4, 8, 7], [4, 1, 5, 8], [8, 5, 2, 6], [7, 8, 6, 3]]),
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,128 @@
+"""Triangulating polygons: the one way in which every format's polygons become triangles."""
+
+from __future__ import annotations
+
+import mapbox_earcut
+import numpy as np
+from jaxtyping import Float, Int
+
+from homolog.shapes.topology import face_vectors
+
+# A triangle looks the other way where its normal opposes the polygon's by more than rounding.
+_ROUNDING = 1e-12
+# Of a quadrilateral, where the fan around the first corner is folded.
+_SECOND_FAN = np.array([[1, 2, 3], [1, 3, 0]])
+
+
+def triangulate(
+    points: Float[np.ndarray, "n 3"], sizes: Int[np.ndarray, " m"], corners: Int[np.ndarray, " c"]
+) -> Int[np.ndarray, "t 3"]:
+    """Split polygons into triangles over their own corners, in the order of the polygons.
+
+    A polygon of k corners gives k - 2 triangles: the fan around its first corner where none of these is turned over, as
+    in every convex polygon, else the fan around the second corner of a quadrilateral, else the ears that are clipped in
+    the plane of the polygon (mapbox-earcut). Corners on a straight edge stay corners of triangles, so that neighbours
+    stay joined.
+
+    Args:
+        points: what the corners index.
+        sizes: corners of each polygon; those with fewer than three give no triangle.
+        corners: the corners of all polygons, one polygon after the other.
+
+    Returns:
+        Positions in ``corners``: the triangles are ``corners[triangulate(points, sizes, corners)]``.
+    """
+    triangles, n_triangles = fans(sizes), np.maximum(sizes - 2, 0)
+    first_triangle, first_corner = np.cumsum(n_triangles) - n_triangles, np.cumsum(sizes) - sizes
+    polygon = np.repeat(np.arange(len(sizes)), n_triangles)
+    for one in _folded(points, corners[triangles], polygon, sizes).tolist():
+        first, size = first_corner[one], sizes[one]
+        split = _SECOND_FAN if size == 4 else _ears(points[corners[first : first + size]])
+        triangles[first_triangle[one] : first_triangle[one] + size - 2] = first + split
+    return triangles
+
+
+def fans(sizes: Int[np.ndarray, " m"]) -> Int[np.ndarray, "t 3"]:
+    """The triangles of polygons around their first corners, as positions among all corners."""
+    per_polygon = np.maximum(sizes - 2, 0)
+    polygon = np.repeat(np.arange(len(sizes)), per_polygon)
+    first = (np.cumsum(sizes) - sizes)[polygon]
+    step = np.arange(len(polygon)) - (np.cumsum(per_polygon) - per_polygon)[polygon]
+    return np.stack([first, first + step + 1, first + step + 2], axis=1)
+
+
+def strips(sizes: Int[np.ndarray, " m"]) -> Int[np.ndarray, "t 3"]:
+    """The triangles of triangle strips, as positions among all corners; every other one is turned round."""
+    per_strip = np.maximum(sizes - 2, 0)
+    strip = np.repeat(np.arange(len(sizes)), per_strip)
+    step = np.arange(len(strip)) - (np.cumsum(per_strip) - per_strip)[strip]
+    first, odd = (np.cumsum(sizes) - sizes)[strip] + step, step % 2
+    return np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)
+
+
+def _folded(
+    points: Float[np.ndarray, "n 3"],
+    triangles: Int[np.ndarray, "t 3"],
+    polygon: Int[np.ndarray, " t"],
+    sizes: Int[np.ndarray, " m"],
+) -> Int[np.ndarray, " w"]:
+    """The polygons with a triangle that looks the other way than the polygon as a whole."""
+    # Triangles that do not fit the points, or lie at NaN, stay as they are: repair drops them.
+    looked_at = (sizes[polygon] > 3) & ((triangles >= 0) & (triangles < len(points))).all(axis=1)
+    if not looked_at.any():
+        return np.zeros(0, dtype=np.int64)
+    polygon = polygon[looked_at]
+    with np.errstate(all="ignore"):
+        normals = face_vectors(points[triangles[looked_at]])
+        whole = np.stack([np.bincount(polygon, axis, len(sizes)) for axis in normals.T], axis=1)
+        against = -np.einsum("ij,ij->i", normals, whole[polygon])
+        folded = against > _ROUNDING * np.einsum("ij,ij->i", whole, whole)[polygon]
+    return np.unique(polygon[folded])
+
+
+def _ears(ring: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, "k-2 3"]:
+    """The triangles of one polygon, as positions in it; the fan around its first corner where ears fail."""
+    flat = _in_own_plane(ring)
+    found = mapbox_earcut.triangulate_float64(flat, np.array([len(ring)], dtype=np.uint32))
+    triangles = np.asarray(found, dtype=np.int64).reshape(-1, 3)
+    a, b, c = flat[triangles].transpose(1, 0, 2)
+    if np.sum((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) < 0:
+        triangles = triangles[:, ::-1]
+    triangles = np.concatenate([triangles, _flat_triangles(triangles, len(ring))])
+    return triangles if len(triangles) == len(ring) - 2 else fans(np.array([len(ring)]))
+
+
+def _in_own_plane(ring: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:
+    """A polygon seen from the side from which it runs counterclockwise, about one unit wide."""
+    ring = (ring - ring[0]) / np.abs(ring - ring[0]).max()
+    normal = np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0)
+    along = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    axes = np.stack([along, np.cross(normal, along)], axis=1)
+    return np.ascontiguousarray(ring @ (axes / np.linalg.norm(axes, axis=0)))
+
+
+def _flat_triangles(triangles: Int[np.ndarray, "t 3"], n_corners: int) -> Int[np.ndarray, "f 3"]:
+    """Triangles without area where ears have left out corners on a straight line, so that no edge stays without its own.
+
+    The edges that have no partner among the ears and the polygon's outline run round what is left out.
+    """
+    edges = {(i, (i + 1) % n_corners) for i in range(n_corners)}
+    for a, b, c in triangles.tolist():
+        for start, end in ((a, b), (b, c), (c, a)):
+            if (start, end) in edges:
+                edges.remove((start, end))
+            else:
+                edges.add((end, start))
+    after: dict[int, list[int]] = {}
+    for start, end in sorted(edges):
+        after.setdefault(start, []).append(end)
+    found = list[tuple[int, int, int]]()
+    while after:
+        loop = [next(iter(after))]
+        while loop[-1] in after and (len(loop) == 1 or loop[-1] != loop[0]):
+            ends = after[loop[-1]]
+            loop.append(ends.pop())
+            if not ends:
+                del after[loop[-2]]
+        found += [(loop[0], b, c) for b, c in zip(loop[1:-2], loop[2:-1], strict=True)]
+    return np.array(found, dtype=np.int64).reshape(-1, 3)

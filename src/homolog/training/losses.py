@@ -1,0 +1,254 @@
+"""The losses of a training, one function each. To add one, write it here under ``@_builtin``; nothing else changes."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.maps import losses as formulas
+from homolog.maps import normalised
+from homolog.training.quantities import QUANTITIES, PairQuantities, TrainingShape
+
+if TYPE_CHECKING:  # settings name the losses that stand here
+    from homolog.training.settings import LossSettings
+
+TOTAL = "total"
+"""The name under which the sum of all losses is reported."""
+_GROUP = "homolog.losses"
+# Points of a shape in the benchmarks that the paper's weights were chosen on.
+_USUAL_POINTS = 5000
+
+LossFunction = Callable[..., Float[Tensor, ""]]
+F = TypeVar("F", bound=LossFunction)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """One term of what a training minimises.
+
+    Args:
+        name: under which it is logged.
+        weight: its factor in the total.
+        requires: the quantities of a pair that it is computed from; see ``PairQuantities``.
+        function: takes these quantities as keyword arguments and returns a scalar tensor.
+
+    Raises:
+        ArgumentError: if the weight is no number of at least 0, there is no such quantity, or the function does not
+            take them.
+
+    Example:
+        >>> from homolog.training import Loss
+        >>> def small_maps(c_xy, c_yx):
+        ...     return c_xy.square().mean() + c_yx.square().mean()
+        >>> Loss("small_maps", 0.5, requires={"c_xy", "c_yx"}, function=small_maps).weight
+        0.5
+    """
+
+    name: str
+    weight: float
+    requires: frozenset[str] | set[str]
+    function: LossFunction
+
+    def __post_init__(self) -> None:
+        if self.name == TOTAL or not self.name.isidentifier():
+            raise bad_value("name", self.name, f"a word of letters, digits and _ other than {TOTAL}")
+        if not (math.isfinite(self.weight) and self.weight >= 0):
+            raise bad_value(self.name, self.weight, "a number of at least 0")
+        for quantity in sorted(self.requires - set(QUANTITIES)):
+            raise bad_choice(f"what the loss {self.name} requires", quantity, QUANTITIES)
+        try:
+            inspect.signature(self.function).bind(**dict.fromkeys(self.requires))
+        except TypeError as error:
+            raise ArgumentError(
+                f"the function of the loss {self.name} does not take what it requires, "
+                f"{', '.join(sorted(self.requires))}: {error}"
+            ) from None
+
+    @classmethod
+    def of(cls, name: str, weight: float, function: LossFunction) -> Loss:
+        """A loss that requires what the parameters of its function are called, those with a default left out."""
+        parameters = inspect.signature(function).parameters.values()
+        return cls(name, weight, frozenset(p.name for p in parameters if p.default is p.empty), function)
+
+    def weighted(self, pair: PairQuantities) -> Float[Tensor, ""]:
+        """Its weight times its value for a pair.
+
+        Raises:
+            ArgumentError: if the function returns something other than a scalar tensor.
+        """
+        value = self.function(**pair.of(self.requires))
+        if not (isinstance(value, Tensor) and value.ndim == 0):
+            found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
+            raise ArgumentError(f"the loss {self.name} returned {found}, but must return a scalar tensor")
+        return self.weight * value
+
+
+BUILTIN_LOSSES: dict[str, Loss] = {}
+"""The losses that every recipe can name, with their default weights."""
+
+
+def _builtin(weight: float) -> Callable[[F], F]:
+    """Make a function a built-in loss, by its name and those of its parameters, with a default weight."""
+
+    def register(function: F) -> F:
+        BUILTIN_LOSSES[function.__name__] = Loss.of(function.__name__, weight, function)
+        return function
+
+    return register
+
+
+@_builtin(weight=1.0)
+def bijectivity(c_xy: Float[Tensor, "k_y k_x"], c_yx: Float[Tensor, "k_x k_y"], rank: int | None) -> Float[Tensor, ""]:
+    """The functional maps are each other's inverse."""
+    if rank is None:
+        return formulas.bijectivity_loss(c_xy, c_yx)
+    return formulas.partial_bijectivity_loss(c_xy, c_yx, rank=rank)
+
+
+@_builtin(weight=1.0)
+def orthogonality(
+    c_xy: Float[Tensor, "k_y k_x"], c_yx: Float[Tensor, "k_x k_y"], rank: int | None
+) -> Float[Tensor, ""]:
+    """The functional maps preserve areas."""
+    if rank is None:
+        return formulas.orthogonality_loss(c_xy, c_yx)
+    return formulas.partial_orthogonality_loss(c_xy, rank=rank)
+
+
+@_builtin(weight=1e-3)
+def alignment(
+    c_xy: Float[Tensor, "k_y k_x"],
+    cloud_eigenvectors_x: Float[Tensor, "m_x k_x"],
+    cloud_eigenvectors_y: Float[Tensor, "m_y k_y"],
+    soft_features_x: Float[Tensor, "m_x d"],
+    soft_features_y: Float[Tensor, "m_y d"],
+    shape_x: TrainingShape,
+    shape_y: TrainingShape,
+    partial: bool,
+    settings: LossSettings,
+) -> Float[Tensor, ""]:
+    """The soft map of the clouds agrees with the functional map of the meshes ("coupling" in other papers).
+
+    The paper sums over the points of full meshes: with fewer samples each stands for more of them.
+    """
+    if shape_x.cloud_is_partial:
+        return soft_features_x.new_zeros(())  # functions on what the cloud lacks cannot be mapped from it
+    maps = c_xy, cloud_eigenvectors_x, cloud_eigenvectors_y, soft_features_x, soft_features_y
+    share, temperature = _USUAL_POINTS / len(soft_features_y), settings.soft_temperature
+    if partial or shape_y.cloud_is_partial:
+        return share * formulas.partial_alignment_loss(*maps, temperature=temperature)
+    return share * formulas.alignment_loss(*maps, temperature=temperature, iterations=settings.soft_iterations)
+
+
+@_builtin(weight=10.0)
+def infonce(
+    features_x: Float[Tensor, "n_x d"],
+    features_y: Float[Tensor, "n_y d"],
+    cloud_features_x: Float[Tensor, "m_x d"],
+    cloud_features_y: Float[Tensor, "m_y d"],
+    shape_x: TrainingShape,
+    shape_y: TrainingShape,
+    settings: LossSettings,
+) -> Float[Tensor, ""]:
+    """A cloud's features resemble those of its own mesh at the same points."""
+
+    def of_one(shape: TrainingShape, mesh: Tensor, cloud: Tensor) -> Tensor:
+        own, temperature = shape.at_cloud(mesh), settings.infonce_temperature
+        return formulas.infonce_loss(normalised(cloud), normalised(own), temperature=temperature)
+
+    return of_one(shape_x, features_x, cloud_features_x) + of_one(shape_y, features_y, cloud_features_y)
+
+
+@_builtin(weight=0.0)
+def commutativity(
+    c_xy: Float[Tensor, "k_y k_x"],
+    c_yx: Float[Tensor, "k_x k_y"],
+    eigenvalues_x: Float[Tensor, " k_x"],
+    eigenvalues_y: Float[Tensor, " k_y"],
+) -> Float[Tensor, ""]:
+    """The functional maps commute with the Laplacians, as those of isometries do."""
+    back = formulas.commutativity_loss(c_yx, eigenvalues_y, eigenvalues_x)
+    return formulas.commutativity_loss(c_xy, eigenvalues_x, eigenvalues_y) + back
+
+
+@_builtin(weight=0.0)
+def smoothness(
+    c_xy: Float[Tensor, "k_y k_x"],
+    c_yx: Float[Tensor, "k_x k_y"],
+    positions_x: Float[Tensor, "k_x 3"],
+    positions_y: Float[Tensor, "k_y 3"],
+    eigenvalues_x: Float[Tensor, " k_x"],
+    eigenvalues_y: Float[Tensor, " k_y"],
+) -> Float[Tensor, ""]:
+    """The displacement that the functional maps make of positions is smooth. For pre-aligned shapes, such as organs."""
+    back = formulas.smoothness_loss(c_yx, positions_y, positions_x, eigenvalues_x)
+    return formulas.smoothness_loss(c_xy, positions_x, positions_y, eigenvalues_y) + back
+
+
+@_builtin(weight=0.0)
+def registration(
+    soft_features_x: Float[Tensor, "m_x d"],
+    soft_features_y: Float[Tensor, "m_y d"],
+    shape_x: TrainingShape,
+    shape_y: TrainingShape,
+    registration_targets: Float[Tensor, "m_y 3"],
+    partial: bool,
+    settings: LossSettings,
+) -> Float[Tensor, ""]:
+    """Points of the clouds resemble what lies where their registration takes them. For pre-aligned full shapes."""
+    if partial or shape_x.cloud_is_partial or shape_y.cloud_is_partial:
+        return soft_features_x.new_zeros(())  # a full surface cannot be registered to a partial one
+    points, reach, temperature = shape_x.cloud.points, settings.registration_reach, settings.soft_temperature
+    return formulas.registration_loss(
+        soft_features_x, soft_features_y, points, registration_targets, reach=reach, temperature=temperature
+    )
+
+
+def losses_of(settings: LossSettings, more: Sequence[Loss] = ()) -> tuple[Loss, ...]:
+    """The losses with a weight above 0, of settings and of one's own: their sum is what a training minimises.
+
+    Raises:
+        ArgumentError: if a function cannot be imported or is no loss, a name comes twice, or no loss is left.
+    """
+    named = [_named(name, weight, settings) for name, weight in settings.weights.items() if weight]
+    losses = (*named, *(loss for loss in more if loss.weight))
+    names = [loss.name for loss in losses]
+    for name in names:
+        if names.count(name) > 1:
+            raise ArgumentError(f"there are {names.count(name)} losses {name!r}; give yours another name")
+    if not losses:
+        raise ArgumentError("no loss has a weight above 0; give [loss] of the recipe one that has")
+    return losses
+
+
+def _named(name: str, weight: float, settings: LossSettings) -> Loss:
+    if name in BUILTIN_LOSSES:
+        return Loss.of(name, weight, BUILTIN_LOSSES[name].function)
+    path = settings.functions.get(name) or installed_losses()[name].value
+    module, _, attribute = path.partition(":")
+    try:
+        function: Any = getattr(importlib.import_module(module), attribute)
+        return Loss.of(name, weight, function)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        if isinstance(error, ArgumentError):
+            raise
+        raise ArgumentError(
+            f"the function of the loss {name}, {path!r}, cannot be used ({error}); "
+            "give package.module:function of an installed package"
+        ) from None
+
+
+@cache
+def installed_losses() -> dict[str, EntryPoint]:
+    """The losses that installed packages offer under the entry-point group ``homolog.losses``. None is imported."""
+    return {point.name: point for point in entry_points(group=_GROUP)}

@@ -1,0 +1,182 @@
+"""What losses can ask for of a pair of shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.core.errors import ArgumentError, TrainingError
+from homolog.geometry import Basis
+from homolog.maps import functional_map, normalised, registered_positions, resolvent_mask
+from homolog.maps.losses import partial_rank
+
+if TYPE_CHECKING:  # settings name the losses, which ask for what is here
+    from homolog.training.settings import LossSettings
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingShape:
+    """A mesh and a cloud of one shape, both as bases.
+
+    Args:
+        name: for messages.
+        mesh: of the mesh, at all of its points or at samples.
+        cloud: of a cloud of the same surface.
+        pairing: takes functions at the mesh's points to the cloud's, sparse (n_cloud, n_mesh); None where both have the
+            same points in the same order.
+        cloud_is_partial: the cloud lacks a piece of the mesh's surface.
+    """
+
+    name: str
+    mesh: Basis
+    cloud: Basis
+    pairing: Tensor | None = None
+    cloud_is_partial: bool = False
+
+    def at_cloud(self, functions: Float[Tensor, "n_mesh c"]) -> Float[Tensor, "n_cloud c"]:
+        """Functions on the mesh at the cloud's points."""
+        return functions if self.pairing is None else self.pairing @ functions
+
+
+class _Side:
+    """Quantities of one of the two shapes."""
+
+    def __init__(self, shape: TrainingShape, mesh: Tensor, cloud: Tensor, settings: LossSettings) -> None:
+        self.shape, self.features, self.cloud_features, self._settings = shape, mesh, cloud, settings
+
+    @cached_property
+    def soft_features(self) -> Float[Tensor, "n_cloud d"]:
+        return self.cloud_features if self._settings.raw_products else normalised(self.cloud_features)
+
+    @cached_property
+    def pseudo_inverse(self) -> Float[Tensor, "k n"]:
+        return self.shape.mesh.pseudo_inverse[: self._settings.map_eigenpairs]
+
+    @cached_property
+    def coefficients(self) -> Float[Tensor, "k d"]:
+        return self.pseudo_inverse @ self.features
+
+    @cached_property
+    def positions(self) -> Float[Tensor, "k 3"]:
+        return self.pseudo_inverse @ self.shape.mesh.points
+
+    @cached_property
+    def eigenvalues(self) -> Float[Tensor, " k"]:
+        return self.shape.mesh.eigenvalues[: self._settings.map_eigenpairs]
+
+    @cached_property
+    def cloud_eigenvectors(self) -> Float[Tensor, "n_cloud k"]:
+        eigenvectors = self.shape.mesh.eigenvectors[:, : self._settings.map_eigenpairs]
+        return self.shape.at_cloud(eigenvectors.contiguous())
+
+
+_SIDED = (
+    *("shape", "features", "cloud_features", "soft_features", "pseudo_inverse"),
+    *("coefficients", "positions", "eigenvalues", "cloud_eigenvectors"),
+)
+_SHARED = ("c_xy", "c_yx", "rank", "registration_targets", "partial", "settings")
+QUANTITIES = (*(f"{name}_{side}" for name in _SIDED for side in "xy"), *_SHARED)
+"""The names of all quantities that losses can ask for."""
+
+
+class PairQuantities:
+    """What losses can ask for of a pair, each computed when the first loss asks for it, and once.
+
+    Of both shapes, with n points of the mesh, m of the cloud, and k map eigenpairs:
+
+    | name, and with `_y` | what |
+    |---|---|
+    | `shape_x` | the `TrainingShape`: mesh and cloud as bases |
+    | `features_x` | features of the mesh's points (n, d) |
+    | `cloud_features_x` | features of the cloud's points (m, d) |
+    | `soft_features_x` | the same as the soft map compares them: of unit length, unless `raw_products` |
+    | `pseudo_inverse_x` | of the mesh's eigenvectors (k, n) |
+    | `coefficients_x` | of the mesh's features (k, d) |
+    | `positions_x` | coefficients of the mesh's positions, in units of sqrt(area) (k, 3) |
+    | `eigenvalues_x` | of the mesh (k,) |
+    | `cloud_eigenvectors_x` | of the mesh, at the cloud's points (m, k) |
+
+    Of the pair:
+
+    | name | what |
+    |---|---|
+    | `c_xy`, `c_yx` | functional maps of the meshes (k, k); `c_xy` takes coefficients on x to those on y |
+    | `rank` | where y is a part of x: the rank of `c_xy`, see `partial_rank`; otherwise None |
+    | `registration_targets` | where y's cloud lies once it is registered to x's (m_y, 3) |
+    | `partial` | whether y is a part of x |
+    | `settings` | the `LossSettings` |
+
+    Args:
+        x: a shape; the full one if ``partial``.
+        y: another; a part of one like x if ``partial``.
+        features: of the meshes of x and y, and of their clouds.
+        settings: of the losses.
+        partial: whether y is a part of x.
+        registration_targets: where they are known; by default they are computed for the samples.
+    """
+
+    def __init__(
+        self,
+        x: TrainingShape,
+        y: TrainingShape,
+        features: Sequence[Float[Tensor, "n d"]],
+        settings: LossSettings,
+        *,
+        partial: bool = False,
+        registration_targets: Float[Tensor, "m_y 3"] | None = None,
+    ) -> None:
+        mesh_x, mesh_y, cloud_x, cloud_y = features
+        self.settings, self.partial, self._known_targets = settings, partial, registration_targets
+        self._x, self._y = _Side(x, mesh_x, cloud_x, settings), _Side(y, mesh_y, cloud_y, settings)
+
+    def of(self, names: Iterable[str]) -> dict[str, Any]:
+        """The quantities of these names."""
+        return {name: self._of(name) for name in names}
+
+    def _of(self, name: str) -> Any:
+        stem, _, side = name.rpartition("_")
+        if stem in _SIDED:
+            return getattr(self._x if side == "x" else self._y, stem)
+        return getattr(self, name)
+
+    @property
+    def c_xy(self) -> Float[Tensor, "k_y k_x"]:
+        """The functional map from x to y."""
+        return self._functional_maps[0]
+
+    @property
+    def c_yx(self) -> Float[Tensor, "k_x k_y"]:
+        """The functional map from y to x."""
+        return self._functional_maps[1]
+
+    @cached_property
+    def rank(self) -> int | None:
+        """The rank of c_xy, if y is a part of x."""
+        return partial_rank(self._x.eigenvalues, self._y.eigenvalues) if self.partial else None
+
+    @cached_property
+    def registration_targets(self) -> Float[Tensor, "m_y 3"]:
+        """Where y's cloud lies once it is registered to x's."""
+        if self._known_targets is not None:
+            return self._known_targets
+        return registered_positions(self._x.shape.cloud.points, self._y.shape.cloud.points)[1]
+
+    @cached_property
+    def _functional_maps(self) -> tuple[Float[Tensor, "k_y k_x"], Float[Tensor, "k_x k_y"]]:
+        x, y, weight = self._x, self._y, self.settings.regularisation
+        mask = resolvent_mask(x.eigenvalues, y.eigenvalues)
+        try:
+            return (
+                functional_map(x.coefficients, y.coefficients, mask, regularisation=weight),
+                functional_map(y.coefficients, x.coefficients, mask.mT, regularisation=weight),
+            )
+        except ArgumentError:
+            raise TrainingError(
+                f"the features of {x.shape.name} and {y.shape.name} are not finite, or give no functional map; "
+                "lower learning_rate, raise regularisation, or look at these shapes with homolog info"
+            ) from None

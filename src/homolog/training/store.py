@@ -1,0 +1,190 @@
+"""The shapes of a training: operators at full resolution, computed once, and samples of their bases in memory."""
+
+from __future__ import annotations
+
+import threading
+import zlib
+from collections import OrderedDict
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+
+import numpy as np
+import scipy.sparse as sparse
+import torch
+
+from homolog.core.errors import ArgumentError, DataError, ShapeError
+from homolog.core.progress import Progress
+from homolog.geometry import Basis, Frame, Operators, unit_frame
+from homolog.pairs import OperatorSource
+from homolog.shapes import Shape, repair
+from homolog.training.clouds import Cloud, cloud_variants, make_cloud
+from homolog.training.data import TrainingSet
+from homolog.training.pairing import interpolation, nearest_columns, nearest_rows
+from homolog.training.quantities import TrainingShape
+from homolog.training.samples import Samples, at_subsets, subsets
+from homolog.training.sampling import SampledShape
+from homolog.training.settings import Recipe
+
+# Stands for the mesh where others are numbers of cloud variants.
+_MESH = -1
+
+
+class _Memory:
+    """Samples that are kept for as long as they are used more lately than others that fill the memory."""
+
+    def __init__(self, most_bytes: float) -> None:
+        self._most_bytes, self._bytes = most_bytes, 0
+        self._kept: OrderedDict[tuple[str, int], Samples] = OrderedDict()
+        self._lock = threading.Lock()
+
+    @property
+    def is_full(self) -> bool:
+        return self._bytes >= self._most_bytes
+
+    def get(self, key: tuple[str, int]) -> Samples | None:
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+            return self._kept.get(key)
+
+    def keep(self, key: tuple[str, int], samples: Samples) -> None:
+        with self._lock:
+            if key in self._kept:  # another thread was faster
+                return
+            self._kept[key] = samples
+            self._bytes += samples.n_bytes
+            while self._bytes > self._most_bytes and len(self._kept) > 1:
+                self._bytes -= self._kept.popitem(last=False)[1].n_bytes
+
+
+class ShapeStore:
+    """Gives shapes to train on, from memory as far as they fit there, else from the operators on disk.
+
+    Safe to use from several threads.
+
+    Args:
+        shapes: which there are.
+        recipe: how they are sampled, and which clouds there are.
+        operators: where operators come from; an ``OperatorCache``'s, or every miss computes them anew.
+        device: where bases are kept.
+    """
+
+    def __init__(
+        self, shapes: TrainingSet, recipe: Recipe, operators: OperatorSource, device: torch.device | str = "cpu"
+    ) -> None:
+        self.shapes, self.operators, self.device = shapes, operators, device
+        self.variants = cloud_variants(recipe.clouds)
+        self._seed, self._settings, self._operator_settings = recipe.seed, recipe.samples, recipe.operators
+        self._workers = recipe.data.workers
+        self._mesh = lru_cache(maxsize=2 * self._workers)(self._read_mesh)
+        self._frames: dict[str, Frame] = {}
+        self._memory = _Memory(recipe.data.memory_gb * 2**30)
+
+    def prepare(self, names: Sequence[str], progress: Progress) -> None:
+        """Compute the operators of shapes and all their clouds, so that they are in the cache, and fill the memory.
+
+        Raises:
+            ShapeError: if a shape cannot be used.
+        """
+        pool = ThreadPoolExecutor(self._workers)
+        try:
+            for done, name in enumerate(pool.map(self._prepare, names), 1):
+                progress(done, len(names), f"operators of {name}")
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def shape(self, sampled: SampledShape, *, cloud_on_mesh: bool = False) -> TrainingShape:
+        """One shape with one of its clouds, at one of its subsets of points.
+
+        Args:
+            sampled: which.
+            cloud_on_mesh: leave the cloud where it lies on the mesh, instead of centring it on itself.
+        """
+        clouds = self.samples(sampled.name, sampled.variant)
+        cloud = clouds.bases[sampled.subset]
+        if cloud_on_mesh:
+            cloud = cloud.moved(clouds.centre)
+        meshes = clouds.meshes or self.samples(sampled.name, _MESH).bases
+        pairing = clouds.pairings[sampled.subset] if clouds.pairings else None
+        is_partial = self.variants[sampled.variant].is_partial
+        return TrainingShape(sampled.name, meshes[sampled.subset], cloud, pairing, is_partial)
+
+    def frame(self, name: str) -> Frame:
+        """Centre and scale of a shape, in the coordinates of its file."""
+        if name not in self._frames:
+            self._mesh(name)
+        return self._frames[name]
+
+    def samples(self, name: str, variant: int) -> Samples:
+        """The subsets of one of a shape's clouds."""
+        samples = self._memory.get((name, variant))
+        if samples is None:
+            samples = self._sample(name, variant)
+            self._memory.keep((name, variant), samples)
+        return samples
+
+    def _prepare(self, name: str) -> str:
+        for variant in (_MESH, *range(len(self.variants))):
+            if self._memory.is_full:
+                self._operators_of(self._cloud(name, variant).shape)
+            else:
+                self.samples(name, variant)
+        return name
+
+    def _sample(self, name: str, variant: int) -> Samples:
+        cloud = self._cloud(name, variant)
+        operators = self._operators_of(cloud.shape)
+        if cloud.weights is not None:
+            return self._sample_apart(name, operators, cloud.weights, is_partial=self.variants[variant].is_partial)
+        basis = operators.basis
+        indices = subsets(basis, self._settings) if variant == _MESH else self.samples(name, _MESH).indices
+        return Samples(indices, at_subsets(basis, indices, self.device), points=basis.points.to(self.device))
+
+    def _sample_apart(self, name: str, cloud: Operators, weights: sparse.csr_array, *, is_partial: bool) -> Samples:
+        """Subsets of a cloud whose points are not the mesh's, each with the points of the mesh that belong to them.
+
+        Those are the ones that lie nearest. Of a partial cloud it is the other way round: it has those of the mesh's
+        samples that lie on it, beside all of them, as coefficients on the mesh need samples everywhere.
+        """
+        meshes: tuple[Basis, ...] = ()
+        if is_partial:
+            columns = self.samples(name, _MESH).indices
+            rows = tuple(nearest_rows(weights, subset) for subset in columns)
+        else:
+            rows = subsets(cloud.basis, self._settings)
+            if self._settings.points:
+                columns = tuple(nearest_columns(weights[subset]) for subset in rows)
+            else:
+                columns = (np.arange(weights.shape[1]),) * len(rows)
+            meshes = at_subsets(self._operators_of(self._mesh(name)).basis, columns, self.device)
+        pairings = (interpolation(weights[i][:, j]).to(self.device) for i, j in zip(rows, columns, strict=True))
+        return Samples(
+            rows,
+            at_subsets(cloud.basis, rows, self.device),
+            meshes,
+            tuple(pairings),
+            cloud.points.to(self.device),
+            cloud.centre.float().to(self.device),
+        )
+
+    def _cloud(self, name: str, variant: int) -> Cloud:
+        """One of a shape's clouds, or the mesh itself."""
+        mesh = self._mesh(name)
+        if variant == _MESH:
+            return Cloud(mesh, None)
+        seed = zlib.crc32(f"{self._seed} {name} {variant}".encode())
+        try:
+            return make_cloud(mesh, self.variants[variant], seed=seed)
+        except (ArgumentError, ShapeError) as error:
+            raise DataError(f"[clouds] {self.variants[variant]} cannot be made of {name}: {error}") from None
+
+    def _read_mesh(self, name: str) -> Shape:
+        """A clean mesh of unit area: what its clouds are made with is in these units."""
+        shape = repair(self.shapes.shape(name)).shape
+        frame = unit_frame(shape)
+        self._frames[name] = frame
+        return Shape(frame.to_unit(shape.points), shape.faces, name=shape.name)
+
+    def _operators_of(self, shape: Shape) -> Operators:
+        return self.operators(shape, settings=self._operator_settings, scale=1.0)
