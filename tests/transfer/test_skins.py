@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from homolog.core.errors import ArgumentError, DataError
+from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.matching import Match
 from homolog.shapes import Shape, read_shape
+from homolog.shapes.formats.gltf import Gltf
 from homolog.transfer import Skin, SurfaceProjector, Transfer, read_skin, write_glb
-from homolog.transfer.gltf import GltfReader
 
 
 def rigid(turn, position):
@@ -51,7 +51,7 @@ def test_a_written_skin_leaves_the_mesh_as_it_is(skinned, tmp_path):
     """By glTF's rules: each vertex is moved by its joints' places in the scene times their inverse binds."""
     shape, skin = skinned
     write_glb(tmp_path / "a.glb", SurfaceProjector(shape), skin=skin)
-    file = GltfReader(tmp_path / "a.glb")
+    file = Gltf(tmp_path / "a.glb")
     (entry,) = file.header["skins"]
     binds = file.accessor(entry["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
     moves = np.stack([file.world(joint) for joint in entry["joints"]]) @ binds
@@ -137,13 +137,18 @@ def by_hand(folder, **changes):
 
 
 def test_a_file_made_by_hand(tmp_path):
+    """The second joint lies elsewhere than where the mesh was bound: points, and joints, are where it carries them."""
     path = by_hand(tmp_path)
     shape = read_shape(path)
-    np.testing.assert_allclose(shape.points[1], [0, 1, 0], atol=1e-6)
+    moved = [-0.07, 0.07, 0.07]
+    np.testing.assert_allclose(shape.points[1], moved, atol=1e-6)
+    # The first point is moved by four fifths of the way to (7, 7, 7) - (100, 0, 0).
+    np.testing.assert_allclose(shape.points[0], 0.8 * np.array([-0.07, 7 / 100 - 1, 0.07]), atol=1e-6)
+    np.testing.assert_allclose(shape.points[2], [-1, 1, 0], atol=1e-6)
     skin = read_skin(path, shape)
     assert skin.names == ("root", "joint 4")
     np.testing.assert_array_equal(skin.parents, [-1, 0])
-    np.testing.assert_allclose(skin.frames[:, :3, 3], [[0, 0, 0], [0, 1, 0]], atol=1e-6)
+    np.testing.assert_allclose(skin.frames[:, :3, 3], [[0, 0, 0], moved], atol=1e-6)
     np.testing.assert_allclose(skin.frames[0, :3, :3], [[0, -1, 0], [1, 0, 0], [0, 0, 1]], atol=1e-6)
     np.testing.assert_allclose(skin.weights, [[0.2, 0.8], [0, 1], [1, 0], [1, 0]], atol=1e-6)
 
@@ -165,7 +170,9 @@ def test_files_without_a_skin(tmp_path, make):
 )
 def test_damaged_skins(tmp_path, changes):
     path = by_hand(tmp_path, **changes)
-    shape = read_shape(path)
+    with pytest.raises(ShapeError, match=r"hand\.gltf could not be read"):
+        read_shape(path)
+    shape = read_shape(path, pose="rest")
     with pytest.raises(DataError, match="export it again") as raised:
         read_skin(path, shape)
     assert "\n" not in str(raised.value)

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int, UInt8
 
 from homolog.core.errors import DataError, HomologError, needs_extra
 from homolog.shapes import Shape
-from homolog.shapes.gltf_format import quiet_trimesh
-from homolog.shapes.parsing import UnreadableError
-from homolog.shapes.ply_format import read_ply_colours
+from homolog.shapes.formats.ply import read_ply_colours
+from homolog.transfer.gltf import read_gltf_look
 from homolog.transfer.obj import read_obj_colours, read_obj_texture
 from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 
@@ -142,8 +141,12 @@ def _blamed(path: Path) -> Iterator[None]:
         raise DataError(f"{path}: its texture or colours cannot be read ({error}); export it again") from error
 
 
-def read_image(path: Path) -> Image:
-    """Read an image file; what it has of transparency is passed over.
+def read_image(source: Path | bytes, name: str | None = None) -> Image:
+    """Read an image file, or its content; what it has of transparency is passed over.
+
+    Args:
+        source: the file, or what it holds.
+        name: how messages call it; by default the file.
 
     Raises:
         DataError: if it is missing or damaged.
@@ -152,12 +155,11 @@ def read_image(path: Path) -> Image:
     with needs_extra("reading a texture", "transfer"):
         from PIL import Image as Pillow
     try:
-        with Pillow.open(path) as image:
+        with Pillow.open(BytesIO(source) if isinstance(source, bytes) else source) as image:
             return np.asarray(image.convert("RGB"))
     except (OSError, ValueError, SyntaxError, Pillow.DecompressionBombError) as error:
-        raise DataError(
-            f"{path}, a texture, cannot be read as an image ({error}); put it there, or export it again"
-        ) from None
+        called = name if isinstance(source, bytes) else f"{source}, a texture,"
+        raise DataError(f"{called} cannot be read as an image ({error}); put it there, or export it again") from None
 
 
 def _of_ply(path: Path, shape: Shape) -> Appearance:
@@ -179,64 +181,15 @@ def _tinted(image: Image, tint: Any) -> Image:
 
 
 def _of_gltf(path: Path, shape: Shape) -> Appearance:
-    with needs_extra("reading a texture", "transfer"):
-        import PIL  # noqa: F401  # trimesh passes over textures without it
-    with quiet_trimesh():
-        scene = trimesh.load_scene(path)
-    meshes = [scene.geometry[scene.graph[node][1]] for node in scene.graph.nodes_geometry]
-    faces = [mesh for mesh in meshes if isinstance(mesh, trimesh.Trimesh)]
-    if (
-        sum(len(mesh.vertices) for mesh in meshes) != shape.n_points
-        or sum(len(m.faces) for m in faces) != shape.n_faces
-    ):
-        raise UnreadableError("its points are counted differently with and without their texture")
-    texture = _gltf_texture(faces) if any(_image_of(mesh) is not None for mesh in faces) else None
-    return Appearance(texture, _gltf_colours(meshes))
-
-
-def _gltf_texture(meshes: list[Any]) -> Texture:
-    """One image per mesh: its material's, or its material's colour alone."""
-    coordinates, image_of, images = list[np.ndarray](), list[np.ndarray](), list[Image]()
-    for number, mesh in enumerate(meshes):
-        image, uv = _image_of(mesh), getattr(mesh.visual, "uv", None)
-        textured = image is not None and uv is not None and len(uv) == len(mesh.vertices)
-        corners = np.asarray(uv)[mesh.faces] if textured else np.zeros((len(mesh.faces), 3, 2))
-        # trimesh counts heights from below.
-        coordinates.append(np.stack([corners[..., 0], 1.0 - corners[..., 1]], axis=-1))
-        image_of.append(np.full(len(mesh.faces), number))
-        images.append(_tinted(np.asarray(image.convert("RGB")) if textured else _WHITE, _factor_of(mesh)))
-    return Texture(np.concatenate(coordinates), np.concatenate(image_of), tuple(images))
-
-
-def _image_of(mesh: Any) -> Any:
-    material = getattr(mesh.visual, "material", None)
-    return getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
-
-
-def _factor_of(mesh: Any) -> Float[np.ndarray, " 3"]:
-    factor = getattr(getattr(mesh.visual, "material", None), "baseColorFactor", None)
-    return np.ones(3) if factor is None else np.asarray(factor)[:3] / 255.0
-
-
-def _gltf_colours(meshes: list[Any]) -> Float[np.ndarray, "n 3"] | None:
-    """The colours of vertices; those of meshes without any are unknown, NaN."""
-    found = [_colours_of(mesh) for mesh in meshes]
-    if all(colours is None for colours in found):
-        return None
-    unknown = [np.full((len(mesh.vertices), 3), np.nan) for mesh in meshes]
-    return np.concatenate([none if known is None else known for known, none in zip(found, unknown, strict=True)])
-
-
-def _colours_of(mesh: Any) -> Float[np.ndarray, "v 3"] | None:
-    """A mesh's colours, which trimesh keeps elsewhere where there is a material."""
-    if getattr(mesh.visual, "kind", None) == "vertex":
-        colours = np.asarray(mesh.visual.vertex_colors)
-    else:
-        colours = np.asarray(getattr(mesh.visual, "vertex_attributes", {}).get("color", ()))
-    if colours.ndim != 2 or len(colours) != len(mesh.vertices):
-        return None
-    largest = 1.0 if colours.dtype.kind == "f" else float(np.iinfo(colours.dtype).max)
-    return np.asarray(colours[:, :3] / largest)
+    look = read_gltf_look(path)
+    if len(look.coordinates) != shape.n_faces or len(look.colours) != shape.n_points:
+        raise DataError(f"{path} was changed since its shape was read; read it again")
+    colours = None if np.isnan(look.colours).all() else look.colours
+    if all(material.image is None for material in look.materials) or shape.faces is None:
+        return Appearance(point_colours=colours)
+    images = [_WHITE if m.image is None else read_image(m.image, f"{path}, its texture") for m in look.materials]
+    tinted = [_tinted(image, np.array(m.colour)) for image, m in zip(images, look.materials, strict=True)]
+    return Appearance(Texture(look.coordinates, look.material_of, tuple(tinted)), colours)
 
 
 _READERS: dict[str, Callable[[Path, Shape], Appearance]] = {

@@ -14,8 +14,8 @@ from homolog.core.errors import needs_extra
 from homolog.core.files import atomic_path
 from homolog.geometry import unit
 from homolog.shapes import drawable
+from homolog.shapes.formats.gltf import GlbWriter
 from homolog.transfer.atlas import Atlas
-from homolog.transfer.gltf import GlbWriter
 from homolog.transfer.projection import SurfaceProjector
 from homolog.transfer.skin import Skin, strongest_influences
 

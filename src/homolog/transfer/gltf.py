@@ -1,42 +1,88 @@
-"""glTF files whose faults are told with their names."""
+"""Textures and colours of GLB and glTF files."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float, Int
 
-from homolog.core.errors import DataError
-from homolog.shapes.formats.gltf import GlbWriter, Gltf
-from homolog.shapes.formats.parsing import UnreadableError
-
-__all__ = ["GlbWriter", "GltfReader"]
+from homolog.shapes.formats.gltf import Gltf, Part, parts
 
 
-class GltfReader(Gltf):
-    """The parts of a GLB or glTF file.
+@dataclass(frozen=True)
+class GltfMaterial:
+    """What a material of glTF says of colour.
 
     Args:
-        path: the file; its buffers may be inside or beside it.
-
-    Raises:
-        DataError: if it is damaged.
+        image: the file of its texture, or the content of such a file; None if it has none.
+        colour: red, green and blue from 0 to 1, which its texture is multiplied with.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            super().__init__(path)
-        except (UnreadableError, OSError, ValueError, KeyError, TypeError) as error:
-            raise DataError(f"{path} cannot be read as glTF ({error}); export it again") from None
+    image: bytes | Path | None
+    colour: tuple[float, float, float]
 
-    def accessor(self, number: int) -> np.ndarray:
-        """The rows (count, width) of an accessor, as ``Gltf`` reads them.
 
-        Raises:
-            DataError: if the file does not hold them.
-        """
-        try:
-            return super().accessor(number)
-        except (UnreadableError, KeyError, IndexError, ValueError, TypeError) as error:
-            raise DataError(f"{self.path} has a damaged accessor {number} ({error}); export it again") from None
+@dataclass(frozen=True, eq=False)
+class GltfLook:
+    """What a glTF file says of the colours of the shape that ``read_shape`` reads from it.
+
+    Args:
+        coordinates: for each corner of each triangle its place in the image, from the upper left (m, 3, 2).
+        material_of: the material of each triangle (m,).
+        materials: one for each part of the scene.
+        colours: red, green and blue of each point from 0 to 1, NaN where there is none (n, 3).
+    """
+
+    coordinates: Float[np.ndarray, "m 3 2"]
+    material_of: Int[np.ndarray, " m"]
+    materials: tuple[GltfMaterial, ...]
+    colours: Float[np.ndarray, "n 3"]
+
+
+def read_gltf_look(path: Path) -> GltfLook:
+    """Read materials, texture coordinates and the colours of points, part by part in the order of the shape."""
+    file = Gltf(path)
+    found = list(parts(file))
+    coordinates = [_corners(file, part) for part in found]
+    numbers = [np.full(len(part.faces), number) for number, part in enumerate(found)]
+    colours = np.full((sum(len(part.points) for part in found), 3), np.nan)
+    for part in found:
+        if "COLOR_0" in part.primitive["attributes"]:
+            own = file.accessor(part.primitive["attributes"]["COLOR_0"])[:, :3]
+            colours[part.first : part.first + len(own)] = own
+    materials = tuple(_material(file, part.primitive) for part in found)
+    return GltfLook(np.concatenate(coordinates), np.concatenate(numbers), materials, colours)
+
+
+def _corners(file: Gltf, part: Part) -> Float[np.ndarray, "m 3 2"]:
+    """The texture coordinates of a part's triangles; zeros without any."""
+    name = f"TEXCOORD_{_colours_of(file, part.primitive)[0].get('texCoord', 0)}"
+    if name not in part.primitive["attributes"]:
+        return np.zeros((len(part.faces), 3, 2))
+    corners: np.ndarray = file.accessor(part.primitive["attributes"][name]).astype(np.float64)[part.faces]
+    return corners
+
+
+def _colours_of(file: Gltf, primitive: dict[str, Any]) -> tuple[dict[str, Any], list[float]]:
+    """The texture of a primitive's material, {} if it has none, and the factor of its colour."""
+    if "material" not in primitive:
+        return {}, [1.0, 1.0, 1.0]
+    material = file.header["materials"][primitive["material"]]
+    older = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
+    if older is not None:
+        return older.get("diffuseTexture", {}), older.get("diffuseFactor", [1.0, 1.0, 1.0])
+    usual = material.get("pbrMetallicRoughness", {})
+    return usual.get("baseColorTexture", {}), usual.get("baseColorFactor", [1.0, 1.0, 1.0])
+
+
+def _material(file: Gltf, primitive: dict[str, Any]) -> GltfMaterial:
+    texture, factor = _colours_of(file, primitive)
+    red, green, blue = map(float, factor[:3])
+    if not texture:
+        return GltfMaterial(None, (red, green, blue))
+    entry = file.header["textures"][texture["index"]]
+    source = entry.get("source", entry.get("extensions", {}).get("EXT_texture_webp", {}).get("source"))
+    return GltfMaterial(None if source is None else file.image(source), (red, green, blue))

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,13 @@ from jaxtyping import Float, Int
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path
 from homolog.shapes import Shape
-from homolog.shapes.parsing import content_lines, fan_triangles, number_rows, read_text
+from homolog.shapes.formats.obj import ObjMesh, obj_statements, parse_obj
+from homolog.shapes.formats.parsing import number_rows, read_text
 
 _NO_MATERIAL = ""
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?\s+"
+# The values that follow options of textures, where these are not one word.
+_OPTIONS = dict.fromkeys(("o", "s", "t"), f"(?i:{_NUMBER}){{1,3}}") | {"mm": f"(?i:{_NUMBER}){{1,2}}"}
 
 
 @dataclass(frozen=True)
@@ -23,10 +28,14 @@ class Material:
     Args:
         image: the file of its texture; None if it has none.
         colour: red, green and blue from 0 to 1.
+        scale: what texture coordinates are multiplied with.
+        offset: what is added to them then.
     """
 
     image: Path | None = None
     colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +55,10 @@ class ObjTexture:
 
 def read_obj_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
     """Red, green and blue of each point, from 0 to 1, where they follow all the coordinates; None otherwise."""
-    lines = [line for line in _lines(path) if line.startswith(("v ", "v\t"))]
-    if not lines or any(len(line.split()) != 7 for line in lines):
+    lines = [rest for key, rest in obj_statements(read_text(path)) if key == "v"]
+    if not lines or any(len(line.split()) != 6 for line in lines):
         return None
-    colours = number_rows(lines, (4, 5, 6))
+    colours = number_rows(lines, (3, 4, 5))
     return colours / 255.0 if colours.max() > 1.0 else colours
 
 
@@ -59,40 +68,48 @@ def read_obj_texture(path: Path) -> ObjTexture | None:
     Raises:
         DataError: if its materials are missing.
     """
+    statements = obj_statements(read_text(path))
     coordinates = _Coordinates()
-    libraries = list[str]()
-    for line in _lines(path):
-        coordinates.take(line)
-        if line.startswith("mtllib"):
-            libraries.append(line.split(None, 1)[1] if " " in line else "")
-    if not coordinates.corners or not any(number >= 0 for corners in coordinates.corners for number in corners):
+    for key, rest in statements:
+        coordinates.take(key, rest)
+    if not any(number >= 0 for number in coordinates.numbers):
         return None
-    known = {name: material for library in libraries for name, material in _materials(path.parent / library).items()}
+    known = dict[str, Material]()
+    for library in (rest for key, rest in statements if key == "mtllib"):
+        for file in _library_files(path.parent, library):
+            known |= _materials(file)
     names = list(dict.fromkeys(coordinates.material_of))
-    materials = tuple(known.get(name, Material()) for name in names)
+    materials = tuple(_material(known, name) for name in names)
     if all(material.image is None for material in materials):
         return None
-    return coordinates.assembled(names, materials)
+    return coordinates.assembled(parse_obj(statements), names, materials)
+
+
+def _material(known: dict[str, Material], name: str) -> Material:
+    """The material of a name, which a comment may follow."""
+    while name not in known and " #" in name:
+        name = name.rpartition(" #")[0].rstrip()
+    return known.get(name, Material())
 
 
 class _Coordinates:
-    """What the lines of an OBJ file say of texture, one after the other."""
+    """What the statements of an OBJ file say of texture, one after the other."""
 
     def __init__(self) -> None:
         self.places: list[tuple[float, float]] = []
-        self.corners: list[list[int]] = []
+        self.numbers: list[int] = []
         self.material_of: list[str] = []
         self._material = _NO_MATERIAL
 
-    def take(self, line: str) -> None:
-        match line.split():
-            case ["vt", u, *rest]:
-                self.places.append((float(u), float(rest[0]) if rest else 0.0))
-            case ["usemtl", *name]:
-                self._material = " ".join(name)
-            case ["f", *corners]:
-                self.corners.append([self._number(corner) for corner in corners])
-                self.material_of.append(self._material)
+    def take(self, key: str, rest: str) -> None:
+        if key == "vt":
+            u, *more = rest.split()
+            self.places.append((float(u), float(more[0]) if more else 0.0))
+        elif key == "usemtl":
+            self._material = rest.strip('"')
+        elif key == "f":
+            self.numbers += [self._number(corner) for corner in rest.split()]
+            self.material_of.append(self._material)
 
     def _number(self, corner: str) -> int:
         """The texture coordinates of a corner such as 3/7/2, which counts from 1, or backward; -1 if it has none."""
@@ -100,47 +117,80 @@ class _Coordinates:
         number = int(rest.partition("/")[0] or 0)
         return number - 1 if number > 0 else len(self.places) + number if number < 0 else -1
 
-    def assembled(self, names: list[str], materials: tuple[Material, ...]) -> ObjTexture:
+    def assembled(self, mesh: ObjMesh, names: list[str], materials: tuple[Material, ...]) -> ObjTexture:
         """A row per triangle; faces without coordinates have those of the image's corner."""
-        sizes = np.array([len(corners) for corners in self.corners])
-        numbers = np.array([number for corners in self.corners for number in corners])
+        numbers = np.array(self.numbers)
         if numbers.max() >= len(self.places):
             raise DataError(f"a face names texture coordinates {numbers.max() + 1}, but there are {len(self.places)}")
-        triangles = numbers[fan_triangles(sizes, np.arange(len(numbers)))]
         # The last row stands for corners without coordinates.
-        places = np.array([*self.places, (0.0, 1.0)])[triangles]
-        of_polygon = np.array([names.index(name) for name in self.material_of])
+        places = np.array([*self.places, (0.0, 1.0)])[numbers[mesh.triangles]]
+        number_of = {name: number for number, name in enumerate(names)}
+        of_polygon = np.array([number_of[name] for name in self.material_of])
+        material_of = np.repeat(of_polygon, mesh.sizes - 2)
+        scale, offset = (np.array([getattr(m, what) for m in materials])[material_of] for what in ("scale", "offset"))
+        places = places * scale[:, None] + offset[:, None]
         flipped = np.stack([places[..., 0], 1.0 - places[..., 1]], axis=-1)
-        return ObjTexture(flipped, np.repeat(of_polygon, np.maximum(sizes - 2, 0)), materials)
+        return ObjTexture(flipped, material_of, materials)
 
 
-def _lines(path: Path) -> list[str]:
-    return content_lines(read_text(path).replace("\\\r\n", " ").replace("\\\n", " "))
+def _library_files(folder: Path, words: str) -> list[Path]:
+    """The files of materials that a statement names: one whose name may hold blanks, or several.
+
+    Raises:
+        DataError: if one is not there.
+    """
+    whole = _beside(folder, words)
+    names = [words] if whole.is_file() else re.findall(r'"[^"]+"|\S.*?\.mtl(?=\s|$)', words, re.IGNORECASE) or [words]
+    files = [_beside(folder, name) for name in names]
+    for file in files:
+        if not file.is_file():
+            raise DataError(f"{file}, the materials of an OBJ file, is not there; put it beside that file")
+    return files
 
 
 def _materials(library: Path) -> dict[str, Material]:
     """The materials of an MTL file, by their names."""
-    if not library.is_file():
-        raise DataError(f"{library}, the materials of an OBJ file, is not there; put it beside that file")
     found, name = dict[str, Material](), _NO_MATERIAL
-    for line in _lines(library):
+    for key, rest in obj_statements(read_text(library)):
         before = found.get(name, Material())
-        match line.split():
-            case ["newmtl", *words]:
-                name = " ".join(words)
-                found[name] = Material()
-            case ["Kd", red, green, blue, *_]:
-                found[name] = Material(before.image, (float(red), float(green), float(blue)))
-            case ["map_Kd", *_]:
-                found[name] = Material(_image_file(library.parent, line.split(None, 1)[1]), before.colour)
+        if key == "newmtl":
+            name = rest.strip('"')
+            found[name] = Material()
+        elif key == "kd" and not rest.startswith(("spectral", "xyz")):
+            # One number stands for all three.
+            red, green, blue = [float(word) for word in (rest.split() * 3)[:3]]
+            found[name] = replace(before, colour=(red, green, blue))
+        elif key == "map_kd":
+            found[name] = _textured(before, rest, library.parent)
     return found
 
 
-def _image_file(folder: Path, words: str) -> Path:
-    """The file that a line names, beside the materials or below them; options come before its name."""
-    name = words.split()[-1] if words.startswith("-") else words
-    place = folder / name.replace("\\", "/")
-    return place if place.is_file() else folder / place.name
+def _textured(material: Material, words: str, folder: Path) -> Material:
+    """A material with the texture that a statement names, of whose options those that move coordinates are kept."""
+    moves, rest = {"s": material.scale, "o": material.offset}, words
+    while option := re.match(r"-(\w+)\s+", rest):
+        name = option[1].lower()
+        values = re.compile(_OPTIONS.get(name, r"\S+\s+")).match(rest, option.end())
+        if values is None:
+            break
+        if name in moves:
+            u, v, *_ = [float(word) for word in values[0].split()] + [1.0 if name == "s" else 0.0]
+            moves[name] = (u, v)
+        rest = rest[values.end() :]
+    return replace(material, image=_beside(folder, rest), scale=moves["s"], offset=moves["o"])
+
+
+def _beside(folder: Path, name: str) -> Path:
+    """The file of a name, beside another file or below it: in other case, or without its folders, if need be."""
+    place = folder / name.strip().strip('"').replace("\\", "/")
+    for candidate in (place, folder / place.name):
+        if candidate.is_file():
+            return candidate
+        if candidate.parent.is_dir():
+            alike = [file for file in candidate.parent.iterdir() if file.name.lower() == candidate.name.lower()]
+            if alike:
+                return min(alike)
+    return folder / place.name
 
 
 def write_obj(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -13,7 +12,8 @@ from scipy.spatial import cKDTree
 from homolog.core.errors import DataError
 from homolog.maps import rigid_motion
 from homolog.shapes import Shape
-from homolog.transfer.gltf import GltfReader
+from homolog.shapes.formats.gltf import Gltf, influences, parts
+from homolog.shapes.formats.parsing import UnreadableError
 from homolog.transfer.smooth_map import SurfaceMap
 
 INFLUENCES = 4
@@ -55,72 +55,48 @@ def read_skin(path: Path, shape: Shape) -> Skin | None:
     """
     if path.suffix.lower() not in (".glb", ".gltf"):
         return None
-    file = GltfReader(path)
-    skinned = [number for number, node in enumerate(file.nodes) if "skin" in node and "mesh" in node]
-    if not skinned:
-        return None
     try:
-        return _skin_of(file, file.nodes[skinned[0]]["skin"], skinned, shape)
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+        file = Gltf(path)
+        skinned = [number for number, node in enumerate(file.nodes) if "skin" in node and "mesh" in node]
+        return _skin_of(file, file.nodes[skinned[0]]["skin"], skinned, shape) if skinned else None
+    except (UnreadableError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
         raise DataError(f"{path}: its skin cannot be read ({error!r}); export it again") from None
 
 
-def _skin_of(file: GltfReader, number: int, skinned: list[int], shape: Shape) -> Skin:
-    skin = file.header["skins"][number]
-    joints: list[int] = list(skin["joints"])
+def _skin_of(file: Gltf, number: int, skinned: list[int], shape: Shape) -> Skin:
+    joints: list[int] = list(file.header["skins"][number]["joints"])
     nodes = [node for node in skinned if file.nodes[node]["skin"] == number]
     vertices, weights = _skinned_vertices(file, nodes, len(joints))
-    inverse = _inverse_binds(file, skin, len(joints))
-    # Joints in the bind pose, as the file's vertices are, whatever pose the nodes are in.
-    frames = file.world(nodes[0]) @ np.linalg.inv(inverse)
+    # The shape is as its joints pose it in the file.
+    frames = np.stack([file.world(joint) for joint in joints])
     names = tuple(str(file.nodes[joint].get("name", f"joint {joint}")) for joint in joints)
     return Skin(names, _parents(file, joints), _unscaled(frames), _at_points(shape, vertices, weights))
 
 
 def _skinned_vertices(
-    file: GltfReader, nodes: list[int], n_joints: int
+    file: Gltf, nodes: list[int], n_joints: int
 ) -> tuple[Float[np.ndarray, "v 3"], Float[np.ndarray, "v j"]]:
-    """The scene coordinates and skinning weights of the vertices of the nodes' meshes."""
+    """Where the vertices of the nodes' meshes lie in the scene, and each joint's share in moving them."""
     positions, weights = list[np.ndarray](), list[np.ndarray]()
-    for node in nodes:
-        world = file.world(node)
-        for primitive in file.header["meshes"][file.nodes[node]["mesh"]]["primitives"]:
-            attributes: dict[str, int] = primitive["attributes"]
-            if "JOINTS_0" not in attributes:
-                continue
-            local = file.accessor(attributes["POSITION"]).astype(np.float64)
-            positions.append(local @ world[:3, :3].T + world[:3, 3])
-            weights.append(_weights(file, attributes, len(local), n_joints))
+    for part in parts(file):
+        if part.node not in nodes or "JOINTS_0" not in part.primitive["attributes"] or not len(part.points):
+            continue
+        shares, rows = np.zeros((len(part.points), n_joints)), np.arange(len(part.points))
+        for joint, share in influences(file, part.primitive["attributes"]):
+            # A joint may occur twice, the second time with the weight zero.
+            np.add.at(shares, (rows, joint), share)
+        positions.append(part.points)
+        weights.append(shares)
     return np.concatenate(positions), np.concatenate(weights)
 
 
-def _weights(file: GltfReader, attributes: dict[str, int], count: int, n_joints: int) -> Float[np.ndarray, "v j"]:
-    found, rows, layer = np.zeros((count, n_joints)), np.arange(count), 0
-    while f"JOINTS_{layer}" in attributes:
-        joints = file.accessor(attributes[f"JOINTS_{layer}"]).astype(int)
-        weights = file.accessor(attributes[f"WEIGHTS_{layer}"]).astype(np.float64)
-        for joint, weight in zip(joints.T, weights.T, strict=True):
-            # A joint may occur twice, the second time with the weight zero.
-            np.add.at(found, (rows, joint), weight)
-        layer += 1
-    return found
-
-
-def _inverse_binds(file: GltfReader, skin: dict[str, Any], n_joints: int) -> Float[np.ndarray, "j 4 4"]:
-    if "inverseBindMatrices" not in skin:
-        return np.tile(np.eye(4), (n_joints, 1, 1))
-    return file.accessor(skin["inverseBindMatrices"]).astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
-
-
-def _parents(file: GltfReader, joints: list[int]) -> Int[np.ndarray, " j"]:
-    """The nearest ancestor of each joint that is a joint."""
-    above = file.parents
+def _parents(file: Gltf, joints: list[int]) -> Int[np.ndarray, " j"]:
+    """The nearest joint above each."""
     found = np.full(len(joints), -1)
     for number, joint in enumerate(joints):
-        file.world(joint)  # refuses circles
-        step = above.get(joint)
+        step = file.parents.get(joint)
         while step is not None and step not in joints:
-            step = above.get(step)
+            step = file.parents.get(step)
         found[number] = -1 if step is None else joints.index(step)
     return found
 
