@@ -3,6 +3,7 @@
 import weakref
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ PARTS = Protocol(partial=True, pre_aligned=True)
 
 @dataclass
 class Ready:
-    """What the stub prepares: the shape it was given."""
+    """What the stub preprocesses: the shape it was given."""
 
     shape: Shape
     modality: str
@@ -37,19 +38,23 @@ class Stub:
         self.back, self.forth = back, forth
         self.prepared, self.frames, self.matched = [], [], []
 
-    def prepare(self, shape, *, as_cloud=False, scale=None, centre=None):
+    def preprocess(self, shape, *, as_cloud=False, scale=None, centre=None):
         self.prepared.append(shape)
         self.frames.append((scale, centre))
         return Ready(shape, "cloud" if as_cloud else "mesh")
 
-    def route(self, source, target):
-        return "nearest-features"
+    def method_of(self, source, target):
+        return SimpleNamespace(name="nearest-features")
 
-    def match_prepared(self, source, target, *, partial=None):
-        self.matched.append((source.name, target.name, partial))
+    def paired(self, source, target, options):
+        return SimpleNamespace(source=source, target=target, options=options)
+
+    def find(self, pair):
+        source, target = pair.source, pair.target
+        self.matched.append((source.name, target.name, pair.options.partial))
         back = np.asarray(self.back(source, target))
         forth = np.zeros(source.shape.n_points, int) if self.forth is None else self.forth(source, target)
-        return Match(forth, back, np.zeros(len(forth)), np.ones(len(back)), "nearest-features")
+        return Match(source.shape, target.shape, forth, back, np.zeros(len(forth)), np.ones(len(back)))
 
 
 def distances_along_edges(shape):
@@ -231,15 +236,15 @@ def test_shapes_are_let_go_of_when_they_are_needed_no_more(views_set, modality):
     held, most = [], 0
 
     class Counting(Stub):
-        def prepare(self, shape, **options):
-            ready = super().prepare(shape, **options)
+        def preprocess(self, shape, **options):
+            ready = super().preprocess(shape, **options)
             held.append(weakref.ref(ready))
             return ready
 
-        def match_prepared(self, source, target, **options):
+        def find(self, pair):
             nonlocal most
             most = max(most, sum(ready() is not None for ready in held))
-            return super().match_prepared(source, target, **options)
+            return super().find(pair)
 
     pairs = folder.pairs("all")
     evaluate(
@@ -293,10 +298,10 @@ def test_clouds_are_shuffled_before_they_are_matched_and_scored_in_their_own_uni
         np.testing.assert_allclose(np.sort(pair.errors), np.sort(expected))
     figures = found.to_dict()
     assert figures["unit"] == "mm"
-    assert figures["mean_straight_error"] == pytest.approx(found.errors.mean())
-    assert figures["median_straight_error"] == pytest.approx(np.median(found.errors))
+    assert figures["mean_euclidean_error"] == pytest.approx(found.errors.mean())
+    assert figures["median_euclidean_error"] == pytest.approx(np.median(found.errors))
     assert not [key for key in figures if "geodesic" in key or "pck" in key]
-    assert "mean_straight_error" in figures["pairs"][0]
+    assert "mean_euclidean_error" in figures["pairs"][0]
 
 
 def test_the_numbering_of_clouds_gives_nothing_away(clouds_set):

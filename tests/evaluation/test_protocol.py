@@ -1,6 +1,7 @@
 """The protocol against a direct computation, with matchers that answer what they are told."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.datasets import ShapeFolder
-from homolog.evaluation import Evaluation, Protocol, evaluate, geodesic_errors
-from homolog.evaluation.protocol import PairErrors
+from homolog.evaluation import Evaluation, PairErrors, Protocol, evaluate, geodesic_errors
 from homolog.geometry import compute_operators
 from homolog.matching import MapQuality, Match, Matcher, Quality
 from homolog.pairs import MatcherSettings
@@ -77,8 +77,9 @@ def brute_force(shape, truth, mapped):
 
 @dataclass
 class Ready:
-    """What the stub prepares: the shape it was given."""
+    """What the stub preprocesses: the shape it was given."""
 
+    shape: Shape
     name: str
     modality: str
 
@@ -90,21 +91,33 @@ class Stub:
         self.answer, self.confidence = answer, confidence
         self.prepared, self.centres, self.matched, self.partial = [], [], [], []
 
-    def prepare(self, shape, *, as_cloud=False, scale=None, centre=None):
+    def preprocess(self, shape, *, as_cloud=False, scale=None, centre=None):
         self.prepared.append((shape, as_cloud, scale))
         self.centres.append(centre)
-        return Ready(shape.name.removesuffix(".off"), "cloud" if as_cloud else "mesh")
+        return Ready(shape, shape.name.removesuffix(".off"), "cloud" if as_cloud else "mesh")
 
-    def route(self, source, target):
-        return f"{source}, {target}"
+    def method_of(self, source, target):
+        return SimpleNamespace(name=f"{source}, {target}")
 
-    def match_prepared(self, source, target, *, partial=None):
+    def paired(self, source, target, options):
+        return SimpleNamespace(source=source, target=target, options=options)
+
+    def find(self, pair):
+        source, target = pair.source, pair.target
         self.matched.append((source.name, target.name))
-        self.partial.append(partial)
+        self.partial.append(pair.options.partial)
         back = np.asarray(self.answer(source.name, target.name))
+        more = target.shape.n_points - len(back)  # points that are no vertex of the base
         confidence = np.ones(len(back)) if self.confidence is None else self.confidence(source.name, target.name)
-        nonsense = np.zeros(BASE_POINTS, int)
-        return Match(nonsense, back, np.zeros(BASE_POINTS), confidence, "nearest-features")
+        nonsense = np.zeros(source.shape.n_points, int)
+        return Match(
+            source.shape,
+            target.shape,
+            nonsense,
+            np.append(back, np.full(more, -1)),
+            np.zeros(len(nonsense)),
+            np.append(confidence, np.zeros(more)),
+        )
 
 
 ALL = Protocol(split="all")
@@ -178,8 +191,8 @@ def test_figures_pool_all_points_of_all_pairs(family, shifted):
     for entry, part in zip(figures["pairs"], parts, strict=True):
         assert entry["points"] == len(part)
         assert entry["mean_geodesic_error"] == pytest.approx(100 * part.mean())
-    assert set(figures["seconds"]) == {"prepare", "match", "measure", "total"}
-    assert figures["seconds"]["total"] >= max(figures["seconds"][key] for key in ("prepare", "match", "measure"))
+    assert set(figures["seconds"]) == {"preprocess", "match", "measure", "total"}
+    assert figures["seconds"]["total"] >= max(figures["seconds"][key] for key in ("preprocess", "match", "measure"))
 
 
 def test_confidences_are_those_of_the_points_measured(family, shifted):
@@ -195,18 +208,33 @@ def test_confidences_are_those_of_the_points_measured(family, shifted):
     assert shares[1] == 0
 
 
-def test_points_without_a_match_are_counted_and_left_out(family, shifted):
+def test_points_without_a_match_count_as_the_diameter(family, shifted):
+    """And the mean over matched points alone stands beside."""
+
     def with_gaps(source, target):
         return np.where(np.arange(BASE_POINTS) % 4 == 1, -1, shifted(source, target))
 
     found = evaluate(Stub(with_gaps), family.folder, ALL)
-    unmatched = 0
+    diameters, matched = {name: diameter(shape) for name, shape in family.shapes.items()}, []
     for pair, expected in zip(found.pairs, expected_errors(family, shifted, family.folder.pairs("all")), strict=True):
         left = family.folder.template_correspondence(pair.pair[1]) % 4 != 1
-        np.testing.assert_allclose(pair.errors, expected[left])
-        assert len(pair.confidences) == len(pair.errors)
-        unmatched += np.sum(~left)
-    assert found.unmatched_points == found.to_dict()["unmatched_points"] == unmatched > 0
+        np.testing.assert_array_equal(pair.matched, left)
+        np.testing.assert_allclose(pair.errors[left], expected[left])
+        np.testing.assert_allclose(pair.errors[~left], diameters[pair.pair[0]], rtol=0.02)
+        assert len(pair.confidences) == len(pair.errors) == len(expected)
+        matched.append(expected[left])
+    figures, errors = found.to_dict(), np.concatenate(matched)
+    assert figures["unmatched_points"] == np.sum(~found.matched) == len(found.errors) - len(errors) > 0
+    assert figures["mean_geodesic_error_of_matched_points"] == pytest.approx(100 * errors.mean())
+    assert figures["mean_geodesic_error"] == pytest.approx(100 * found.errors.mean())
+    assert figures["mean_geodesic_error"] > 1.2 * figures["mean_geodesic_error_of_matched_points"]
+
+
+def diameter(shape):
+    """The largest distance along edges between any two points, from all pairs."""
+    everything = np.arange(shape.n_points)
+    first, second = (grid.ravel() for grid in np.meshgrid(everything, everything))
+    return brute_force(shape, first, second).max()
 
 
 def test_no_match_at_all_is_said_and_is_no_score(family):
@@ -250,7 +278,7 @@ def test_every_shape_is_prepared_once_per_role_that_differs(family, modality, no
             np.testing.assert_array_equal(shape.points, family.shapes[name].points)
     assert counts == expected
     source, _, target = modality.partition("-to-")
-    assert found.route == f"{source}, {target or source}"
+    assert found.method == f"{source}, {target or source}"
 
 
 def noise_of(family, protocol):
@@ -326,7 +354,7 @@ def test_pairs_file(family, tmp_path):
 
 @pytest.mark.parametrize("modality", ["mesh", "cloud", "mesh-to-cloud"])
 def test_the_real_matcher_takes_the_same_road(make, tmp_path, modality):
-    """Relabelled copies of one blob: the axiomatic route finds nearly every point."""
+    """Relabelled copies of one blob: the axiomatic method finds nearly every point."""
     blob = make.blob(3)
     (tmp_path / "off").mkdir()
     (tmp_path / "corres").mkdir()
@@ -337,7 +365,7 @@ def test_the_real_matcher_takes_the_same_road(make, tmp_path, modality):
         (tmp_path / "corres" / f"{name}.vts").write_text("\n".join(map(str, np.argsort(order) + 1)))
     matcher = Matcher(settings=MatcherSettings(method="axiomatic"), device="cpu", operators=compute_operators)
     figures = evaluate(matcher, ShapeFolder.open(tmp_path), Protocol(modality=modality)).to_dict()
-    assert figures["route"] == "axiomatic"
+    assert figures["method"] == "axiomatic"
     assert len(figures["pairs"]) == 4
     assert figures["mean_geodesic_error"] < 0.5
     assert figures["pck_auc"] > 0.98
@@ -349,7 +377,7 @@ def soiled(shape):
     points = np.concatenate([shape.points, [[np.nan] * 3, [1e7, 0, 0]], shape.points[:1]])
     second = np.where(shape.faces[:9] == 0, n + 2, shape.faces[:9])
     faces = [*second, *shape.faces[9:], [0, 1, n + 3], [1, 2, n], [0, 1, n + 2], [5, 5, 6]]
-    return Shape(points, faces, name=shape.name)
+    return Shape(points, faces, name=shape.name, allow_broken=True)
 
 
 @pytest.fixture
@@ -380,8 +408,8 @@ def test_errors_are_those_on_the_repaired_shape(family, soiled_folder, shifted):
 def test_pairs_are_matched_as_by_themselves(soiled_folder, monkeypatch, modality, as_cloud):
     matcher, found = Matcher(settings=MatcherSettings(method="axiomatic"), device="cpu"), []
     expected = matcher.match(soiled_folder.shape("a"), soiled_folder.shape("b"), as_cloud=as_cloud)
-    match = Matcher.match_prepared
-    monkeypatch.setattr(Matcher, "match_prepared", lambda *given: found.append(match(*given)) or found[-1])
+    find = Matcher.find
+    monkeypatch.setattr(Matcher, "find", lambda *given: found.append(find(*given)) or found[-1])
     (soiled_folder.root / "pairs.txt").write_text("a,b\n")
     evaluate(matcher, soiled_folder, Protocol(modality=modality))
     np.testing.assert_array_equal(found[0].target_to_source, expected.target_to_source)
@@ -527,7 +555,7 @@ def test_common_points_that_a_part_lacks_are_not_scored(family, tmp_path):
     for pair in whole.pairs:
         if pair.pair in (("a", "b"), ("b", "a")):
             assert np.array_equal(by_pair[pair.pair].errors, pair.errors[kept])
-    assert found.unmatched_points == 0
+    assert found.matched.all()
 
 
 def test_unequal_numbers_of_lines(family, tmp_path):
@@ -573,12 +601,13 @@ def test_who_is_a_cloud(modality, source, target):
 def pair_of(error, confidence, *, flipped=None):
     """A pair of two points with this mean error; coverage is the same for all, energy grows with the error."""
     side = Quality(1.0, 0.1 if error < 5 else 0.05, error**3, flipped, confidence)
-    return PairErrors(("a", "b"), np.array([error - 0.5, error + 0.5]), np.ones(2), quality=MapQuality(side, side))
+    errors = np.array([error - 0.5, error + 0.5])
+    return PairErrors(("a", "b"), errors, np.ones(2, bool), np.ones(2), quality=MapQuality(side, side))
 
 
 def test_figures_of_quality_are_ranked_against_the_errors():
     errors = np.random.default_rng(0).permutation(12) + 1.0
-    found = Evaluation(tuple(pair_of(error, -np.exp(error)) for error in errors), "nearest-features", 0, {})
+    found = Evaluation(tuple(pair_of(error, -np.exp(error)) for error in errors), "nearest-features", {})
     correlations = found.to_dict()["quality_rank_correlations"]
     assert correlations["dirichlet_energy"] == pytest.approx(1)
     assert correlations["confidence"] == pytest.approx(-1)
@@ -590,7 +619,7 @@ def test_figures_of_quality_are_ranked_against_the_errors():
 
 
 def test_few_pairs_are_not_ranked_nor_those_that_say_nothing(family):
-    few = Evaluation(tuple(pair_of(error, 0.5) for error in np.arange(1.0, 10)), "nearest-features", 0, {})
+    few = Evaluation(tuple(pair_of(error, 0.5) for error in np.arange(1.0, 10)), "nearest-features", {})
     assert "quality_rank_correlations" not in few.to_dict()
     silent = evaluate(Stub(family.truth), family.folder, ALL).to_dict()
     assert "quality" not in silent["pairs"][0]

@@ -352,7 +352,8 @@ def test_an_unknown_gradient_product_is_refused() -> None:
 @pytest.mark.reference
 @pytest.mark.parametrize("which", ["x_mesh", "y_mesh", "x_cloud", "y_cloud"])
 def test_features_are_those_of_the_published_code(which: str, reference, faust, stored_operators) -> None:
-    network, info = load_weights(reference / "surreal.pth")
+    found = load_weights(reference / "surreal.pth")
+    network, info = found.network, found.info
     assert network.settings == NetworkSettings(gradient_product="published") and info.name == "surreal"
     operators = stored_operators(which)
     with torch.inference_mode():

@@ -24,7 +24,7 @@ from homolog.features import (
     save_weights,
 )
 
-SMALL = NetworkSettings(in_channels=5, out_channels=4, width=6, blocks=2, dropout=0.25)
+SMALL = NetworkSettings(in_channels=3, out_channels=4, width=6, blocks=2, dropout=0.25)
 INFO = FeatureInfo(name="bones", licence="CC0-1.0", upright=False, n_eigenpairs=64, map_eigenpairs=30, temperature=0.05)
 
 
@@ -66,7 +66,8 @@ def refuses(path: Path, words: str | None = None) -> None:
 
 
 def test_weights_settings_and_info_come_back(saved: Path) -> None:
-    network, info = load_weights(saved)
+    found = load_weights(saved)
+    network, info = found.network, found.info
     assert network.settings == SMALL and info == INFO and info.sha256 == sha256(saved)
     assert not network.training
     expected = network_of().state_dict()
@@ -79,38 +80,26 @@ def test_the_same_network_and_info_give_the_same_bytes(saved: Path, tmp_path: Pa
     for _ in range(8):  # the order of notes would change from one call to the next
         save_weights(saved, network_of(), INFO)
         assert saved.read_bytes() == first
-    save_weights(tmp_path / "again.safetensors", *load_weights(saved))
+    found = load_weights(saved)
+    save_weights(tmp_path / "again.safetensors", found.network, found.info)
     assert (tmp_path / "again.safetensors").read_bytes() == first
     assert int.from_bytes(first[:8], "little") % 8 == 0
 
 
 def test_optional_keys_of_a_newer_version_are_ignored_and_absent_ones_are_the_defaults(saved: Path) -> None:
     stored = {"name": "bones", "licence": "CC0-1.0", "symmetric": True}
-    network, info = load_weights(rewritten(saved, info=json.dumps(stored)))
-    assert info == FeatureInfo(name="bones", licence="CC0-1.0") and info.temperature == 0.1
-    assert network.settings == SMALL
+    found = load_weights(rewritten(saved, info=json.dumps(stored)))
+    assert found.info == FeatureInfo(name="bones", licence="CC0-1.0") and found.info.temperature == 0.1
+    assert found.network.settings == SMALL
 
 
 def test_saving_again_replaces_the_file_and_leaves_nothing_else(saved: Path) -> None:
     other = DiffusionNet(NetworkSettings(width=3))
     save_weights(saved, other, FeatureInfo())
-    assert load_weights(saved)[0].settings.width == 3
+    assert load_weights(saved).network.settings.width == 3
     assert [path.name for path in saved.parent.iterdir()] == [saved.name]
     with pytest.raises(ArgumentError, match="does not exist"):
         save_weights(saved.parent / "nowhere" / "w.safetensors", other, FeatureInfo())
-
-
-def test_a_published_checkpoint_is_read_by_its_own_names(tmp_path: Path) -> None:
-    network = network_of()
-    path = tmp_path / "theirs.pth"
-    torch.save({"networks": {"feature_extractor": as_published(network)}}, path)
-    found, info = load_weights(path)
-    assert found.settings == NetworkSettings(
-        in_channels=5, out_channels=4, width=6, blocks=2, gradient_product="published"
-    )
-    assert info.name == "theirs" and info.sha256 == sha256(path) and not found.training
-    expected = network.state_dict()
-    assert all(torch.equal(tensor, expected[name]) for name, tensor in found.state_dict().items())
 
 
 def test_a_missing_file_or_a_folder_is_refused(tmp_path: Path) -> None:
@@ -273,7 +262,7 @@ def test_weights_that_ship_load_and_say_their_terms() -> None:
     shipped = pretrained_weights()
     assert DEFAULT_WEIGHTS in shipped
     for name, file in shipped.items():
-        _, info = load_weights(name)
+        info = load_weights(name).info
         assert (info.name, info.licence) == (name, "CC0-1.0")
         assert file.stat().st_size < 5_000_000
         assert file.name in (file.parent / "LICENSE.md").read_text(encoding="utf-8")

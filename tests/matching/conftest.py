@@ -111,8 +111,8 @@ def build(network: DiffusionNet, tmp_path_factory: pytest.TempPathFactory) -> Bu
     """Make a matcher for a method; operators are kept between tests unless others are given."""
     cache = OperatorCache(tmp_path_factory.mktemp("operators"))
 
-    def build(method="auto", *, with_network=True, info=INFO, operators=cache.operators, kind=Matcher):
+    def build(method="auto", *, with_network=True, info=INFO, operators=cache.operators):
         given = (network, info) if with_network else ()
-        return kind(*given, settings=MatcherSettings(method=method), device="cpu", operators=operators)
+        return Matcher(*given, settings=MatcherSettings(method=method), device="cpu", operators=operators)
 
     return build

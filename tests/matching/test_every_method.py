@@ -10,6 +10,7 @@ from homolog.matching import Match
 from homolog.shapes import Shape
 
 METHODS = ("functional-map", "nearest-features", "registration", "axiomatic")
+NEED_NO_WEIGHTS = ("registration", "axiomatic")
 MODALITIES = ("mm", "cc", "mc", "cm")
 CASES = list(itertools.product(METHODS, MODALITIES))
 every_case = pytest.mark.parametrize(("method", "modality"), CASES)
@@ -63,7 +64,7 @@ def test_result_is_well_formed(results, blobs, method, modality):
         assert confidences.min() >= 0
         assert confidences.max() <= 1
         assert len(np.unique(indices)) > 50
-    assert found.route == method
+    assert found.method == method
     assert found.warnings == ()
 
 
@@ -151,10 +152,10 @@ def test_swapping_the_shapes_swaps_the_maps(results, build, blobs, method, modal
 
 @pytest.mark.parametrize("modality", MODALITIES)
 @pytest.mark.parametrize("with_network", [True, False])
-def test_auto_is_the_method_it_routes_to(results, build, blobs, with_network, modality):
+def test_auto_is_the_method_it_chooses(results, build, blobs, with_network, modality):
     expected = ("functional-map" if modality == "mm" else "nearest-features") if with_network else "axiomatic"
     found = build("auto", with_network=with_network).match(*blobs.of(modality))
-    assert found.route == expected
+    assert found.method == expected
     assert same_bits(found, results[expected, modality])
 
 
@@ -163,12 +164,14 @@ def test_without_need_the_network_is_left_alone(results, build, blobs, method):
     assert same_bits(build(method, with_network=False).match(*blobs.of("mm")), results[method, "mm"])
 
 
-def test_swapped_exchanges_everything(results):
+def test_the_inverse_exchanges_everything(results):
     plain = results["nearest-features", "mc"]
     inverse = plain.inverse()
+    assert inverse.source is plain.target
+    assert inverse.target is plain.source
     assert inverse.source_to_target is plain.target_to_source
     assert inverse.target_to_source is plain.source_to_target
     assert inverse.source_confidence is plain.target_confidence
     assert inverse.target_confidence is plain.source_confidence
-    assert inverse.route == plain.route
+    assert inverse.method == plain.method
     assert same_bits(inverse.inverse(), plain)

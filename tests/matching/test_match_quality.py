@@ -45,7 +45,7 @@ def test_the_mean_is_that_of_both_sides():
 
 
 def test_a_shape_is_covered_by_the_map_from_the_other(build, blobs):
-    source, target = (build().prepare(shape) for shape in blobs.of("cc"))
+    source, target = (build().preprocess(shape) for shape in blobs.of("cc"))
     there, nowhere = torch.from_numpy(blobs.source_to_target), torch.zeros(blobs.target.n_points, dtype=torch.long)
     assert quality(source, target, there, nowhere, torch.ones(len(there))).coverage < 0.2
     assert quality(target, source, nowhere, there, torch.ones(len(nowhere))).coverage > 0.9

@@ -1,12 +1,10 @@
-"""The matcher's settings, routes, steps and complaints."""
+"""The matcher's settings, choice of method, steps and complaints."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from homolog.matching.checks import doubts
 
 from homolog.core.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.core.progress import Steps
@@ -14,35 +12,44 @@ from homolog.features import FeatureInfo
 from homolog.features import weights as weights_module
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.maps import normalised, sinkhorn_matches
-from homolog.matching import MapQuality, Match, Matcher, Quality
-from homolog.matching import matcher as matcher_module
-from homolog.pairs import MatcherSettings, choose_device
+from homolog.matching import MapQuality, Match, Matcher, Quality, low_confidence_warnings
+from homolog.matching import orientation as orientation_module
+from homolog.methods.functional_map import functional_maps
+from homolog.pairs import (
+    AlignmentSettings,
+    AxiomaticSettings,
+    FunctionalMapSettings,
+    MatcherSettings,
+    PairOptions,
+    SoftMapSettings,
+    choose_device,
+)
 from homolog.shapes import Shape
 
 PAIRS = [("mesh", "mesh"), ("cloud", "cloud"), ("mesh", "cloud"), ("cloud", "mesh")]
 
 
 @pytest.mark.parametrize(("source", "target"), PAIRS)
-def test_route_per_modality(build, source, target):
+def test_method_per_modality(build, source, target):
     with_clouds = "cloud" in (source, target)
-    assert build("auto").route(source, target) == ("nearest-features" if with_clouds else "functional-map")
-    assert build("auto", with_network=False).route(source, target) == "axiomatic"
+    assert build("auto").method_of(source, target).name == ("nearest-features" if with_clouds else "functional-map")
+    assert build("auto", with_network=False).method_of(source, target).name == "axiomatic"
     for method in ("functional-map", "nearest-features", "registration", "axiomatic"):
-        assert build(method).route(source, target) == method
+        assert build(method).method_of(source, target).name == method
 
 
 def test_features_alone_say_what_goes_where_on_shapes_that_are_not_nearly_isometric(build, blobs):
     info = FeatureInfo(upright=False, map_eigenpairs=40, near_isometric=False)
     found = build(info=info).match(blobs.source, blobs.target)
-    assert found.route == "nearest-features"
+    assert found.method == "nearest-features"
     matcher = build()
-    features = (normalised(matcher.prepare(shape).features) for shape in (blobs.target, blobs.source))
+    features = (normalised(matcher.preprocess(shape).features) for shape in (blobs.target, blobs.source))
     soft = sinkhorn_matches(*features, temperature=0.1, iterations=10)
     np.testing.assert_array_equal(found.target_to_source, soft.y_to_x)
     np.testing.assert_array_equal(found.source_to_target, soft.x_to_y)
-    # A route that is asked for is taken, and not refined either.
+    # A method that is asked for is taken, and not refined either.
     unrefined = build("functional-map", info=info).match(blobs.source, blobs.target)
-    assert unrefined.route == "functional-map"
+    assert unrefined.method == "functional-map"
     assert (
         unrefined.target_to_source != build("functional-map").match(blobs.source, blobs.target).target_to_source
     ).any()
@@ -66,22 +73,21 @@ def test_as_cloud_leaves_the_faces_out_and_keeps_their_scale(build, blobs, as_cl
             assert scale == pytest.approx(unit_frame(given).scale, rel=1e-12)
         else:
             np.testing.assert_array_equal(used.faces, given.faces)
-    assert found.route == ("nearest-features" if method == "auto" else "axiomatic")
+    assert found.method == ("nearest-features" if method == "auto" else "axiomatic")
     assert len(found.source_to_target) == blobs.source.n_points
 
 
 def test_as_cloud_keeps_the_points_that_no_face_uses(build, blobs):
     """Faces of a small part alone say nothing about the cloud, its scale included."""
     few = Shape(blobs.source.points, blobs.source.faces[:20], name="few")
-    prepared = build("nearest-features").prepare(few, as_cloud=True)
+    prepared = build("nearest-features").preprocess(few, as_cloud=True)
     assert prepared.repaired.shape.n_points == blobs.source.n_points and prepared.n_left_out == 0
     assert prepared.operators.scale == pytest.approx(unit_frame(blobs.source.as_cloud()).scale)
 
 
 def test_how_parts_stand_is_not_judged_by_their_features(build, blobs, monkeypatch):
-    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
-    matcher = build("nearest-features")
-    matcher.info = replace(matcher.info, upright=True)
+    monkeypatch.setattr(orientation_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
+    matcher = build("nearest-features", info=FeatureInfo(upright=True, map_eigenpairs=40))
     whole, part = (matcher.match(blobs.source, blobs.target, partial=side) for side in (None, "target"))
     assert "it lies on its side" in whole.warnings
     assert "it lies on its side" not in part.warnings
@@ -95,46 +101,50 @@ def test_as_cloud_of_a_cloud_is_the_cloud(build, blobs):
 
 def test_prepared_shapes_can_be_matched_again(build, blobs):
     matcher = build("functional-map")
-    source, target = matcher.prepare(blobs.source), matcher.prepare(blobs.target)
+    source, target = matcher.preprocess(blobs.source), matcher.preprocess(blobs.target)
     assert (source.modality, target.modality) == ("mesh", "mesh")
     assert source.features.shape == (480, 64)
-    assert matcher.prepare(blobs.source, as_cloud=True).modality == "cloud"
+    assert matcher.preprocess(blobs.source, as_cloud=True).modality == "cloud"
     plain = matcher.match(blobs.source, blobs.target)
     for _ in range(2):
-        found = matcher.match_prepared(source, target)
+        found = matcher.find(matcher.paired(source, target))
         np.testing.assert_array_equal(found.source_to_target, plain.source_to_target)
         np.testing.assert_array_equal(found.target_confidence, plain.target_confidence)
 
 
 def test_functional_maps_have_the_size_asked_for(build, blobs, network):
-    def size(partial=False, of_parts=False, **settings):
+    def size(partial=None, of_parts=False, **settings):
         info = FeatureInfo(map_eigenpairs=40, partial=of_parts)
-        matcher = Matcher(network, info, settings=MatcherSettings(**settings), device="cpu")
-        prepared = [matcher.prepare(shape) for shape in (blobs.source, blobs.target)]
-        c_st, c_ts = matcher.functional_maps(*prepared, partial=partial)
-        assert c_st.shape == c_ts.shape == c_ts.mT.shape
-        return c_st.shape[0]
+        settings = MatcherSettings(functional_map=FunctionalMapSettings(**settings))
+        matcher = Matcher(network, info, settings=settings, device="cpu")
+        prepared = [matcher.preprocess(shape) for shape in (blobs.source, blobs.target)]
+        pair = matcher.paired(*prepared, PairOptions(partial=partial))
+        c_xy, c_yx = functional_maps(pair)
+        assert c_xy.shape == c_yx.shape == c_yx.mT.shape
+        assert pair.map_size == len(c_xy)
+        return c_xy.shape[0]
 
     assert size() == 40
-    assert size(map_eigenpairs=25) == 25
-    assert size(map_eigenpairs=25, partial=True, partial_eigenpairs=30) == 30
-    assert size(partial=True) == 50
-    assert size(partial=True, of_parts=True) == 40
+    assert size(n_eigenpairs=25) == 25
+    for partial in ("source", "target"):
+        assert size(n_eigenpairs=25, partial=partial, n_eigenpairs_partial=30) == 30
+        assert size(partial=partial) == 50
+        assert size(partial=partial, of_parts=True) == 40
 
 
 def test_operators_are_those_that_the_weights_were_trained_with(network):
     info = FeatureInfo(n_eigenpairs=60, laplacian="cotangent", n_neighbours=20)
-    assert Matcher(network, info, device="cpu").operator_settings == OperatorSettings(60, "cotangent", 20)
+    assert Matcher(network, info, device="cpu").preprocess.settings == OperatorSettings(60, "cotangent", 20)
     own = OperatorSettings(30)
     settings = MatcherSettings(operators=own)
-    assert Matcher(network, info, settings=settings, device="cpu").operator_settings == own
+    assert Matcher(network, info, settings=settings, device="cpu").preprocess.settings == own
 
 
 def test_a_functional_map_takes_functions_from_source_to_target(build, blobs):
     """Direction: ``c_st`` carries the source's coordinates to those of the target's true counterparts."""
     matcher = build("functional-map")
-    source, target = (matcher.prepare(shape).operators for shape in (blobs.source, blobs.target))
-    c_st, _ = matcher.functional_maps(matcher.prepare(blobs.source), matcher.prepare(blobs.target))
+    source, target = (matcher.preprocess(shape).operators for shape in (blobs.source, blobs.target))
+    c_st, _ = functional_maps(matcher.paired(*map(matcher.preprocess, (blobs.source, blobs.target))))
     heights = torch.from_numpy(blobs.source.points[:, 1].astype(np.float32))
     carried = target.truncated(40).eigenvectors @ c_st @ source.truncated(40).coefficients(heights[:, None])
     expected = heights[torch.from_numpy(blobs.target_to_source)]
@@ -143,16 +153,18 @@ def test_a_functional_map_takes_functions_from_source_to_target(build, blobs):
 
 def test_raw_products_skip_the_normalisation(build, blobs, network):
     """Between two clouds with features stretched point by point, only normalised ones give the same map."""
-    source, target = (build("nearest-features").prepare(shape) for shape in blobs.of("cc"))
+    source, target = (build("nearest-features").preprocess(shape) for shape in blobs.of("cc"))
     by_length = {}
     shuffled = torch.randperm(len(source.features), generator=torch.Generator().manual_seed(0))
     for raw in (False, True):
-        settings = MatcherSettings(method="nearest-features", raw_products=raw)
+        settings = MatcherSettings(method="nearest-features", soft_map=SoftMapSettings(normalise=not raw))
         matcher = Matcher(network, FeatureInfo(upright=False), settings=settings, device="cpu")
+        method = matcher.method_of("cloud", "cloud")
         stretch = torch.logspace(-1, 0.5, len(source.features))[shuffled, None]
-        stretched = type(source)(source.repaired, source.operators, source.features * stretch)
-        plain, found = (matcher.point_maps(each, target, partial=True) for each in (source, stretched))
-        by_length[raw] = (plain.target_to_source == found.target_to_source).float().mean()
+        stretched = replace(source, features=source.features * stretch)
+        options = PairOptions(partial="target")
+        plain, found = (method(matcher.paired(each, target, options)) for each in (source, stretched))
+        by_length[raw] = (plain.y_to_x == found.y_to_x).float().mean()
     assert by_length[False] > 0.99
     assert by_length[True] < 0.8
 
@@ -175,9 +187,9 @@ def test_steps_are_measured_in_order(build, blobs):
 
 def test_weights_from_a_file(build, blobs, weights):
     matcher = Matcher.from_weights(weights, device="cpu")
-    assert matcher.info.map_eigenpairs == 40
-    assert not matcher.info.upright
-    assert not matcher.network.training
+    assert matcher.extractor.info.map_eigenpairs == 40
+    assert not matcher.extractor.info.upright
+    assert not matcher.extractor.network.training
     plain, found = build("auto").match(*blobs.of("mm")), matcher.match(*blobs.of("mm"))
     np.testing.assert_array_equal(found.source_to_target, plain.source_to_target)
 
@@ -190,7 +202,7 @@ def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method
         asked.append((source.name, target.name, scales, ups, device))
         return ["it lies on its side"]
 
-    monkeypatch.setattr(matcher_module, "orientation_warnings", one_warning)
+    monkeypatch.setattr(orientation_module, "orientation_warnings", one_warning)
     matcher = build(method, info=FeatureInfo(upright=True, map_eigenpairs=40))
     found = matcher.match(blobs.source, blobs.target, source_up="x", target_up="z")
     assert found.warnings[0] == "it lies on its side"
@@ -198,42 +210,49 @@ def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method
     assert asked == [("source", "target", scales, ("x", "z"), torch.device("cpu"))]
 
 
-def test_doubts_are_the_same_either_way_round_and_pass_over_points_without_a_counterpart():
+def test_warnings_of_low_confidence_are_the_same_either_way_round_and_pass_over_points_without_a_counterpart():
     """Three of four source points have none; the others and all target points are trusted."""
     found = Match(
+        Shape(np.eye(4, 3)),
+        Shape(np.eye(2, 3)),
         source_to_target=np.array([0, -1, -1, -1]),
         target_to_source=np.array([0, 0]),
         source_confidence=np.array([0.9, 0, 0, 0]),
         target_confidence=np.array([0.9, 0.8]),
-        route="nearest-features",
+        method="nearest-features",
     )
-    assert doubts(found) == doubts(found.inverse()) == ()
+    assert low_confidence_warnings(found) == low_confidence_warnings(found.inverse()) == ()
     unsure = replace(found, target_confidence=np.array([0.1, 0.2]))
-    assert "doubtful" in doubts(unsure)[0] and "doubtful" in doubts(unsure.inverse())[0]
+    assert (
+        "doubtful" in low_confidence_warnings(unsure)[0] and "doubtful" in low_confidence_warnings(unsure.inverse())[0]
+    )
 
 
 def test_maps_that_tear_are_doubted_however_sure_they_are():
     side = Quality(coverage=0.98, cycle_error=0.01, dirichlet_energy=2.0, flipped_triangles=0.05, confidence=0.9)
-    sure = Match(np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), route="nearest-features")
+    shape = Shape(np.eye(2, 3))
+    sure = Match(
+        shape, shape, np.zeros(2, int), np.zeros(2, int), np.full(2, 0.9), np.full(2, 0.9), method="nearest-features"
+    )
     torn = replace(side, dirichlet_energy=20.0)
-    assert doubts(sure) == doubts(replace(sure, quality=MapQuality(side, side))) == ()
+    assert low_confidence_warnings(sure) == low_confidence_warnings(replace(sure, quality=MapQuality(side, side))) == ()
     for quality in (MapQuality(torn, side), MapQuality(side, torn), MapQuality(None, torn)):
-        (warning,) = doubts(replace(sure, quality=quality))
+        (warning,) = low_confidence_warnings(replace(sure, quality=quality))
         assert "tears the shapes (Dirichlet energy" in warning
     unsure = replace(sure, source_confidence=np.zeros(2), quality=MapQuality(torn, torn))
-    assert len(doubts(unsure)) == 1  # one warning is enough
+    assert len(low_confidence_warnings(unsure)) == 1  # one warning is enough
 
 
 def test_orientation_does_not_matter_to_all_weights(build, blobs, monkeypatch):
-    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
+    monkeypatch.setattr(orientation_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
     for method in ("auto", "functional-map", "nearest-features"):
         assert build(method).match(blobs.source, blobs.target).warnings == ()
 
 
-def test_the_axiomatic_route_warns_by_its_own_lights(build, blobs, monkeypatch):
-    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args, **kwargs: ["the network's view"])
+def test_the_axiomatic_method_warns_by_its_own_lights(build, blobs, monkeypatch):
+    monkeypatch.setattr(orientation_module, "orientation_warnings", lambda *args, **kwargs: ["the network's view"])
     monkeypatch.setattr(
-        matcher_module, "axiomatic_warnings", lambda source, target, *, ups: [f"{len(source.points)} turned {ups}"]
+        orientation_module, "axiomatic_warnings", lambda source, target, *, ups: [f"{len(source.points)} turned {ups}"]
     )
     for matcher in (build("axiomatic", info=FeatureInfo(upright=True)), build("auto", with_network=False)):
         found = matcher.match(blobs.source, blobs.target, target_up="x")
@@ -245,7 +264,7 @@ def test_operators_are_those_the_weights_were_trained_with(blobs, network, given
     """Unless the settings say otherwise."""
     info = FeatureInfo(n_eigenpairs=60, upright=False)
     matcher = Matcher(network, info, settings=MatcherSettings(operators=given), device="cpu")
-    assert matcher.prepare(blobs.source).operators.n_eigenpairs == (50 if given else 60)
+    assert matcher.preprocess(blobs.source).operators.n_eigenpairs == (50 if given else 60)
 
 
 @pytest.mark.parametrize("method", ["functional-map", "nearest-features"])
@@ -258,10 +277,10 @@ def test_methods_that_need_weights(method):
     ("call", "words"),
     [
         (
-            lambda m, s: MatcherSettings(method="nearest-feature"),
+            lambda m, s: Matcher(settings=MatcherSettings(method="nearest-feature")),
             ["method is 'nearest-feature'", "did you mean 'nearest-features'?"],
         ),
-        (lambda m, s: MatcherSettings(method="funtional-map"), ["did you mean 'functional-map'?"]),
+        (lambda m, s: Matcher(settings=MatcherSettings(method="funtional-map")), ["did you mean 'functional-map'?"]),
         (lambda m, s: Matcher(device="cude"), ["device is 'cude'", "did you mean 'cuda'?"]),
         (lambda m, s: choose_device("gpu9"), ["device is 'gpu9'", "auto, cpu, cuda"]),
         (lambda m, s: m.match(s, s, partial="sorce"), ["partial is 'sorce'", "did you mean 'source'?"]),
@@ -270,7 +289,7 @@ def test_methods_that_need_weights(method):
         (lambda m, s: m.match(s, s, target_up=None), ["target_up is 'None'"]),
         (lambda m, s: m.match(s, s, as_cloud="sorce"), ["as_cloud is 'sorce'", "did you mean 'source'?"]),
         (
-            lambda m, s: m.match_prepared(m.prepare(s), m.prepare(s), partial="targt"),
+            lambda m, s: m.paired(m.preprocess(s), m.preprocess(s), PairOptions(partial="targt")),
             ["partial is 'targt'", "did you mean 'target'?"],
         ),
     ],
@@ -286,34 +305,46 @@ def test_words_that_are_not_choices(build, blobs, call, words):
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("make_settings", "said"),
     [
-        ({"method": None}, "method is 'None', but must be one of"),
-        ({"map_eigenpairs": 0}, "map_eigenpairs is 0, but must be a whole number of at least 1, or None"),
-        ({"map_eigenpairs": 40.0}, "map_eigenpairs is 40.0"),
-        ({"partial_eigenpairs": 0}, "partial_eigenpairs is 0, but must be a whole number of at least 1, or None"),
-        ({"partial_eigenpairs": True}, "partial_eigenpairs is True"),
-        ({"regularisation": -1e-9}, "regularisation is -1e-09, but must be a finite number of at least 0"),
-        ({"regularisation": np.nan}, "regularisation is nan"),
-        ({"temperature": 0}, "temperature is 0, but must be a finite number above 0"),
-        ({"temperature": "cold"}, "temperature is 'cold'"),
-        ({"temperature": np.inf}, "temperature is inf"),
-        ({"iterations": 0}, "iterations is 0, but must be a whole number of at least 1"),
-        ({"refine": "no"}, "refine is 'no', but must be True or False"),
-        ({"raw_products": 1}, "raw_products is 1"),
-        ({"operators": 128}, "operators is 128, but must be OperatorSettings, or None"),
+        (
+            lambda: FunctionalMapSettings(n_eigenpairs=0),
+            "n_eigenpairs is 0, but must be a whole number of at least 1, or None",
+        ),
+        (lambda: FunctionalMapSettings(n_eigenpairs=40.0), "n_eigenpairs is 40.0"),
+        (
+            lambda: FunctionalMapSettings(n_eigenpairs_partial=0),
+            "n_eigenpairs_partial is 0, but must be a whole number of at least 1, or None",
+        ),
+        (lambda: FunctionalMapSettings(n_eigenpairs_partial=True), "n_eigenpairs_partial is True"),
+        (
+            lambda: FunctionalMapSettings(regularisation=-1e-9),
+            "regularisation is -1e-09, but must be a finite number of at least 0",
+        ),
+        (lambda: FunctionalMapSettings(regularisation=np.nan), "regularisation is nan"),
+        (lambda: SoftMapSettings(temperature=0), "temperature is 0, but must be a finite number above 0, or None"),
+        (lambda: SoftMapSettings(temperature="cold"), "temperature is 'cold'"),
+        (lambda: SoftMapSettings(temperature=np.inf), "temperature is inf"),
+        (lambda: SoftMapSettings(iterations=0), "iterations is 0, but must be a whole number of at least 1"),
+        (lambda: SoftMapSettings(normalise=1), "normalise is 1, but must be True or False"),
+        (lambda: AxiomaticSettings(n_eigenpairs=0), "n_eigenpairs is 0, but must be a whole number of at least 1"),
+        (lambda: AlignmentSettings(steps=0), "steps is 0, but must be a whole number of at least 1"),
+        (lambda: MatcherSettings(refinement="no"), "refinement is 'no', but must be RefinementSettings, or None"),
+        (lambda: MatcherSettings(alignment=False), "alignment is False, but must be AlignmentSettings, or None"),
+        (lambda: MatcherSettings(soft_map=None), "soft_map is None, but must be SoftMapSettings"),
+        (lambda: MatcherSettings(operators=128), "operators is 128, but must be OperatorSettings, or None"),
     ],
 )
-def test_settings_out_of_range(settings, said):
+def test_settings_out_of_range(make_settings, said):
     with pytest.raises(ArgumentError) as caught:
-        MatcherSettings(**settings)
+        make_settings()
     assert str(caught.value).startswith(said)
 
 
 def test_settings_at_the_edge_of_their_range():
-    MatcherSettings(
-        map_eigenpairs=np.int64(1), partial_eigenpairs=1, regularisation=0, temperature=np.float32(1e-9), iterations=1
-    )
+    FunctionalMapSettings(n_eigenpairs=np.int64(1), n_eigenpairs_partial=1, regularisation=0)
+    SoftMapSettings(temperature=np.float32(1e-9), iterations=1)
+    MatcherSettings(alignment=None, refinement=None, operators=None)
 
 
 def test_strict_refuses_what_needs_repair_before_operators_are_computed(blobs, build):
@@ -359,7 +390,7 @@ def test_weights_by_name(weights, tmp_path, monkeypatch):
     """As the command line finds them."""
     (tmp_path / "blobs.safetensors").write_bytes(weights.read_bytes())
     monkeypatch.setattr(weights_module, "_PRETRAINED", tmp_path)
-    assert Matcher.from_weights("blobs", device="cpu").info.name == "blobs"
+    assert Matcher.from_weights("blobs", device="cpu").extractor.info.name == "blobs"
     with pytest.raises(
         WeightsError, match=r"no weights 'people'; give the path of a file, or one of the pretrained ones: blobs"
     ):
@@ -367,15 +398,17 @@ def test_weights_by_name(weights, tmp_path, monkeypatch):
 
 
 KINDS = {
-    "path": (
-        lambda m, s: m.match("a.ply", s),
-        "source is a str, but must be a Shape; read files with homolog.read_shape",
+    "number": (
+        lambda m, s: m.match(3, s),
+        "source: a shape is needed, but int was given; give a Shape, a path, points (n, 3)",
     ),
-    "Path": (lambda m, s: m.match(s, Path("b.ply")), f"target is a {type(Path()).__name__}, but must be a Shape"),
-    "array": (lambda m, s: m.prepare(s.points), "shape is a ndarray, but must be a Shape"),
-    "operators": (lambda m, s: m.operators("a.ply"), "shape is a str, but must be a Shape"),
-    "nearest-features": (lambda m, s: m.features(s), "operators is a Shape, but must be Operators; compute them"),
-    "unprepared": (lambda m, s: m.match_prepared(s, s), "source is a Shape, but must be a prepared shape; make one"),
+    "bytes": (lambda m, s: m.match(s, b"b.ply"), "target: a shape is needed, but bytes was given"),
+    "array": (lambda m, s: m.preprocess(s.points), "shape is a ndarray, but must be a Shape"),
+    "operators": (lambda m, s: m.preprocess.operators("a.ply"), "shape is a str, but must be a Shape"),
+    "shape": (lambda m, s: m.preprocess.features(s), "operators is a Shape, but must be Operators; compute them"),
+    "shapes": (lambda m, s: m.find(s), "pair is a Shape, but must be a Pair; make one with Matcher.pair"),
+    "options": (lambda m, s: m.match(s, s, {"partial": "source"}), "options is a dict, but must be PairOptions; make"),
+    "info": (lambda m, s: Matcher(info="people"), "info is a str, but must be FeatureInfo; homolog.load_weights gives"),
 }
 
 
@@ -393,7 +426,11 @@ def test_the_axiomatic_method_has_its_own_operators_whatever_weights_are_given(b
     info = FeatureInfo(n_eigenpairs=60, laplacian="cotangent")
     settings = MatcherSettings(method="axiomatic")
     given, none = Matcher(network, info, settings=settings, device="cpu"), Matcher(settings=settings, device="cpu")
-    assert given.operator_settings == none.operator_settings == OperatorSettings()
-    assert given.network is None
+    assert given.preprocess.settings == none.preprocess.settings == OperatorSettings()
+    assert (
+        given.extractor.info
+        == none.extractor.info
+        == FeatureInfo(name="axiomatic", licence="none", input="operators", upright=False)
+    )
     own = MatcherSettings(method="axiomatic", operators=OperatorSettings(70))
-    assert Matcher(network, info, settings=own, device="cpu").operator_settings == OperatorSettings(70)
+    assert Matcher(network, info, settings=own, device="cpu").preprocess.settings == OperatorSettings(70)

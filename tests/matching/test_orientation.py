@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from homolog.matching.axiomatic import axis_agreement
 
 from homolog.features import load_weights
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.matching.orientation import Turn, axiomatic_warnings, orientation_warnings
+from homolog.methods.axiomatic import axis_agreement
 from homolog.shapes import Shape, rotation_about, upright_rotation
 
 
@@ -58,7 +58,7 @@ def test_signatures_say_nothing_of_the_axes_of_a_symmetric_shape(make):
 
 
 def test_both_lying_alike_need_no_warning_here(demo_operators):
-    """The axiomatic route only compares."""
+    """The axiomatic method only compares."""
     assert axiomatic_warnings(*(turned(each, 0, 90) for each in demo_operators)) == []
 
 
@@ -139,7 +139,7 @@ def test_so_it_does_with_a_network(demo, side, true, given):
 @pytest.mark.parametrize(("true", "given"), WRONG)
 @pytest.mark.parametrize("side", ["source", "target", "both"])
 def test_so_it_does_with_trained_weights(demo, reference, side, true, given):
-    network, _ = load_weights(reference / "surreal.pth")
+    network = load_weights(reference / "surreal.pth").network
 
     def told(up):
         turn, ups = read_as(true, up, side)
@@ -209,7 +209,7 @@ def test_a_small_gain_says_little_of_sparse_clouds(demo, n, enough):
 @pytest.mark.reference
 @pytest.mark.parametrize("n", [100, 300, 500, 1000])
 def test_sparse_upright_bodies_raise_no_warning_with_trained_weights(demo, reference, n):
-    network, _ = load_weights(reference / "surreal.pth")
+    network = load_weights(reference / "surreal.pth").network
     with torch.inference_mode():
         assert warned(network, cloud_of(demo.amber, n), cloud_of(demo.boris, n, seed=1)) == []
         if n >= 500:

@@ -11,12 +11,13 @@ import trimesh
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.progress import Steps
-from homolog.matching import Match, matched_colours, position_colours
+from homolog.matching import Match, matched_colours, position_colours, write_folder
 from homolog.shapes import Shape, read_shape
-from homolog.shapes.formats import formats, registry
+from homolog.shapes.formats import formats
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
 GREY = [160, 160, 160]
+REPORT = {"answer": 42, "method": "nearest-features", "warnings": ["look!"]}
 
 
 @pytest.fixture
@@ -34,12 +35,14 @@ def found(shapes):
     forth, back = rng.integers(0, m, n), rng.integers(0, n, m)
     forth[[3, 100]], back[7] = -1, -1
     return Match(
+        *shapes,
         forth,
         back,
         np.where(forth < 0, 0, rng.random(n)),
         np.where(back < 0, 0, rng.random(m)),
         "nearest-features",
         ("look!",),
+        report={"answer": 42},
     )
 
 
@@ -80,7 +83,7 @@ def test_a_real_match_saves_its_own_arrays(build, blobs, tmp_path):
 
 def test_the_four_files(shapes, found, tmp_path):
     folder = tmp_path / "new" / "result"
-    paths = write_result(folder, *shapes, found, {"answer": 42})
+    paths = write_folder(folder, found)
     assert paths == [folder / name for name in NAMES]
     assert sorted(path.name for path in folder.iterdir()) == sorted(NAMES)
     for path, given in zip(paths[1:3], shapes, strict=True):
@@ -90,15 +93,16 @@ def test_the_four_files(shapes, found, tmp_path):
         assert written.modality == given.modality
         if given.faces is not None:
             np.testing.assert_array_equal(written.faces, given.faces)
-    assert json.loads(paths[3].read_text()) == {"answer": 42}
+    assert json.loads(paths[3].read_text()) == REPORT
 
 
 def test_a_result_is_read_back(shapes, found, tmp_path):
-    write_result(tmp_path, *shapes, found, {"route": "nearest-features", "warnings": ["look!"], "answer": 42})
+    assert found.save(tmp_path) == [tmp_path / name for name in NAMES]
     result = Match.load(tmp_path)
-    assert result.report["answer"] == 42
-    for name, value in asdict(found).items():
-        np.testing.assert_array_equal(getattr(result.found, name), value)
+    assert result.report == REPORT
+    assert (result.method, result.warnings) == ("nearest-features", ("look!",))
+    for name in ("source_to_target", "target_to_source", "source_confidence", "target_confidence"):
+        np.testing.assert_array_equal(getattr(result, name), getattr(found, name))
     finite = np.isfinite(shapes[1].points).all(axis=1)
     np.testing.assert_array_equal(result.target.points[finite], shapes[1].points[finite])
     np.testing.assert_array_equal(result.source.faces, shapes[0].faces)
@@ -106,7 +110,7 @@ def test_a_result_is_read_back(shapes, found, tmp_path):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_folder_that_lacks_a_file_is_no_result(shapes, found, tmp_path, name):
-    write_result(tmp_path, *shapes, found, {"route": "nearest-features"})
+    write_folder(tmp_path, found)
     (tmp_path / name).unlink()
     with pytest.raises(DataError, match=f"has no {name}, so that it is no result"):
         Match.load(tmp_path)
@@ -122,20 +126,20 @@ def change_maps(folder, **changes):
     ("spoil", "said"),
     [
         (lambda folder: change_maps(folder, target_to_source=None), "no array 'target_to_source'"),
-        (lambda folder: change_maps(folder, target_to_source=np.zeros(5, int)), r"does not fit target\.ply"),
-        (lambda folder: change_maps(folder, target_to_source=np.full(42, 162)), r"does not fit target\.ply"),
-        (lambda folder: change_maps(folder, source_to_target=np.full(162, -2)), r"does not fit source\.ply"),
-        (lambda folder: change_maps(folder, source_confidence=np.zeros(3)), r"does not fit source\.ply"),
+        (lambda folder: change_maps(folder, target_to_source=np.zeros(5, int)), "does not fit the shapes"),
+        (lambda folder: change_maps(folder, target_to_source=np.full(42, 162)), "does not fit the shapes"),
+        (lambda folder: change_maps(folder, source_to_target=np.full(162, -2)), "does not fit the shapes"),
+        (lambda folder: change_maps(folder, source_confidence=np.zeros(3)), "does not fit the shapes"),
         (lambda folder: change_maps(folder, source_to_target=np.zeros(162)), "not those of a match"),
         (lambda folder: change_maps(folder, source_to_target=np.array([{}], object)), "cannot be read as the arrays"),
         (lambda folder: (folder / "correspondence.npz").write_bytes(b"PK"), "cannot be read as the arrays"),
         (lambda folder: (folder / "report.json").write_text("{"), "cannot be read as the report"),
         (lambda folder: (folder / "report.json").write_text("[1]"), "is not the report"),
-        (lambda folder: (folder / "report.json").write_text('{"route": "by hand"}'), "is not the report"),
+        (lambda folder: (folder / "report.json").write_text('{"method": 3}'), "is not the report"),
     ],
 )
 def test_results_that_are_spoilt_are_one_line(shapes, found, tmp_path, spoil, said):
-    write_result(tmp_path, *shapes, found, {"route": "nearest-features"})
+    write_folder(tmp_path, found)
     spoil(tmp_path)
     with pytest.raises(DataError, match=said) as error:
         Match.load(tmp_path)
@@ -147,7 +151,7 @@ def test_writing_is_a_step_of_the_report(shapes, found, tmp_path):
     steps = Steps(listener=heard.append)
     with steps.step("map"):
         pass
-    paths = write_result(tmp_path, *shapes, found, {"answer": 42}, steps=steps)
+    paths = write_folder(tmp_path, found, steps=steps)
     report = json.loads(paths[3].read_text())
     assert report["answer"] == 42
     assert [step["name"] for step in report["steps"]] == heard == ["map", "write"]
@@ -168,10 +172,11 @@ def test_other_programs_open_what_is_written_for_broken_meshes(shapes, found, tm
     given = broken(good)
     more = replace(
         found,
+        source=given,
         source_to_target=np.append(found.source_to_target, [-1, -1, *found.source_to_target[:2]]),
         source_confidence=np.append(found.source_confidence, np.zeros(4)),
     )
-    paths = write_result(tmp_path, given, shapes[1], more, {})
+    paths = write_folder(tmp_path, more)
     ours, theirs, others = read_shape(paths[1]), trimesh.load(paths[1], process=False), meshio.read(paths[1])
     for points, faces in (
         (ours.points, ours.faces),
@@ -194,7 +199,8 @@ def test_other_programs_open_what_is_written_for_broken_meshes(shapes, found, tm
 
 
 def test_a_mesh_without_a_usable_face_is_written_as_a_cloud(shapes, found, tmp_path):
-    paths = write_result(tmp_path, Shape(shapes[0].points, [[0, 1, 999], [2, 2, 3]], allow_broken=True), shapes[1], found, {})
+    broken = Shape(shapes[0].points, [[0, 1, 999], [2, 2, 3]], allow_broken=True)
+    paths = write_folder(tmp_path, replace(found, source=broken))
     written = read_shape(paths[1])
     assert written.faces is None
     np.testing.assert_array_equal(written.points, shapes[0].points)
@@ -203,15 +209,13 @@ def test_a_mesh_without_a_usable_face_is_written_as_a_cloud(shapes, found, tmp_p
 def test_a_source_point_that_is_a_match_has_its_colour_even_without_a_counterpart(shapes, found):
     forth, back = found.source_to_target.copy(), found.target_to_source.copy()
     forth[5], back[0] = -1, 5
-    source_colours, target_colours = matched_colours(
-        shapes[0], replace(found, source_to_target=forth, target_to_source=back)
-    )
+    source_colours, target_colours = matched_colours(replace(found, source_to_target=forth, target_to_source=back))
     assert np.array_equal(source_colours[5], target_colours[0])
     assert not np.array_equal(source_colours[5], GREY)
 
 
 def test_same_colour_same_point(shapes, found, tmp_path):
-    paths = write_result(tmp_path, *shapes, found, {})
+    paths = write_folder(tmp_path, found)
     source, target = colours_in(paths[1]), colours_in(paths[2])
     asked, matched = found.target_to_source, found.target_to_source >= 0
     # A source point without a counterpart is grey itself, yet lends its colour to target points mapped to it.
@@ -237,24 +241,26 @@ def test_a_point_that_has_no_match_does_not_stretch_the_colours(shapes, found):
     stray = Shape(np.concatenate([shapes[0].points, [[1e6, 1e6, 1e6]]]))
     longer = replace(
         found,
+        source=stray,
         source_to_target=np.append(found.source_to_target, -1),
         source_confidence=np.append(found.source_confidence, 0.0),
     )
-    source, target = matched_colours(stray, longer)
-    expected = matched_colours(shapes[0], found)
+    source, target = matched_colours(longer)
+    expected = matched_colours(found)
     np.testing.assert_array_equal(source[:-1], expected[0])
     np.testing.assert_array_equal(target, expected[1])
 
 
-def test_a_correspondence_is_saved_under_the_name_given(found, tmp_path):
-    found.save(tmp_path / "maps")
-    assert [path.name for path in tmp_path.iterdir()] == ["maps"]
-    with np.load(tmp_path / "maps") as saved:
+def test_maps_are_saved_under_the_name_given(found, tmp_path):
+    """A suffix in capitals counts, and none is added to it."""
+    assert found.save(tmp_path / "maps.NPZ") == [tmp_path / "maps.NPZ"]
+    assert [path.name for path in tmp_path.iterdir()] == ["maps.NPZ"]
+    with np.load(tmp_path / "maps.NPZ") as saved:
         np.testing.assert_array_equal(saved["source_to_target"], found.source_to_target)
 
 
 def test_matched_colours_have_one_row_per_point(shapes, found):
-    source, target = matched_colours(shapes[0], found)
+    source, target = matched_colours(found)
     assert source.shape == (162, 3)
     assert target.shape == (42, 3)
     assert source.dtype == target.dtype == np.uint8
@@ -263,16 +269,16 @@ def test_matched_colours_have_one_row_per_point(shapes, found):
 def test_other_files_in_the_folder_stay(shapes, found, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "report.json").write_text("old")
-    write_result(tmp_path, *shapes, found, {})
+    write_folder(tmp_path, found)
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert (tmp_path / "report.json").read_text() == "{}\n"
+    assert json.loads((tmp_path / "report.json").read_text()) == REPORT
 
 
 def test_out_is_a_file(shapes, found, tmp_path):
     (tmp_path / "out").write_text("precious")
     for folder in (tmp_path / "out", tmp_path / "out" / "below"):
         with pytest.raises(ArgumentError, match="cannot be made a folder") as caught:
-            write_result(folder, *shapes, found, {})
+            write_folder(folder, found)
         assert "\n" not in str(caught.value)
     assert (tmp_path / "out").read_text() == "precious"
 
@@ -298,7 +304,7 @@ ERRORS = [OSError(28, "No space left on device"), Stopped()]
 
 
 @pytest.mark.parametrize("error", ERRORS)
-@pytest.mark.parametrize("broken", ["homolog.matching.correspondence.np.savez_compressed", "the PLY"])
+@pytest.mark.parametrize("broken", ["correspondence.npz", "source.ply"])
 @pytest.mark.parametrize("before", BEFORE)
 def test_writing_that_stops_leaves_all_as_it_was(shapes, found, tmp_path, monkeypatch, error, broken, before):
     """Amid the first file or the second: no file of the result changes, and no other trace is left."""
@@ -308,12 +314,13 @@ def test_writing_that_stops_leaves_all_as_it_was(shapes, found, tmp_path, monkey
         place.write_bytes(b"half") if isinstance(place, Path) else place.write(b"half")
         raise error
 
-    if broken == "the PLY":
-        monkeypatch.setitem(registry._FORMATS, ".ply", replace(formats()[".ply"], write=half, write_colours=half))
+    if broken == "source.ply":
+        ply = replace(formats()[".ply"], write=half, write_colours=half)
+        monkeypatch.setattr("homolog.shapes.writing.formats", lambda: {".ply": ply})
     else:
-        monkeypatch.setattr(broken, half)
+        monkeypatch.setattr("homolog.matching.result_files.np.savez_compressed", half)
     with pytest.raises(ArgumentError if isinstance(error, OSError) else Stopped):
-        write_result(tmp_path / "result", *shapes, found, {})
+        write_folder(tmp_path / "result", found)
     is_as_before(tmp_path / "result", before)
 
 
@@ -338,7 +345,7 @@ def test_landing_that_stops_is_undone(shapes, found, tmp_path, monkeypatch, erro
     if not links:
         monkeypatch.setattr(Path, "hardlink_to", refused)
     with pytest.raises(ArgumentError if isinstance(error, OSError) else Stopped) as caught:
-        write_result(tmp_path / "result", *shapes, found, {})
+        write_folder(tmp_path / "result", found)
     if isinstance(error, OSError):
         assert str(caught.value) == f"{tmp_path / 'result' / NAMES[landed]} cannot be written: No space left on device"
     is_as_before(tmp_path / "result", before)
@@ -349,13 +356,13 @@ def test_landing_that_stops_is_undone(shapes, found, tmp_path, monkeypatch, erro
 def test_a_report_that_json_cannot_hold_leaves_all_as_it_was(shapes, found, tmp_path, before, bad):
     with_former_result(tmp_path / "result", before)
     with pytest.raises((TypeError, ValueError)):
-        write_result(tmp_path / "result", *shapes, found, {"bad": bad})
+        write_folder(tmp_path / "result", replace(found, report={"bad": bad}))
     is_as_before(tmp_path / "result", before)
 
 
 def test_a_result_takes_the_place_of_an_earlier_one(shapes, found, tmp_path):
     with_former_result(tmp_path / "result", NAMES)
-    write_result(tmp_path / "result", *shapes, found, {"answer": 42})
+    write_folder(tmp_path / "result", found)
     assert sorted(path.name for path in (tmp_path / "result").iterdir()) == sorted(NAMES)
-    assert json.loads((tmp_path / "result" / "report.json").read_text()) == {"answer": 42}
+    assert json.loads((tmp_path / "result" / "report.json").read_text()) == REPORT
     assert colours_in(tmp_path / "result" / "source.ply").shape == (162, 3)

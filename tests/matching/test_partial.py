@@ -1,4 +1,4 @@
-"""Matching a part to the whole: one scale, and no counterpart where there is none."""
+"""Matching a partial shape with a full one: one scale, and no counterpart where there is none."""
 
 from dataclasses import dataclass
 
@@ -11,8 +11,8 @@ from scipy.spatial import KDTree
 from homolog.core.errors import ArgumentError
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import overlap
-from homolog.matching import Matcher
-from homolog.pairs import PointMaps
+from homolog.methods import FunctionMethod, Supports
+from homolog.pairs import PairOptions, PointMaps
 from homolog.shapes import Shape, repair
 
 KINDS = [("mesh", None), ("cloud", "both")]
@@ -53,15 +53,15 @@ def cut(body, request):
     return Cut(body, Shape(body.points[inside], place[faces], name="part"), inside, place >= 0)
 
 
-class Told(Matcher):
-    """Is told the true maps from the whole (its source) to the part (its target)."""
+def told(truth):
+    """A method that is told the true maps from the full shape (x) to the partial one (y)."""
 
-    truth: Cut
+    def maps(pair):
+        assert pair.is_partial
+        assert pair.x.operators.n_points == truth.whole.n_points
+        return PointMaps(torch.from_numpy(truth.whole_to_part), torch.from_numpy(truth.part_to_whole))
 
-    def point_maps(self, source, target, *, partial=False):
-        assert partial
-        assert len(source.operators.points) == self.truth.whole.n_points
-        return PointMaps(torch.from_numpy(self.truth.whole_to_part), torch.from_numpy(self.truth.part_to_whole))
+    return FunctionMethod("told", maps, Supports(refinement=False))
 
 
 def f1(found, truth):
@@ -71,8 +71,7 @@ def f1(found, truth):
 @pytest.mark.parametrize(("kind", "as_cloud"), KINDS)
 @pytest.mark.parametrize("side", ["source", "target"])
 def test_points_without_counterpart(build, cut, side, kind, as_cloud):
-    matcher = build("nearest-features", kind=Told)
-    matcher.truth = cut
+    matcher = build(told(cut))
     shapes = (cut.whole, cut.part) if side == "target" else (cut.part, cut.whole)
     found = matcher.match(*shapes, partial=side, as_cloud=as_cloud)
     found = found if side == "target" else found.inverse()
@@ -85,7 +84,7 @@ def test_points_without_counterpart(build, cut, side, kind, as_cloud):
     assert found.target_confidence.mean() > 0.8
 
 
-def test_covered_itself(cut):
+def test_overlap_itself(cut):
     """The same without a matcher, on operators."""
     scale = unit_frame(cut.whole).scale
     whole, part = compute_operators(cut.whole), compute_operators(cut.part, scale=scale)
@@ -148,14 +147,17 @@ def test_every_method_on_parts(build, blobs, method, as_cloud):
     np.testing.assert_array_equal(back.target_confidence, found.source_confidence)
 
 
-def test_elastic_skins_know_no_parts(build, blobs):
+def test_registration_knows_no_partial_shapes(build, blobs):
     matcher = build("registration", with_network=False)
-    pair = matcher.prepare_pair(blobs.source, blobs.target)
-    for call, shapes in ((matcher.match, (blobs.source, blobs.target)), (matcher.match_prepared, pair)):
+    shapes = [matcher.preprocess(shape) for shape in (blobs.source, blobs.target)]
+    for call in (
+        lambda: matcher.match(blobs.source, blobs.target, partial="target"),
+        lambda: matcher.find(matcher.paired(*shapes, PairOptions(partial="target"))),
+    ):
         with pytest.raises(
-            ArgumentError, match="partial is 'target', but the method 'registration' registers full shapes"
+            ArgumentError, match="partial is 'target', but the method 'registration' matches full shapes"
         ):
-            call(*shapes, partial="target")
+            call()
 
 
 @pytest.mark.parametrize("method", ["functional-map", "nearest-features", "registration", "axiomatic"])
@@ -167,8 +169,7 @@ def test_whole_pairs_have_no_missing_points(build, blobs, method):
 
 def told_units(build, cut, factor, as_cloud=None, **options):
     """What a match of the part, its points multiplied, warns of regarding units, and its maps."""
-    matcher = build("nearest-features", kind=Told)
-    matcher.truth = cut
+    matcher = build(told(cut))
     part = Shape(cut.part.points * factor, cut.part.faces)
     found = matcher.match(cut.whole, part, partial="target", as_cloud=as_cloud, **options)
     return [warning for warning in found.warnings if "units" in warning], found
@@ -181,7 +182,7 @@ def test_a_part_in_other_units_is_named_and_scaled(build, cut, kind, as_cloud):
         (warning,), _ = told_units(build, cut, factor, as_cloud)
         area = factor**2 * unit_frame(cut.part).scale ** 2
         whole = unit_frame(cut.whole).scale ** 2
-        assert f"the partial shape's area is {area:.3g}, the complete one's {whole:.3g}:" in warning
+        assert f"the partial shape's area is {area:.3g}, the full one's {whole:.3g}:" in warning
         assert "partial_scale (--partial-scale)" in warning
         assert "\n" not in warning
         _, plain = told_units(build, cut, 1.0, as_cloud)
@@ -216,12 +217,12 @@ def test_part_scales_that_are_none(build, cut, partial_scale):
 
 
 def positions(build, whole, part, **options):
-    source, target = build("nearest-features").prepare_pair(whole, part, partial="target", **options)
-    return source.operators, target.operators
+    pair, _ = build("nearest-features").pair(whole, part, partial="target", **options)
+    return pair.x.operators, pair.y.operators
 
 
 @pytest.mark.parametrize(("kind", "as_cloud"), KINDS)
-def test_a_part_in_place_lies_on_its_whole(build, cut, kind, as_cloud):
+def test_a_pre_aligned_partial_shape_lies_on_the_full_one(build, cut, kind, as_cloud):
     """Also in units of its own, and turned upright; its features are those of the positions there."""
     points = cut.part.points[:, [0, 2, 1]] * [1, -1, 1]  # +z is up
     part = Shape(100 * points, cut.part.faces)
@@ -233,16 +234,16 @@ def test_a_part_in_place_lies_on_its_whole(build, cut, kind, as_cloud):
     assert apart.points.mean(dim=0).norm() < 1e-5
     matcher = build("nearest-features")
     prepared = [
-        matcher.prepare_pair(cut.whole, part, partial="target", pre_aligned=way, **options)[1] for way in (True, False)
+        matcher.pair(cut.whole, part, partial="target", pre_aligned=way, **options)[0].y for way in (True, False)
     ]
-    torch.testing.assert_close(prepared[0].features, matcher.features(placed))
+    torch.testing.assert_close(prepared[0].features, matcher.preprocess.features(placed))
     assert (prepared[0].features - prepared[1].features).abs().max() > 1e-3
 
 
-def test_in_place_is_for_parts(build, cut):
+def test_pre_aligned_is_for_partial_shapes(build, cut):
     with pytest.raises(ArgumentError, match=r"pre_aligned is True, but neither shape is partial"):
         build("nearest-features").match(cut.whole, cut.part, pre_aligned=True)
-    with pytest.raises(ArgumentError, match=r"pre_aligned"):
+    with pytest.raises(ArgumentError, match=r"pre_aligned is 'yes', but must be True or False"):
         build("nearest-features").match(cut.whole, cut.part, partial="target", pre_aligned="yes")
 
 

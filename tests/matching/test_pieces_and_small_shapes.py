@@ -1,4 +1,4 @@
-"""Shapes with debris beside them match as they do without it; tiny and symmetric ones give a result or a true error."""
+"""Shapes match alike with small components beside them; tiny and symmetric ones give a result or a true error."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,8 @@ from scipy.spatial import KDTree
 
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry import OperatorSettings
-from homolog.matching import Matcher, matcher
+from homolog.matching import Matcher
+from homolog.methods import axiomatic
 from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, check
 
@@ -82,7 +83,7 @@ def test_an_undetermined_map_is_blamed_on_what_it_comes_from(make, monkeypatch):
     def undetermined(*_args):
         raise ArgumentError("singular")
 
-    monkeypatch.setattr(matcher, "axiomatic_problem", undetermined)
+    monkeypatch.setattr(axiomatic, "axiomatic_problem", undetermined)
     sphere = make.sphere(1)
     two = make.joined([sphere, Shape(sphere.points + 5, sphere.faces)])
     for shape, words in ((sphere, "too small or too symmetric"), (two, "too many pieces")):

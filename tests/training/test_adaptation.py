@@ -10,11 +10,12 @@ from homolog.core.errors import ArgumentError, TrainingError
 from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings
 from homolog.geometry import OperatorSettings
 from homolog.matching import Matcher
-from homolog.pairs import MatcherSettings
+from homolog.pairs import FunctionalMapSettings, MatcherSettings
 from homolog.shapes import Shape
 from homolog.training import AdaptationSettings, LossSettings, TrainingShape, adapt_to_pair, adaptation, pair_losses
 from homolog.training.settings import OptimiserSettings, SampleSettings
 
+SIZES = FunctionalMapSettings(n_eigenpairs_partial=10)
 SETTINGS = AdaptationSettings(
     steps=8, optimiser=OptimiserSettings(learning_rate=3e-3), samples=SampleSettings(points=120, subsets=2)
 )
@@ -25,7 +26,7 @@ def matcher():
     torch.manual_seed(0)
     network = DiffusionNet(NetworkSettings(width=16, out_channels=16, blocks=2))
     info = FeatureInfo(upright=False, map_eigenpairs=12)
-    return Matcher(network, info, settings=MatcherSettings(operators=OperatorSettings(24), partial_eigenpairs=10))
+    return Matcher(network, info, settings=MatcherSettings(operators=OperatorSettings(24), functional_map=SIZES))
 
 
 @pytest.fixture(scope="module")
@@ -34,52 +35,56 @@ def shapes(make):
     return blob, make.relabelled(Shape(blob.points * [1, 1.2, 0.9], blob.faces), np.arange(blob.n_points)[::-1])
 
 
-def loss_of(matcher, source, target, *, partial=False):
-    """Of the whole shapes, each mesh or cloud for itself, without anything random."""
-    x, y = (TrainingShape("", shape.operators.basis, shape.operators.basis) for shape in (source, target))
-    settings = LossSettings(map_eigenpairs=matcher.map_size(partial=partial))
+def loss_of(matcher, pair):
+    """Of all points, each mesh or cloud for itself, without anything random."""
+    x, y = (TrainingShape("", shape.operators.basis, shape.operators.basis) for shape in (pair.x, pair.y))
+    settings, partial = LossSettings(map_eigenpairs=pair.map_size), pair.is_partial
     with torch.no_grad():
-        return float(pair_losses(matcher.network, x, y, settings=settings, partial=partial)["total"])
+        return float(pair_losses(matcher.extractor.network, x, y, settings=settings, partial=partial)["total"])
 
 
 def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_those_that_do(matcher, shapes):
     for_organs = Matcher(
-        matcher.network, replace(matcher.info, name="organs", near_isometric=False), settings=matcher.settings
+        matcher.extractor.network,
+        replace(matcher.extractor.info, name="organs", near_isometric=False),
+        settings=matcher.settings,
     )
-    pair = matcher.prepare_pair(*shapes)
+    pair = for_organs.pair(*shapes)[0]
     with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that keep no areas"):
-        adapt_to_pair(for_organs, *pair, SETTINGS)
+        adapt_to_pair(for_organs, pair, SETTINGS)
     registration = replace(
         SETTINGS,
         steps=1,
         loss=LossSettings(weights={"bijectivity": 0, "orthogonality": 0, "alignment": 0, "registration": 1.0}),
     )
-    adapted = adapt_to_pair(for_organs, *pair, registration)[0]
+    adapted = adapt_to_pair(for_organs, pair, registration)[0]
     assert any(
-        not torch.equal(*both) for both in zip(adapted.network.parameters(), matcher.network.parameters(), strict=True)
+        not torch.equal(*both)
+        for both in zip(adapted.extractor.network.parameters(), matcher.extractor.network.parameters(), strict=True)
     )
 
 
 @pytest.mark.parametrize("as_cloud", [None, "source", "both"])
 def test_the_loss_of_the_pair_falls(matcher, shapes, as_cloud):
-    pair = matcher.prepare_pair(*shapes, as_cloud=as_cloud)
-    adapted, *after = adapt_to_pair(matcher, *pair, SETTINGS)
-    assert loss_of(adapted, *after) < 0.95 * loss_of(matcher, *pair)
-    for old, new in zip(pair, after, strict=True):
-        assert torch.equal(new.features, adapted.features(new.operators))
+    pair, _ = matcher.pair(*shapes, as_cloud=as_cloud)
+    adapted, after = adapt_to_pair(matcher, pair, SETTINGS)
+    assert after.extractor.network is adapted.extractor.network
+    assert loss_of(adapted, after) < 0.95 * loss_of(matcher, pair)
+    for old, new in ((pair.source, after.source), (pair.target, after.target)):
+        assert torch.equal(new.features, adapted.preprocess.features(new.operators))
         assert not torch.allclose(new.features, old.features, rtol=0.01)
 
 
 def test_the_loaded_weights_stay_and_the_result_is_repeatable(matcher, shapes):
-    before = {name: value.clone() for name, value in matcher.network.state_dict().items()}
-    pair = matcher.prepare_pair(*shapes)
-    first, second = (adapt_to_pair(matcher, *pair, SETTINGS)[0] for _ in range(2))
-    other = adapt_to_pair(matcher, *pair, replace(SETTINGS, seed=1))[0]
-    after = matcher.network.state_dict()
+    before = {name: value.clone() for name, value in matcher.extractor.network.state_dict().items()}
+    pair = matcher.pair(*shapes)[0]
+    first, second = (adapt_to_pair(matcher, pair, SETTINGS)[0] for _ in range(2))
+    other = adapt_to_pair(matcher, pair, replace(SETTINGS, seed=1))[0]
+    after = matcher.extractor.network.state_dict()
     assert all(torch.equal(after[name], value) for name, value in before.items())
-    assert not matcher.network.training
-    assert not first.network.training
-    weights, repeated, others = (list(m.network.state_dict().values()) for m in (first, second, other))
+    assert not matcher.extractor.network.training
+    assert not first.extractor.network.training
+    weights, repeated, others = (list(m.extractor.network.state_dict().values()) for m in (first, second, other))
     assert all(map(torch.equal, weights, repeated))
     assert not any(map(torch.equal, weights, others))
 
@@ -90,18 +95,17 @@ def test_parts_of_shapes(matcher, shapes, make, partial):
     kept = other.points[other.faces].mean(axis=1)[:, 1] > -0.3
     part = Shape(other.points, other.faces[kept])
     given = (part, whole) if partial == "source" else (whole, part)
-    pair = matcher.prepare_pair(*given, partial=partial)
-    adapted, *after = adapt_to_pair(matcher, *pair, SETTINGS, partial=partial)
-    ordered = [1, 0] if partial == "source" else [0, 1]
-    before = loss_of(matcher, *(pair[i] for i in ordered), partial=True)
-    assert loss_of(adapted, *(after[i] for i in ordered), partial=True) < before
-    found = adapted.match_checked(*after, partial=partial)
+    pair, _ = matcher.pair(*given, partial=partial)
+    adapted, after = adapt_to_pair(matcher, pair, SETTINGS)
+    assert pair.map_size == after.map_size == 10
+    assert loss_of(adapted, after) < loss_of(matcher, pair)
+    found = adapted.match_pair(after)
     assert len(found.source_to_target) == given[0].n_points
 
 
 def test_every_step_is_reported(matcher, shapes):
     told = []
-    adapt_to_pair(matcher, *matcher.prepare_pair(*shapes), SETTINGS, listener=told.append)
+    adapt_to_pair(matcher, matcher.pair(*shapes)[0], SETTINGS, listener=told.append)
     assert told == [f"adapt, step {step} of 8" for step in range(1, 9)]
 
 
@@ -114,38 +118,39 @@ def test_no_steps(steps):
 def test_without_a_network(matcher, shapes):
     axiomatic = Matcher()
     with pytest.raises(ArgumentError, match="needs a network; give weights, and a method that uses them"):
-        adapt_to_pair(axiomatic, *axiomatic.prepare_pair(*shapes), SETTINGS)
+        adapt_to_pair(axiomatic, axiomatic.pair(*shapes)[0], SETTINGS)
 
 
 def test_a_loss_that_is_not_finite_is_named(matcher, shapes):
     wild = replace(SETTINGS, optimiser=OptimiserSettings(learning_rate=1e30))
     with pytest.raises(TrainingError, match="not finite"):
-        adapt_to_pair(matcher, *matcher.prepare_pair(*shapes), wild)
+        adapt_to_pair(matcher, matcher.pair(*shapes)[0], wild)
 
 
 @pytest.mark.parametrize("partial", ["source", "target"])
-def test_a_part_is_placed_first_and_its_cloud_lies_where_it_does(matcher, shapes, make, monkeypatch, partial):
+def test_a_partial_shape_is_aligned_first_and_its_cloud_lies_where_it_does(matcher, shapes, make, monkeypatch, partial):
     blob = shapes[0]
     kept = blob.points[blob.faces][:, :, 1].min(axis=1) > -0.2
     used, faces = np.unique(blob.faces[kept], return_inverse=True)
     part = Shape(blob.points[used], faces.reshape(-1, 3))
     pair = (part, blob) if partial == "source" else (blob, part)
-    source, target = matcher.prepare_pair(*pair, partial=partial, pre_aligned=True)
-    seen, placings = [], []
+    pair, _ = matcher.pair(*pair, partial=partial, pre_aligned=True)
+    seen, asked = [], []
 
     def losses(network, x, y, **options):
         seen.append((x, y))
         return pair_losses(network, x, y, **options)
 
-    def placed(self, complete, given):
-        placings.append((complete, given))
-        return replace(given, operators=replace(given.operators, points=given.operators.points + 0.25))
+    def align_partial(given):
+        asked.append(given)
+        operators = replace(given.y.operators, points=given.y.operators.points + 0.25)
+        return given.with_y(replace(given.y, operators=operators))
 
     monkeypatch.setattr(adaptation, "pair_losses", losses)
-    monkeypatch.setattr(type(matcher), "placed", placed)
-    adapt_to_pair(matcher, source, target, AdaptationSettings(steps=1), partial=partial)
-    given = source if partial == "source" else target
-    assert placings == [(target, source) if partial == "source" else (source, target)]
+    monkeypatch.setattr(adaptation, "align_partial", align_partial)
+    adapt_to_pair(matcher, pair, AdaptationSettings(steps=1))
+    given = pair.source if partial == "source" else pair.target
+    assert asked == [pair] and pair.y is given
     ((x, y),) = seen
     assert x.mesh.n_points > y.mesh.n_points
     torch.testing.assert_close(y.mesh.points, y.cloud.points)

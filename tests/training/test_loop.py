@@ -73,7 +73,8 @@ def test_what_a_training_writes(trained):
 
 def test_the_weights_are_the_best_ones(trained):
     _, run, _, _ = trained
-    network, info = load_weights(run / "weights.safetensors")
+    found = load_weights(run / "weights.safetensors")
+    network, info = found.network, found.info
     assert (info.name, info.licence, info.upright) == ("small", "CC0-1.0", True)
     assert (info.n_eigenpairs, info.map_eigenpairs, info.laplacian) == (24, 12, "robust")
     assert info.near_isometric and info.temperature == 0.1
@@ -233,7 +234,7 @@ def test_nothing_is_overwritten(meshes, small, tmp_path):
 def test_without_validation_the_latest_weights_are_kept(meshes, small, tmp_path):
     loop.train(small(validation={"pairs": 0}, training={"steps": 2}), meshes, tmp_path, device="cpu")
     assert written(tmp_path) == WRITTEN - {"best.safetensors"}
-    network, _ = load_weights(tmp_path / "weights.safetensors")
+    network = load_weights(tmp_path / "weights.safetensors").network
     assert torch.equal(network.last.bias, tensors_of(tmp_path)["weights.last.bias"])
 
 

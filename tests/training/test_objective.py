@@ -363,7 +363,7 @@ def test_settings_out_of_range_are_refused(name: str, value: float) -> None:
 
 @pytest.fixture(scope="module")
 def published(reference, stored_operators: Callable) -> tuple[DiffusionNet, Losses]:
-    network, _ = load_weights(reference / "surreal.pth")
+    network = load_weights(reference / "surreal.pth").network
     x, y = (
         TrainingShape(side, *(stored_operators(f"{side}_{kind}").basis for kind in ("mesh", "cloud"))) for side in "xy"
     )

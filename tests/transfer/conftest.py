@@ -10,10 +10,9 @@ from homolog.matching import Match
 from homolog.shapes import Shape
 
 
-def correspondence(there, back):
-    """Point maps that are trusted wherever there are any."""
-    there, back = np.asarray(there, dtype=np.int64), np.asarray(back, dtype=np.int64)
-    return Match(there, back, (there >= 0).astype(float), (back >= 0).astype(float), "nearest-features")
+def correspondence(source, target, there, back):
+    """A match that is trusted wherever it has a counterpart."""
+    return Match(source, target, np.asarray(there), np.asarray(back), method="nearest-features")
 
 
 def nearest(points, others):
@@ -31,11 +30,9 @@ class Pair:
     @property
     def found(self):
         there = nearest(self.bend(self.source.points), self.target.points)
-        return correspondence(there, nearest(self.target.points, self.bend(self.source.points)))
-
-    @property
-    def result(self):
-        return Match(self.source, self.target, self.found, {"route": "nearest-features"})
+        return correspondence(
+            self.source, self.target, there, nearest(self.target.points, self.bend(self.source.points))
+        )
 
 
 def bent(points):
@@ -60,5 +57,5 @@ def pair(make):
 
 @pytest.fixture(scope="session")
 def matched():
-    """``matched(there, back)``: point maps that are trusted wherever there are any."""
+    """``matched(source, target, there, back)``: a match that is trusted wherever it has a counterpart."""
     return correspondence

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from homolog.core.errors import DataError
-from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer import Transfer, read_landmarks
 
@@ -127,7 +126,7 @@ def test_landmarks_go_along(make, matched):
     other = Shape(shape.points @ turn.T * 10 + 5, shape.faces)
     same = np.arange(shape.n_points)
     there = np.where(shape.points[:, 1] > 1.0, -1, same)
-    transfer = Transfer(Match(shape, other, matched(there, there), {}))
+    transfer = Transfer(matched(shape, other, there, there))
     low = np.flatnonzero(shape.points[shape.faces].max(axis=1)[:, 1] < 0.8)[:40]
     top = shape.points[[shape.points[:, 1].argmax()]]
     points = np.concatenate([shape.points[shape.faces[low]].mean(axis=1), top])

@@ -8,7 +8,6 @@ import pytest
 import trimesh
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
-from homolog.matching import Match
 from homolog.shapes import Shape, read_shape
 from homolog.shapes.formats.gltf import Gltf
 from homolog.transfer import Skin, SurfaceProjector, Transfer, read_skin, write_glb
@@ -69,7 +68,7 @@ def test_a_skin_goes_along(skinned, make, matched, tmp_path):
     turn = make.rotation(9)
     other = Shape(2.0 * shape.points @ turn.T + [1.0, 2.0, 3.0], shape.faces)
     same = np.arange(shape.n_points)
-    carried = Transfer(Match(shape, other, matched(same, same), {})).skin(skin)
+    carried = Transfer(matched(shape, other, same, same)).skin(skin)
     np.testing.assert_allclose(carried.weights, largest_four(skin.weights), atol=1e-4)
     np.testing.assert_allclose(carried.frames[:, :3, :3], turn @ skin.frames[:, :3, :3], atol=1e-4)
     expected = 2.0 * skin.frames[:, :3, 3] @ turn.T + [1.0, 2.0, 3.0]
@@ -81,15 +80,15 @@ def test_every_point_moves_with_the_body(skinned, make, matched):
     shape, skin = skinned
     same = np.arange(shape.n_points)
     lost = np.where(shape.points[:, 1] > 0.9, -1, same)
-    carried = Transfer(Match(shape, shape, matched(lost, lost), {})).skin(skin)
+    carried = Transfer(matched(shape, shape, lost, lost)).skin(skin)
     np.testing.assert_allclose(carried.weights.sum(axis=1), 1.0)
     assert ((carried.weights > 0).sum(axis=1) <= 4).all()
-    cloud = Transfer(Match(shape, shape.as_cloud(), matched(same, same), {}))
+    cloud = Transfer(matched(shape, shape.as_cloud(), same, same))
     with pytest.raises(ArgumentError, match="no faces"):
         cloud.skin(skin)
     with pytest.raises(DataError, match="dozen"):
         few = np.where(same < 8, same, -1)
-        Transfer(Match(shape, shape, matched(few, few), {})).skin(skin)
+        Transfer(matched(shape, shape, few, few)).skin(skin)
 
 
 def by_hand(folder, **changes):

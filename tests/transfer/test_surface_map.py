@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, unit
-from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer import SurfacePoints, SurfaceProjector, Transfer, surface_map
 
@@ -23,7 +22,7 @@ def flipped(found, faces):
 def test_the_identity_carries_everything_unchanged(make, matched):
     shape = make.blob(3)
     same = np.arange(shape.n_points)
-    found = surface_map(shape, shape, matched(same, same))
+    found = surface_map(shape, shape, matched(shape, shape, same, same))
     np.testing.assert_allclose(found.positions, shape.points, atol=1e-6)
     values = np.random.default_rng(0).normal(size=(shape.n_points, 2))
     np.testing.assert_allclose(found.surface_points.interpolate(values), values, atol=1e-4)
@@ -35,10 +34,10 @@ def test_a_moved_copy_is_met_exactly(make, matched, scale):
     shape, turn = make.blob(3), make.rotation(5)
     other = Shape(scale * shape.points @ turn.T + [100.0, 200.0, -50.0], shape.faces)
     same = np.arange(shape.n_points)
-    found = surface_map(shape, other, matched(same, same))
+    found = surface_map(shape, other, matched(shape, other, same, same))
     np.testing.assert_allclose(found.positions, other.points, atol=1e-5 * scale)
     linear = shape.points @ [0.3, -2.0, 1.0] + 4.0
-    back = surface_map(other, shape, matched(same, same))
+    back = surface_map(other, shape, matched(other, shape, same, same))
     np.testing.assert_allclose(back.surface_points.interpolate(linear), linear, atol=1e-4)
 
 
@@ -59,7 +58,7 @@ def test_wrong_patches_give_way(pair, matched):
     wrong = rng.choice(len(there), len(there) // 10, replace=False)
     there[wrong] = rng.permutation(there[wrong])
     back[rng.choice(len(back), len(back) // 10, replace=False)] = 7
-    found = surface_map(pair.source, pair.target, matched(there, back))
+    found = surface_map(pair.source, pair.target, matched(pair.source, pair.target, there, back))
     errors = np.linalg.norm(found.positions - truth, axis=1)
     before = np.linalg.norm(pair.target.points[there] - truth, axis=1)
     assert before[wrong].mean() > 1.0
@@ -90,7 +89,7 @@ def test_points_without_a_counterpart_have_no_place(pair, matched):
     lost = pair.source.points[:, 1] > 0.5
     there[lost] = -1
     back[np.isin(back, np.flatnonzero(lost))] = -1
-    found = surface_map(pair.source, pair.target, matched(there, back))
+    found = surface_map(pair.source, pair.target, matched(pair.source, pair.target, there, back))
     np.testing.assert_array_equal(found.surface_points.valid, ~lost)
     assert np.isnan(found.positions[lost]).all()
     assert (found.surface_points.faces[lost] == -1).all()
@@ -130,10 +129,10 @@ def test_indices_are_those_of_the_shapes_as_given(make, matched):
     soup = Shape(points, np.concatenate([[[0, 0, 1]], np.arange(len(corners)).reshape(-1, 3) + 2]))
     there = np.concatenate([[-1, -1], corners])
     _, first = np.unique(corners, return_index=True)
-    found = surface_map(soup, shape, matched(there, first + 2))
+    found = surface_map(soup, shape, matched(soup, shape, there, first + 2))
     np.testing.assert_allclose(found.positions[2:], shape.points[corners], atol=1e-6)
     assert not found.surface_points.valid[:2].any()
-    back = surface_map(shape, soup, matched(first + 2, there))
+    back = surface_map(shape, soup, matched(shape, soup, first + 2, there))
     assert back.surface_points.corners.min() >= 2 and back.surface_points.faces.min() >= 1
     np.testing.assert_array_equal(soup.faces[back.surface_points.faces], back.surface_points.corners)
     np.testing.assert_allclose(back.positions, shape.points, atol=1e-6)
@@ -167,7 +166,7 @@ def test_the_far_side_of_a_thin_sheet_is_not_taken(make, matched):
     for side in (upper, lower):
         away = np.linalg.norm(jittered[side, None] - subsample.points[None, side], axis=2)
         there[side] = side[away.argmin(axis=1)]
-    found = surface_map(subsample, subsample, matched(there, there))
+    found = surface_map(subsample, subsample, matched(subsample, subsample, there, there))
     flat = np.abs(subsample.points[:, 2]) > 0.003
     assert (np.sign(found.positions[flat, 2]) == sides[flat]).mean() > 0.99
 
@@ -202,7 +201,8 @@ def test_a_value_that_counts_nothing_may_be_unknown():
 def test_other_maps_are_refused(pair, matched, make):
     with pytest.raises(ArgumentError, match="those of"):
         surface_map(make.blob(1), pair.target, pair.found)
-    nothing = matched(np.full(pair.source.n_points, -1), np.full(pair.target.n_points, -1))
+    nowhere = np.full(pair.source.n_points, -1), np.full(pair.target.n_points, -1)
+    nothing = matched(pair.source, pair.target, *nowhere)
     with pytest.raises(ArgumentError, match="no point of"):
         surface_map(pair.source, pair.target, nothing)
 
@@ -226,7 +226,7 @@ def test_the_label_of_points_without_a_counterpart_is_no_label_of_the_source(mak
     shape = make.blob(2)
     same = np.arange(shape.n_points)
     there = np.where(same < 20, -1, same)
-    transfer = Transfer(Match(shape, shape, matched(there, there), {}))
+    transfer = Transfer(matched(shape, shape, there, there))
     for labels, none in ((same % 3, -1), (same % 3 - 1, -2), (same % 3 - 4, -1), (same % 5 - 3, -4)):
         found = transfer.labels(labels)
         np.testing.assert_array_equal(found[20:], labels[20:])

@@ -5,7 +5,6 @@ import pytest
 import trimesh
 
 from homolog.core.errors import ArgumentError, DataError
-from homolog.matching import Match
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.transfer import (
     Appearance,
@@ -87,7 +86,7 @@ def test_seams_do_not_smear(textured, name, make, matched):
     moved = make.relabelled(Shape(2.0 * shape.points @ turn.T + 3.0, shape.faces), order)
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
-    transfer = Transfer(Match(shape, moved, matched(back, order), {}), source=shape)
+    transfer = Transfer(matched(shape, moved, back, order), source=shape)
     atlas, image = transfer.texture(read_appearance(textured / name, shape), size=SIZE)
     carried = Texture(atlas.uv[atlas.faces], np.zeros(moved.n_faces, dtype=int), (image,))
     np.testing.assert_array_equal(atlas.face_of, np.arange(moved.n_faces))
@@ -148,7 +147,7 @@ def test_what_has_no_counterpart_is_grey(textured, matched):
     shape = read_shape(textured / "blob.obj")
     same = np.arange(shape.n_points)
     there = np.where(shape.points[:, 1] > 0.2, -1, same)
-    transfer = Transfer(Match(shape, shape, matched(there, there), {}), source=shape)
+    transfer = Transfer(matched(shape, shape, there, there), source=shape)
     atlas, image = transfer.texture(read_appearance(textured / "blob.obj", shape), size=SIZE)
     texture = Texture(atlas.uv[atlas.faces], np.zeros(shape.n_faces, dtype=int), (image,))
     middles = SurfacePoints(shape.faces, np.full((shape.n_faces, 3), 1 / 3), np.arange(shape.n_faces))
@@ -211,7 +210,7 @@ def test_colours_of_points(tmp_path, make):
 def test_a_cloud_takes_no_texture_but_its_colours(textured, matched):
     shape = read_shape(textured / "blob.obj")
     same = np.arange(shape.n_points)
-    transfer = Transfer(Match(shape, shape.as_cloud(), matched(same, same), {}), source=shape)
+    transfer = Transfer(matched(shape, shape.as_cloud(), same, same), source=shape)
     appearance = read_appearance(textured / "blob.obj", shape)
     with pytest.raises(ArgumentError, match="no faces"):
         transfer.texture(appearance)

@@ -20,9 +20,8 @@ def known(make):
     confidence = np.linspace(0.2, 1, blob.n_points)
     forth[[3, 5]] = -1
     confidence[[3, 5]] = 0
-    found = Match(forth, back, confidence, np.full(blob.n_points, 0.5), "axiomatic")
     report = {"inputs": {"source": {"file": "/data/a blob.off"}, "target": {"file": "other.off"}}}
-    return Match(blob, other, found, report)
+    return Match(blob, other, forth, back, confidence, np.full(blob.n_points, 0.5), method="axiomatic", report=report)
 
 
 @pytest.fixture

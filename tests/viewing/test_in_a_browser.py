@@ -15,8 +15,7 @@ SIDES = ("source", "target")
 
 
 def counterpart(result, side, point):
-    found = result.found
-    return int((found.source_to_target if side == "source" else found.target_to_source)[point])
+    return int((result.source_to_target if side == "source" else result.target_to_source)[point])
 
 
 @pytest.fixture
@@ -131,7 +130,7 @@ def test_colours_and_sliders_of_the_page(opened, known):
     one.page.select_option("#surface", "points")
     one.page.mouse.click(x, y)
     marked = one.page.evaluate("homolog.marked()")
-    assert marked is None or known.found.source_confidence[marked["point"]] >= 1
+    assert marked is None or known.source_confidence[marked["point"]] >= 1
     assert one.complaints == []
 
 
@@ -174,7 +173,7 @@ def test_a_click_on_a_large_shape_tells_the_number_of_the_file(opened, known, mo
 
 def test_a_point_without_a_counterpart(opened, known):
     nowhere = np.full(known.source.n_points, -1)
-    result = replace(known, found=replace(known.found, source_to_target=nowhere))
+    result = replace(known, source_to_target=nowhere)
     one = opened(result)
     point, x, y = foremost(one.page, scene_of(result), "source")
     one.page.mouse.click(x, y)

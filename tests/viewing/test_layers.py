@@ -8,7 +8,7 @@ import pytest
 from homolog.datasets import Truth
 from homolog.evaluation import geodesic_errors
 from homolog.features import DiffusionNet, NetworkSettings
-from homolog.matching import Matcher
+from homolog.matching import Match, Matcher
 from homolog.viewing import Ramp, confidence_layer, error_layer, feature_layer, map_errors, pair_features
 from homolog.viewing.colours import UNKNOWN, principal_colours
 
@@ -54,28 +54,28 @@ def test_few_or_no_features():
 
 def test_confidences(known):
     layer = confidence_layer(known)
-    np.testing.assert_array_equal(np.isnan(layer.values["source"]), known.found.source_to_target < 0)
+    np.testing.assert_array_equal(np.isnan(layer.values["source"]), known.source_to_target < 0)
     assert (layer.ramp.low, layer.ramp.high) == (0, 1)
     assert (layer.colours["source"][[3, 5]] == UNKNOWN).all()
 
 
 def swapped_pair(known):
     """The match with two far points of the target exchanged, and its truth."""
-    wrong = known.found.target_to_source.copy()
+    wrong = known.target_to_source.copy()
     first, second = known.target.points[:, 1].argmin(), known.target.points[:, 1].argmax()
     wrong[[first, second]] = wrong[[second, first]]
-    truth = Truth(np.arange(len(wrong)), known.found.target_to_source)
-    return replace(known, found=replace(known.found, target_to_source=wrong)), truth, [first, second]
+    truth = Truth(np.arange(len(wrong)), known.target_to_source)
+    return replace(known, target_to_source=wrong), truth, [first, second]
 
 
 def test_errors_are_those_of_each_map(known):
     result, truth, wrong = swapped_pair(known)
     errors, unit = map_errors(result, truth)
     assert unit == "% of \N{SQUARE ROOT}area"
-    expected = 100 * geodesic_errors(known.source, truth.source, result.found.target_to_source)
+    expected = 100 * geodesic_errors(known.source, truth.source, result.target_to_source)
     np.testing.assert_allclose(errors["target"], expected)
     assert (errors["target"][wrong] > 50).all() and np.delete(errors["target"], wrong).max() == 0
-    np.testing.assert_array_equal(np.isnan(errors["source"]), known.found.source_to_target < 0)
+    np.testing.assert_array_equal(np.isnan(errors["source"]), known.source_to_target < 0)
     assert np.nanmax(errors["source"]) == 0
     layer = error_layer(errors, unit)
     assert layer.ramp.high > 0
@@ -95,14 +95,11 @@ def test_errors_of_clouds_are_straight(known, known_clouds):
 def test_points_that_the_truth_does_not_name_take_the_nearest_error_if_it_is_near(make, known):
     """On a fine grid: next to a named point is near, the far corner is not."""
     grid = make.grid(60)
-    index, ones = np.arange(grid.n_points), np.ones(grid.n_points)
+    index = np.arange(grid.n_points)
     shifted = np.roll(index, 60)
-    found = replace(
-        known.found, source_to_target=index, target_to_source=shifted, source_confidence=ones, target_confidence=ones
-    )
     named = np.array([30 * 60 + 30])
     shifted[named - 1] = -1
-    errors, _ = map_errors(replace(known, source=grid, target=grid, found=found), Truth(named, named))
+    errors, _ = map_errors(Match(grid, grid, index, shifted), Truth(named, named))
     assert errors["target"][named[0] + 1] == errors["target"][named[0]] == pytest.approx(100 / 59)
     assert np.isnan(errors["target"][0])
     assert np.isnan(errors["target"][named[0] - 1])  # near, but without a counterpart
@@ -113,13 +110,18 @@ def test_features_are_those_of_the_matcher_whatever_was_left_out(known, make):
     network = DiffusionNet(NetworkSettings(width=16, blocks=1, out_channels=8))
     matcher = Matcher(network, device="cpu")
     stray = np.concatenate([known.source.points, [[5.0, 5, 5]]])
-    result = replace(known, source=replace(known.source, points=stray))
+    result = replace(
+        known,
+        source=replace(known.source, points=stray),
+        source_to_target=np.append(known.source_to_target, -1),
+        source_confidence=np.append(known.source_confidence, 0),
+    )
     source, target = pair_features(result, matcher)
     assert source.shape == (len(stray), 8)
     np.testing.assert_array_equal(np.isnan(source).any(axis=1), np.arange(len(stray)) == len(stray) - 1)
-    np.testing.assert_allclose(target, matcher.prepare(known.target).features, atol=1e-5)
+    np.testing.assert_allclose(target, matcher.preprocess(known.target).features, atol=1e-5)
     options = {"as_cloud": "target", "partial": None, "partial_scale": 1.0, "pre_aligned": False}
     cloud = pair_features(replace(result, report={"options": options}), matcher)[1]
-    np.testing.assert_allclose(cloud, matcher.prepare(known.target, as_cloud=True).features, atol=1e-5)
+    np.testing.assert_allclose(cloud, matcher.preprocess(known.target, as_cloud=True).features, atol=1e-5)
     layer = feature_layer(source, target)
     assert (layer.colours["source"][-1] == UNKNOWN).all() and layer.values is None

@@ -60,7 +60,7 @@ def test_html_has_the_picture_and_the_figures(known):
         ["file", "<script>alert(1).off", "other.off"],
         ["points", "162", "162"],
         ["matched", "98.8%", "100.0%"],
-        ["mean confidence", f"{known.found.source_confidence.mean():.2f}", "0.50"],
+        ["mean confidence", f"{known.source_confidence.mean():.2f}", "0.50"],
         ["method", "axiomatic"],
         ["flipped & torn", "0.5"],
     ]

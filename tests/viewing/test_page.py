@@ -81,13 +81,13 @@ def test_of_a_large_shape_some_points_are_shown(known, monkeypatch):
     few = Shape(known.target.points[half], None)
     place = np.full(known.target.n_points, -1)
     place[half] = np.arange(len(half))
-    found = replace(
-        known.found,
-        source_to_target=np.where(known.found.source_to_target < 0, -1, place[known.found.source_to_target]),
-        target_to_source=known.found.target_to_source[half],
-        target_confidence=known.found.target_confidence[half],
+    result = replace(
+        known,
+        target=few,
+        source_to_target=np.where(known.source_to_target < 0, -1, place[known.source_to_target]),
+        target_to_source=known.target_to_source[half],
+        target_confidence=known.target_confidence[half],
     )
-    result = replace(known, target=few, found=found)
     scene = scene_of(result)
     told, read = arrays_of(Parts(page_of(scene)))
     source, target = told["bodies"]
@@ -95,13 +95,13 @@ def test_of_a_large_shape_some_points_are_shown(known, monkeypatch):
     assert 30 < len(index) <= 60 and source["total"] == known.source.n_points
     body = scene.bodies["source"]
     np.testing.assert_allclose(read(source["points"]).reshape(-1, 3), body.points[index], atol=1e-6)
-    np.testing.assert_array_equal(read(source["counterpart"]), found.source_to_target[index])
+    np.testing.assert_array_equal(read(source["counterpart"]), result.source_to_target[index])
     assert source["place"] is None  # all of the target's points are there
     np.testing.assert_array_equal(read(target["index"]), np.arange(50))
     np.testing.assert_allclose(
         read(target["place"]).reshape(-1, 3), body.points[read(target["counterpart"])], atol=1e-6
     )
-    np.testing.assert_array_equal(read(target["back"]), found.source_to_target[found.target_to_source])
+    np.testing.assert_array_equal(read(target["back"]), result.source_to_target[result.target_to_source])
     for layer, written in zip(scene.layers, told["layers"], strict=True):
         np.testing.assert_array_equal(read(written["colours"][0]).reshape(-1, 3), layer.colours["source"][index])
     faces = read(source["faces"]).reshape(-1, 3)
@@ -111,8 +111,8 @@ def test_of_a_large_shape_some_points_are_shown(known, monkeypatch):
 @pytest.mark.slow
 def test_a_match_of_a_million_points_is_a_page_that_can_be_sent(make):
     grid = make.grid(1000)
-    everything, ones = np.arange(grid.n_points), np.ones(grid.n_points)
-    result = Match(grid, grid.as_cloud(), Match(everything, everything, ones, ones, "axiomatic"), {})
+    everything = np.arange(grid.n_points)
+    result = Match(grid, grid.as_cloud(), everything, everything, method="axiomatic")
     page = page_of(scene_of(result))
     assert len(page) < 20e6
     told, read = arrays_of(Parts(page))

@@ -45,13 +45,13 @@ def test_sizes(known):
 
 def test_shapes_that_lie_are_stood_upright(known):
     lying = Shape(known.target.points @ upright_rotation("z"), known.target.faces)
-    report = known.report | {"options": {"up": {"source": "y", "target": "z"}}}
+    report = known.report | {"options": {"source_up": "y", "target_up": "z"}}
     scene = scene_of(replace(known, target=lying, report=report))
     np.testing.assert_allclose(scene.bodies["target"].points, scene_of(known).bodies["target"].points, atol=1e-12)
 
 
 def test_counterparts_and_confidences_are_those_of_the_match(known):
-    bodies, found = scene_of(known).bodies, known.found
+    bodies, found = scene_of(known).bodies, known
     assert bodies["source"].counterpart is found.source_to_target
     assert bodies["source"].confidence is found.source_confidence
     assert bodies["target"].counterpart is found.target_to_source
@@ -62,18 +62,11 @@ def test_counterparts_and_confidences_are_those_of_the_match(known):
 def test_the_first_colours_are_those_of_the_correspondence(known):
     layer = scene_of(known).layers[0]
     assert layer.name == "Match"
-    for side, expected in zip(SIDES, matched_colours(known.source, known.found), strict=True):
+    for side, expected in zip(SIDES, matched_colours(known), strict=True):
         np.testing.assert_array_equal(layer.colours[side], expected)
 
 
 def test_spacing(make, known):
     grid = make.grid(20)
-    scene = scene_of(replace(known, source=grid, target=grid, found=_identity(known, grid.n_points)))
+    scene = scene_of(Match(grid, grid, np.arange(grid.n_points), np.arange(grid.n_points)))
     assert scene.bodies["source"].spacing == pytest.approx(np.sqrt(2) / 19)
-
-
-def _identity(known, n):
-    index, ones = np.arange(n), np.ones(n)
-    return replace(
-        known.found, source_to_target=index, target_to_source=index, source_confidence=ones, target_confidence=ones
-    )

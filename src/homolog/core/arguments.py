@@ -14,16 +14,17 @@ if TYPE_CHECKING:  # reading a shape does without torch, which takes long to loa
 # For each class, by name, what to give and how to get it. The classes are defined on floors above this one.
 _WAYS_TO = {
     "Shape": "a Shape; read files with homolog.read_shape, or make one with homolog.Shape(points, faces)",
-    "Operators": "Operators; compute them with Matcher.operators or homolog.compute_operators",
+    "Operators": "Operators; compute them with Matcher.preprocess.operators or homolog.compute_operators",
     "OperatorSettings": "OperatorSettings; make them with homolog.geometry.OperatorSettings(...), or leave them out",
     "RefinementSettings": "RefinementSettings; make them with homolog.maps.RefinementSettings(...), or leave them out",
     "ConfidenceSettings": "ConfidenceSettings; make them with homolog.maps.ConfidenceSettings(...), or leave them out",
     "RegistrationSettings": "RegistrationSettings; make them with homolog.maps.RegistrationSettings(...), or leave "
     "them out",
-    "Prepared": "a prepared shape; make one with Matcher.prepare",
+    "Pair": "a Pair; make one with Matcher.pair, or of preprocessed shapes with Matcher.paired",
+    "PairOptions": "PairOptions; make them with homolog.PairOptions(...), or give their fields by name",
     "MatcherSettings": "MatcherSettings; make them with homolog.MatcherSettings(...), or leave them out",
     "DiffusionNet": "a network; give weight files to Matcher.from_weights, or read them with homolog.load_weights",
-    "WeightsInfo": "WeightsInfo; homolog.load_weights gives it along with the network",
+    "FeatureInfo": "FeatureInfo; homolog.load_weights gives it along with the network",
     "PathLike": "a path, that is a str or a pathlib.Path",
 }
 

@@ -41,6 +41,7 @@ class Alignment:
     similarity: float = -math.inf
 
 
+@torch.no_grad()
 def align_partial(pair: Pair) -> Pair:
     """The pair with its partial shape rotated, moved and scaled to fit the features of the full shape best.
 

@@ -29,7 +29,7 @@ _BETTER_FOR_BOTH = 0.01
 # Features of sparse clouds vary more: of fewer points than above, more is asked for. Between upright training clouds of
 # 100 to 700 points, turning one raised the mean by up to 0.11 at 100, 0.07 at 300, 0.04 at 500 and 0.02 at 700.
 _SPARSE_POWER = 1.25
-# The axiomatic route. By how much another up-axis must agree better with the target's, as maps of signatures alone see
+# The axiomatic method. By how much another up-axis must agree better with the target's, as maps of signatures alone see
 # it, and to what share that turn must lower the misfit. Either sign misleads at times: agreement where a map stands on
 # its head, misfit because height changed for width costs it little. Both together never did on 314 pairs of upright
 # training meshes, and named every shape whose x or z was up, of 420.
@@ -166,7 +166,7 @@ def orientation_warnings(
 
 
 def axiomatic_warnings(source: Operators, target: Operators, *, ups: Ups = ("y", "y")) -> list[str]:
-    """Say if another up-axis of one shape would fit the other much better, as the axiomatic route sees it.
+    """Say if another up-axis of one shape would fit the other much better, as the axiomatic method sees it.
 
     It only needs the two shapes to stand alike; whether they face the same way this cannot tell. For ``ups`` see
     ``orientation_warnings``.

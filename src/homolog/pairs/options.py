@@ -57,8 +57,8 @@ class PairOptions:
         if not _is_positive(self.partial_scale):
             raise bad_value("partial_scale", self.partial_scale, "a positive finite number")
         if self.partial is None:
-            for name in ("partial_scale", "pre_aligned"):
-                if getattr(self, name) not in (1, False):
+            for name, unset in (("partial_scale", 1), ("pre_aligned", False)):
+                if getattr(self, name) != unset:
                     raise ArgumentError(
                         f"{name} is {getattr(self, name)!r}, but neither shape is partial; say which one is, by partial"
                     )

@@ -18,7 +18,10 @@ _Rule = tuple[Callable[[Any], bool], str]
 _COUNT: _Rule = (is_count, "a whole number of at least 1")
 _COUNT_OR_NONE: _Rule = (lambda value: value is None or is_count(value), "a whole number of at least 1, or None")
 _POSITIVE: _Rule = (lambda value: is_real(value) and value > 0, "a finite number above 0")
-_POSITIVE_OR_NONE: _Rule = (lambda value: value is None or (is_real(value) and value > 0), "above 0, or None")
+_POSITIVE_OR_NONE: _Rule = (
+    lambda value: value is None or (is_real(value) and value > 0),
+    "a finite number above 0, or None",
+)
 _NOT_NEGATIVE: _Rule = (lambda value: is_real(value) and value >= 0, "a finite number of at least 0")
 _FLAG: _Rule = (lambda value: isinstance(value, bool), "True or False")
 

@@ -80,8 +80,7 @@ def scene_of(result: Match, layers: Sequence[Layer] = ()) -> Scene:
         >>> write_page("result.html", scene)
     """
     options = result.report.get("options", {})
-    ups = options.get("up", {})
-    upright = {side: stand_upright(getattr(result, side), ups.get(side, "y")).points for side in SIDES}
+    upright = {side: stand_upright(getattr(result, side), options.get(f"{side}_up", "y")).points for side in SIDES}
     centred = {side: points - (points.min(axis=0) + points.max(axis=0)) / 2 for side, points in upright.items()}
     radii = {side: float(np.linalg.norm(points, axis=1).max()) or 1.0 for side, points in centred.items()}
     scales = _scales(radii, options)

@@ -1,15 +1,15 @@
-"""A part is placed where its features fit its whole's."""
+"""A partial shape is aligned where its features fit those of the full shape."""
 
 import numpy as np
 import pytest
 import torch
-from homolog.matching.placement import _PART_SAMPLES, _samples, placed
 from scipy.spatial.transform import Rotation
 
 from homolog.features import DiffusionNet
 from homolog.geometry import compute_operators, unit_frame
 from homolog.matching import Matcher
-from homolog.pairs import MatcherSettings
+from homolog.matching.alignment import _samples, align_partial, best_alignment
+from homolog.pairs import AlignmentSettings, MatcherSettings
 from homolog.shapes import Shape
 
 
@@ -44,30 +44,30 @@ def matcher_of(upper):
     known = unit_frame(body).to_unit(body.points)
 
     def build(**settings):
-        some = _samples(len(kept), _PART_SAMPLES).numpy()
+        some = _samples(len(kept), AlignmentSettings().partial_samples).numpy()
         return Matcher(Trained(known, known[kept], known[kept][some]), settings=MatcherSettings(**settings))
 
     return build
 
 
 def displaced(upper, pre_aligned, matcher, degrees=25.0, away=0.1):
-    """Where the points of a turned and shifted part come to lie, and the whole's points that they are."""
+    """Where the points of a rotated and moved partial shape come to lie, and the full shape's points that they are."""
     body, part, kept = upper
     scale = unit_frame(body).scale
     turn = Rotation.from_rotvec(np.deg2rad(degrees) * np.array([0.6, 0.0, 0.8])).as_matrix()
     middle = part.points.mean(axis=0)
     turned = Shape((part.points - middle) @ turn.T + middle + away * scale, part.faces)
-    whole, prepared = matcher.prepare_pair(body, turned, partial="target", pre_aligned=pre_aligned)
-    return matcher.placed(whole, prepared), prepared, whole.operators.points[kept]
+    pair, _ = matcher.pair(body, turned, partial="target", pre_aligned=pre_aligned)
+    return align_partial(pair).y, pair.y, pair.x.operators.points[kept]
 
 
 @pytest.mark.parametrize("pre_aligned", [False, True])
-def test_a_part_is_turned_and_shifted_to_its_place(upper, matcher_of, pre_aligned):
+def test_a_partial_shape_is_rotated_and_moved_to_where_it_belongs(upper, matcher_of, pre_aligned):
     matcher = matcher_of()
     found, given, places = displaced(upper, pre_aligned, matcher)
     assert (given.operators.points - places).norm(dim=1).mean() > 0.1
     assert (found.operators.points - places).norm(dim=1).mean() < 0.01
-    torch.testing.assert_close(found.features, matcher.network(found.operators.points, None))
+    torch.testing.assert_close(found.features, matcher.extractor.network(found.operators.points, None))
     lengths = [torch.pdist(each.operators.points[:200]) for each in (found, given)]
     torch.testing.assert_close(*lengths, atol=1e-4, rtol=0)
 
@@ -79,14 +79,15 @@ def test_the_better_of_two_beginnings_is_kept(upper, matcher_of):
     assert (found.operators.points - places).norm(dim=1).mean() < 0.01
 
 
-def test_maps_are_those_of_the_place(upper, matcher_of):
+def test_maps_are_those_of_the_alignment(upper, matcher_of):
     body, part, kept = upper
     turned = Shape(part.points @ Rotation.from_euler("x", 30, degrees=True).as_matrix().T, part.faces)
     error = {}
-    for place in (True, False):
-        matcher = matcher_of(place=place, method="nearest-features", refine=False)
+    for aligned in (True, False):
+        alignment = AlignmentSettings() if aligned else None
+        matcher = matcher_of(alignment=alignment, method="nearest-features", refinement=None)
         found = matcher.match(body, turned, partial="target").target_to_source
-        error[place] = np.linalg.norm(body.points[found] - body.points[kept], axis=1).mean()
+        error[aligned] = np.linalg.norm(body.points[found] - body.points[kept], axis=1).mean()
         mirrored = matcher.match(turned, body, partial="source").source_to_target
         np.testing.assert_array_equal(mirrored, found)
     assert error[True] < 0.2 * error[False]
@@ -95,11 +96,15 @@ def test_maps_are_those_of_the_place(upper, matcher_of):
 def test_nothing_moves_that_need_not(upper, matcher_of):
     body, part, _ = upper
     matcher = matcher_of()
-    whole, prepared = matcher.prepare_pair(body, part, partial="target", pre_aligned=True)
-    found = matcher.placed(whole, prepared)
+    pair, _ = matcher.pair(body, part, partial="target", pre_aligned=True)
+    whole, prepared = pair.x, pair.y
+    found = align_partial(pair).y
     assert (found.operators.points - prepared.operators.points).norm(dim=1).max() < 1e-3
-    assert matcher_of(place=False).placed(whole, prepared) is prepared
-    assert Matcher().placed(whole, prepared) is prepared
+    for settings in ({"alignment": None}, {"method": "axiomatic"}):
+        pair, _ = matcher_of(**settings).pair(body, part, partial="target", pre_aligned=True)
+        assert align_partial(pair) is pair
+    full, _ = matcher.pair(body, body)
+    assert align_partial(full) is full
     given = compute_operators(part, scale=whole.operators.scale).points
     torch.testing.assert_close(
         prepared.operators.points - prepared.operators.points.mean(dim=0), given, atol=1e-5, rtol=0
@@ -113,7 +118,7 @@ def test_turned_beginnings_where_the_given_one_leads_nowhere(upper, degrees, axi
     whole = torch.from_numpy(unit_frame(body).to_unit(body.points)).float()
     turn = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
     basis = compute_operators(Shape(part.points @ turn.T, part.faces), scale=unit_frame(body).scale).basis
-    places = whole[kept][_samples(len(kept), _PART_SAMPLES)]
+    places = whole[kept][_samples(len(kept), AlignmentSettings().partial_samples)]
 
     def embedded(points):
         waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
@@ -122,13 +127,13 @@ def test_turned_beginnings_where_the_given_one_leads_nowhere(upper, degrees, axi
     def apart(points, others):
         return ((points - points.mean(dim=0)) - (others - others.mean(dim=0))).norm(dim=1).mean()
 
-    def features_of(points, _):
-        return embedded(places if apart(points, places) < 0.1 else points + 9.0)
+    def features_of(samples):
+        return embedded(places if apart(samples.points, places) < 0.1 else samples.points + 9.0)
 
     assert apart(basis.points, whole[kept]) > 0.15
-    found = {one: placed(basis, features_of, whole, embedded(whole), searched=one) for one in (True, False)}
+    found = {one: best_alignment(basis, features_of, whole, embedded(whole), search=one) for one in (True, False)}
     assert apart(found[True].points, whole[kept]) < 0.1 < apart(found[False].points, whole[kept])
-    assert found[True].size == found[False].size == 1
+    assert found[True].scale == found[False].scale == 1
 
 
 @pytest.mark.parametrize("size", [0.5, 1.9])
@@ -137,23 +142,24 @@ def test_a_part_of_a_smaller_or_larger_individual_takes_its_whole_s_size(upper, 
     body, part, kept = upper
     whole = torch.from_numpy(unit_frame(body).to_unit(body.points)).float()
     basis = compute_operators(Shape(part.points * size, part.faces), scale=unit_frame(body).scale).basis
-    places = whole[kept][_samples(len(kept), _PART_SAMPLES)]
+    places = whole[kept][_samples(len(kept), AlignmentSettings().partial_samples)]
 
     def embedded(points):
         waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
         return torch.cat([torch.sin(2 * points @ waves), torch.cos(2 * points @ waves)], dim=1)
 
-    def features_of(points, samples):
+    def features_of(samples):
+        points = samples.points
         extent = [(one - one.mean(dim=0)).norm(dim=1).mean() for one in (points, places)]
-        area = samples.mass.sum() / basis.sampled(_samples(len(kept), _PART_SAMPLES)).mass.sum()
+        area = samples.mass.sum() / basis.sampled(_samples(len(kept), AlignmentSettings().partial_samples)).mass.sum()
         assert abs(area.sqrt() * size / (extent[0] / extent[1]) - 1) < 1e-3  # operators are of the size that is tried
         return embedded(places if abs(extent[0] / extent[1] - 1) < 0.15 else points + 9.0)
 
-    found = placed(basis, features_of, whole, embedded(whole), searched=True)
-    assert abs(found.size * size - 1) < 0.1
+    found = best_alignment(basis, features_of, whole, embedded(whole), search=True)
+    assert abs(found.scale * size - 1) < 0.1
     middled = [points - points.mean(dim=0) for points in (found.points, whole[kept])]
     assert (middled[0] - middled[1]).norm(dim=1).mean() < 0.1
-    assert placed(basis, features_of, whole, embedded(whole), searched=False).size == 1
+    assert best_alignment(basis, features_of, whole, embedded(whole), search=False).scale == 1
 
 
 def test_what_is_nearly_as_alike_elsewhere_does_not_tempt(upper):
@@ -162,12 +168,13 @@ def test_what_is_nearly_as_alike_elsewhere_does_not_tempt(upper):
     whole = torch.from_numpy(unit_frame(body).to_unit(body.points)).float()
     basis = compute_operators(part, scale=unit_frame(body).scale).basis
 
-    def features_of(points, _):
-        """A hair more alike where the part has another size."""
+    def features_of(samples):
+        """A hair more alike where the partial shape has another size."""
+        points = samples.points
         spread = (points - points.mean(dim=0)).norm(dim=1).mean()
         one = torch.tensor([1.0, 0.5 - 0.005 * (spread < 0.3)])
         return one.expand(len(points), 2)
 
-    found = placed(basis, features_of, whole, torch.tensor([1.0, 0.0]).expand(len(whole), 2), searched=True)
-    assert found.size == 1
+    found = best_alignment(basis, features_of, whole, torch.tensor([1.0, 0.0]).expand(len(whole), 2), search=True)
+    assert found.scale == 1
     assert torch.equal(found.points, basis.points)
