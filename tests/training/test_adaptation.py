@@ -41,12 +41,12 @@ def loss_of(matcher, source, target, *, partial=False):
         return float(pair_losses(matcher.network, x, y, settings=settings, partial=partial)["total"])
 
 
-def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_those_that_do(matcher, shapes):
+def test_weights_for_other_shapes_are_not_adapted_by_losses_for_near_isometric_ones(matcher, shapes):
     for_organs = Matcher(
         matcher.network, replace(matcher.info, name="organs", near_isometric=False), settings=matcher.settings
     )
     pair = matcher.prepare_pair(*shapes)
-    with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that keep no areas"):
+    with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that are not near-isometric"):
         adapt_to_pair(for_organs, *pair, SETTINGS)
     registration = replace(
         SETTINGS,

@@ -1,4 +1,4 @@
-"""Adapting a network to the very pair that it is to match, by the losses that it was trained with."""
+"""Test-time adaptation: training a copy of a network on the pair that it is to match."""
 
 from __future__ import annotations
 
@@ -52,31 +52,31 @@ def adapt_to_pair(
     partial: Side | None = None,
     listener: Listener | None = None,
 ) -> tuple[Matcher, Prepared, Prepared]:
-    """Go on training a copy of a matcher's network on one pair, and take the features anew.
+    """Train a copy of a matcher's network on one pair, and compute the features anew.
 
-    A mesh also gives the cloud of its points, as in training; a cloud alone stands in for its mesh.
+    A mesh is also used as the cloud of its points, as in training. A cloud alone stands for its mesh.
 
     Args:
-        matcher: with a network; stays as it is.
+        matcher: with a network; it is not changed.
         source: a prepared shape.
         target: another.
         settings: how.
         partial: which of the two, if any, is a part of a shape like the other.
-        listener: told of each step as it begins.
+        listener: called at each step.
 
     Returns:
         A matcher with the adapted network, and both shapes with its features.
 
     Raises:
-        ArgumentError: if the matcher has no network, or one for shapes that do not fit the losses.
+        ArgumentError: if the matcher has no network, or the losses do not fit the shapes that it is for.
         TrainingError: if a loss is not finite.
     """
     if matcher.network is None:
         raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
     if settings.loss.weights["orthogonality"] and not matcher.info.near_isometric:
         raise ArgumentError(
-            f"the weights {matcher.info.name!r} are for shapes that keep no areas, but pairs are adapted to by losses "
-            "for those that do; leave --adapt out, or in Python give other losses"
+            f"the weights {matcher.info.name!r} are for shapes that are not near-isometric, but the losses of adapting "
+            "are for those that are; leave --adapt out, or in Python give other losses"
         )
     if partial == "source":
         source = matcher.placed(target, source)
@@ -97,7 +97,7 @@ def _with_features(matcher: Matcher, shape: Prepared) -> Prepared:
 def _training_pairs(
     matcher: Matcher, source: Prepared, target: Prepared, settings: AdaptationSettings, partial: Side | None
 ) -> list[tuple[TrainingShape, TrainingShape]]:
-    """The pair at each of its subsets of points; the complete shape comes first."""
+    """The pair at each of its subsets of points; the full shape comes first."""
     x, y = (target, source) if partial == "source" else (source, target)
     sampled = (_training_shapes(matcher, shape, settings.samples) for shape in (x, y))
     return list(zip(*sampled, strict=True))
@@ -114,7 +114,9 @@ def _training_shapes(matcher: Matcher, prepared: Prepared, settings: SampleSetti
 def _cloud_basis(matcher: Matcher, prepared: Prepared) -> Basis:
     scale = prepared.operators.scale
     cloud = matcher.operators(prepared.repaired.shape, as_cloud=True, scale=scale).basis
-    return replace(cloud, points=prepared.operators.basis.points)  # of the same points, wherever a part was placed
+    return replace(
+        cloud, points=prepared.operators.basis.points
+    )  # a partial shape's points are aligned
 
 
 def _train(
