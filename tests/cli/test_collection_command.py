@@ -62,7 +62,7 @@ def test_files_to_a_folder_and_on(homolog, shapes, tmp_path):
     ended = homolog("collection", *shapes, "-o", out, *OPTIONS)
     assert ended.code == 0, ended.err
     assert ended.out.splitlines() == [str(out / name) for name in LOOKED_AT]
-    assert ended.err == "Registered the template to 2 of 2 shapes: 0 failed, 0 with warnings.\n"
+    assert ended.err == "Registered 2 of 2 shapes: 0 failed, 0 with warnings.\n"
     points = np.load(out / "points.npy")
     np.testing.assert_array_equal(read_shape(out / "shapes" / "2.ply").points, points[1])
     report = json.loads((out / "report.json").read_text())
@@ -82,12 +82,12 @@ def test_a_bad_shape_is_a_line_and_the_exit_code(homolog, shapes, files, tmp_pat
     assert ended.code == 2
     first, last = ended.err.splitlines()
     assert first.startswith("Error: ") and str(files.rubbish) in first
-    assert last == "Registered the template to 2 of 3 shapes: 1 failed, 0 with warnings."
+    assert last == "Registered 2 of 3 shapes: 1 failed, 0 with warnings."
     assert len(ended.out.splitlines()) == len(LOOKED_AT)
     assert list(json.loads((out / "report.json").read_text())["not_placed"]) == ["rubbish"]
     again = homolog("collection", *shapes, files.rubbish, tmp_path / "none.ply", "-o", out, *OPTIONS)
     assert again.code == 2 and f"Error: {tmp_path / 'none.ply'} does not exist" in again.err
-    assert again.err.endswith("Registered the template to 2 of 4 shapes: 2 failed, 0 with warnings.\n")
+    assert again.err.endswith("Registered 2 of 4 shapes: 2 failed, 0 with warnings.\n")
     only = homolog("collection", shapes[0], files.rubbish, "-o", tmp_path / "none", *OPTIONS)
     assert only.code == 2 and only.err.count("\n") == 2 and "none of the 1 shapes could be placed" in only.err
     assert str(files.rubbish) in (tmp_path / "none" / "quality.csv").read_text()

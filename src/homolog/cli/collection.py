@@ -47,12 +47,6 @@ def collection(
     shapes: Annotated[
         list[Path], typer.Argument(metavar="SHAPES...", help="Meshes and point clouds.", show_default=False)
     ],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
-    ] = Path("collection"),
-    weights: Weights = None,
-    method: MethodOption = "auto",
     as_cloud: Annotated[
         Collected | None,
         typer.Option(
@@ -69,6 +63,12 @@ def collection(
         bool,
         typer.Option("--strict", help="Refuse shapes with anything to repair or to warn of.", rich_help_panel=INPUT),
     ] = False,
+    method: MethodOption = "auto",
+    weights: Weights = None,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
+    ] = Path("collection"),
     scale: Annotated[
         bool,
         typer.Option("--scale", help="Remove size as well before the modes are computed.", rich_help_panel=OUTPUT),
@@ -142,8 +142,8 @@ def _tell(outcome: Outcome) -> None:
 
 def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path]) -> None:
     registered = [outcome for outcome in outcomes if not outcome.error]
-    doubtful = [outcome for outcome in registered if outcome.warnings]
-    for outcome in doubtful:
+    warned = [outcome for outcome in registered if outcome.warnings]
+    for outcome in warned:
         for warning in outcome.warnings:
             say(f"Warning: {outcome.subject.name}: {warning}")
     others = folder.others([outcome.subject for outcome in outcomes])
@@ -153,9 +153,6 @@ def _summary(folder: CollectionFolder, outcomes: list[Outcome], files: list[Path
     if len(outcomes) > most_shown:
         say(f"contact_sheet.png shows the worst {most_shown} of {len(outcomes)} shapes.")
     failed = len(outcomes) - len(registered)
-    say(
-        f"Registered the template to {len(registered)} of {len(outcomes)} shapes: "
-        f"{failed} failed, {len(doubtful)} with warnings."
-    )
+    say(f"Registered {len(registered)} of {len(outcomes)} shapes: {failed} failed, {len(warned)} with warnings.")
     for path in files:
         typer.echo(path)

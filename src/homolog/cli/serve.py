@@ -90,22 +90,19 @@ def serve(
     limits = homolog.serving.Limits(
         max_mb=max_mb, jobs=jobs, queue=queue, per_address=per_address, minutes=minutes, memory_gb=memory_gb
     )
-    server = MatchServer(command, limits, host=host, port=port, names=name or (), made_with=_made_with(weights, method))
+    made_with: str = method
+    if weights is not None or method not in NEED_NO_WEIGHTS:
+        made_with = f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"
+    server = MatchServer(command, limits, host=host, port=port, names=name or (), made_with=made_with)
     announce(server.address, open_browser=not no_open, quiet=quiet)
     with interrupt_ends(server.end):
         server.serve()
 
 
 def _options(weights: str | None, method: Method, device: str) -> tuple[str, ...]:
-    """What every match is told; its process runs elsewhere."""
+    """The options of every match; its process runs in another folder."""
     given = (f"--method={method}", f"--device={device}")
     if weights is None:
         return given
     place = weights if weights in pretrained_weights() else str(expanded(weights).resolve())
     return (*given, f"--weights={place}")
-
-
-def _made_with(weights: str | None, method: Method) -> str:
-    if weights is None and method in NEED_NO_WEIGHTS:
-        return method
-    return f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"
