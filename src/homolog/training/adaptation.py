@@ -69,8 +69,8 @@ def adapt_to_pair(
         raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
     if settings.loss.weights["orthogonality"] and not extractor.info.near_isometric:
         raise ArgumentError(
-            f"the weights {extractor.info.name!r} are for shapes that are not near-isometric, but the losses of adapting "
-            "are for those that are; leave --adapt out, or in Python give other losses"
+            f"the weights {extractor.info.name!r} are for shapes that are not near-isometric, but the losses of "
+            "adapting are for those that are; leave --adapt out, or in Python give other losses"
         )
     pair = align_partial(pair)
     loss = replace(settings.loss, map_eigenpairs=pair.map_size)
