@@ -36,7 +36,7 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import Report, progress_bar, say
 from homolog.core.choices import AsCloud, Side, Up
-from homolog.core.progress import Listener, Steps
+from homolog.core.progress import Listener, Timings
 from homolog.core.versions import versions
 
 if TYPE_CHECKING:
@@ -125,11 +125,11 @@ def match(
     check_picture_file(picture, lines, picture_width)
     ups: dict[Side, Up] = {"source": source_up or up, "target": target_up or up}
     with progress_bar(quiet=quiet) as progress:
-        steps = Steps(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
+        timings = Timings(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         job = Job({"source": source, "target": target}, ups, matcher, adapt)
         outcome = job.run(
-            steps,
+            timings,
             as_cloud=as_cloud,
             partial=partial,
             partial_scale=partial_scale,
@@ -146,7 +146,7 @@ def match(
             "up": ups,
             "strict": strict,
         }
-        paths = outcome.write(output, steps, {"options": options, **described(job.matcher, weights)})
+        paths = outcome.write(output, timings, {"options": options, **described(job.matcher, weights)})
     if page is not None:
         homolog.viewing.write_page(page, homolog.viewing.scene_of(homolog.matching.read_result(output)))
         paths.append(page)
@@ -155,7 +155,7 @@ def match(
         homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
         paths.append(picture)
     if not quiet:
-        _summary(outcome, steps, paths, verbose=verbose)
+        _summary(outcome, timings, paths, verbose=verbose)
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class Outcome:
             "target": _matched(found.target_to_source, found.target_confidence, self.left_out["target"]),
         }
 
-    def write(self, output: Path, steps: Steps, setup: dict[str, Any]) -> list[Path]:
+    def write(self, output: Path, timings: Timings, setup: dict[str, Any]) -> list[Path]:
         """Write the result, as one more step, and its report."""
         report = {
             "inputs": self.inputs,
@@ -188,7 +188,7 @@ class Outcome:
             "versions": versions(),
         }
         return homolog.matching.write_result(
-            output, self.shapes["source"], self.shapes["target"], self.found, report, steps=steps
+            output, self.shapes["source"], self.shapes["target"], self.found, report, timings=timings
         )
 
 
@@ -203,7 +203,7 @@ class Job:
 
     def run(
         self,
-        steps: Steps,
+        timings: Timings,
         *,
         as_cloud: AsCloud | None = None,
         partial: Side | None = None,
@@ -215,7 +215,7 @@ class Job:
         shapes: dict[Side, Shape] = {}
         inputs: dict[Side, dict[str, Any]] = {}
         for side, file in self.files.items():
-            with steps.step(f"read {side}"):
+            with timings.measure(f"read {side}"):
                 shapes[side], digest = homolog.shapes.read_hashed_shape(file)
             inputs[side] = {"file": str(file), "sha256": digest}
         source, target = self.matcher.prepare_pair(
@@ -228,23 +228,23 @@ class Job:
             source_up=self.ups["source"],
             target_up=self.ups["target"],
             strict=strict,
-            steps=steps,
+            timings=timings,
         )
         inputs["source"] |= _described(source)
         inputs["target"] |= _described(target)
-        matcher, source, target = self._adapted(source, target, partial, steps)
-        found = matcher.match_checked(source, target, partial=partial, strict=strict, steps=steps)
+        matcher, source, target = self._adapted(source, target, partial, timings)
+        found = matcher.match_checked(source, target, partial=partial, strict=strict, timings=timings)
         return Outcome(shapes, found, inputs, {"source": source.n_left_out, "target": target.n_left_out})
 
     def _adapted(
-        self, source: Prepared, target: Prepared, partial: Side | None, steps: Steps
+        self, source: Prepared, target: Prepared, partial: Side | None, timings: Timings
     ) -> tuple[Matcher, Prepared, Prepared]:
         if not self.adapt:
             return self.matcher, source, target
         settings = homolog.training.AdaptationSettings(steps=self.adapt)
-        with steps.step("adapt"):
+        with timings.measure("adapt"):
             return homolog.training.adapt_to_pair(
-                self.matcher, source, target, settings, partial=partial, listener=steps.listener
+                self.matcher, source, target, settings, partial=partial, listener=timings.listener
             )
 
 
@@ -280,13 +280,13 @@ def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> L
     return listen
 
 
-def _summary(outcome: Outcome, steps: Steps, paths: list[Path], *, verbose: bool) -> None:
+def _summary(outcome: Outcome, timings: Timings, paths: list[Path], *, verbose: bool) -> None:
     for warning in outcome.found.warnings:
         say(f"Warning: {warning}")
     if verbose:
-        for step in steps.finished:
+        for step in timings.finished:
             say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")
-    seconds = sum(step.seconds for step in steps.finished)
+    seconds = sum(step.seconds for step in timings.finished)
     sides = "; ".join(f"{side} {_in_words(matched)}" for side, matched in outcome.matched.items())
     say(f"Matched by {outcome.found.route} in {seconds:.1f} s (from reading to writing): {sides}.")
     for path in paths:

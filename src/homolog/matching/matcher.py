@@ -18,7 +18,7 @@ from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError, ShapeError, bad_choice
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.features import DEFAULT_WEIGHTS, DiffusionNet, WeightsInfo, load_weights
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
@@ -171,7 +171,7 @@ class Matcher:
         scale: float | None = None,
         centre: ArrayLike | None = None,
         strict: bool = False,
-        steps: Steps | None = None,
+        timings: Timings | None = None,
         label: str = "shape",
     ) -> Prepared:
         """Repair a shape and compute its operators and features.
@@ -184,7 +184,7 @@ class Matcher:
             centre: what lies at the middle of the network's coordinates, in those of the upright shape (3,); by default
                 the mean of its points.
             strict: refuse a shape that needs repair.
-            steps: collects time and memory of the steps.
+            timings: collects time and memory of each step.
             label: what the steps call the shape.
 
         Raises:
@@ -192,15 +192,15 @@ class Matcher:
             ShapeError: if the shape cannot be used, or is refused.
         """
         check_kind(label, shape, Shape)
-        steps = steps or Steps()
-        with steps.step(f"repair {label}"):
+        timings = timings or Timings()
+        with timings.measure(f"repair {label}"):
             repaired, as_cloud = _repaired(stand_upright(shape, up), as_cloud=as_cloud)
             if strict:
                 refuse_repairs(repaired)
-        with steps.step(f"operators of {label}"):
+        with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(torch.as_tensor(centre))
-        with steps.step(f"features of {label}"):
+        with timings.measure(f"features of {label}"):
             features = self.features(operators)
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
@@ -236,7 +236,7 @@ class Matcher:
         source_up: Up = "y",
         target_up: Up = "y",
         strict: bool = False,
-        steps: Steps | None = None,
+        timings: Timings | None = None,
     ) -> Correspondence:
         """Find for every point of each shape its counterpart on the other.
 
@@ -252,13 +252,13 @@ class Matcher:
             source_up: which axis of the source points up.
             target_up: which axis of the target.
             strict: stop at anything to repair or to warn of.
-            steps: collects time and memory of the steps.
+            timings: collects time and memory of each step.
 
         Raises:
             ArgumentError: if something given is not a shape, such a word, or a factor.
             ShapeError: if a shape cannot be used, or ``strict`` forbids it.
         """
-        steps = steps or Steps()
+        timings = timings or Timings()
         prepared = self.prepare_pair(
             source,
             target,
@@ -269,9 +269,9 @@ class Matcher:
             source_up=source_up,
             target_up=target_up,
             strict=strict,
-            steps=steps,
+            timings=timings,
         )
-        return self.match_checked(*prepared, partial=partial, strict=strict, steps=steps)
+        return self.match_checked(*prepared, partial=partial, strict=strict, timings=timings)
 
     def prepare_pair(
         self,
@@ -285,7 +285,7 @@ class Matcher:
         source_up: Up = "y",
         target_up: Up = "y",
         strict: bool = False,
-        steps: Steps | None = None,
+        timings: Timings | None = None,
     ) -> tuple[Prepared, Prepared]:
         """Prepare two shapes for each other: a partial one takes its partner's scale; see ``match``."""
         check_word("as_cloud", as_cloud, get_args(AsCloud))
@@ -310,7 +310,7 @@ class Matcher:
                 scale=scale,
                 centre=centre,
                 strict=strict,
-                steps=steps,
+                timings=timings,
                 label=side,
             )
             whole = prepared[side].operators
@@ -325,14 +325,14 @@ class Matcher:
         *,
         partial: Side | None = None,
         strict: bool = False,
-        steps: Steps | None = None,
+        timings: Timings | None = None,
     ) -> Correspondence:
         """Match two prepared shapes, and check the result, their units and how they stand; see ``match``."""
-        steps = steps or Steps()
+        timings = timings or Timings()
         units = units_that_differ(source, target, partial)
-        with steps.step("map"), blaming(units):
+        with timings.measure("map"), blaming(units):
             found = self.match_prepared(source, target, partial=partial)
-        with steps.step("check orientation"):
+        with timings.measure("check orientation"):
             # Features of a part differ from those of its whole by more than a turn makes.
             turns = () if partial else self.orientation_warnings(source, target)
             warnings = (*units, *turns, *doubts(found))

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int, UInt8
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import all_or_nothing, expanded, made_folder, write_json
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.matching.correspondence import Correspondence, Route
 from homolog.matching.settings import Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
@@ -31,7 +31,7 @@ def write_result(
     correspondence: Correspondence,
     report: dict[str, Any],
     *,
-    steps: Steps | None = None,
+    timings: Timings | None = None,
 ) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
@@ -46,7 +46,7 @@ def write_result(
         target: likewise.
         correspondence: between the two.
         report: what ``report.json`` is to say.
-        steps: what was done before; the report tells of these steps, and of the writing of the other three files as
+        timings: what was done before; the report tells of these steps, and of the writing of the other three files as
             one more, "write".
 
     Raises:
@@ -61,12 +61,12 @@ def write_result(
     folder = made_folder(folder)
     paths = [folder / name for name in RESULT_FILES]
     with all_or_nothing():
-        with (steps or Steps()).step("write"):
+        with (timings or Timings()).measure("write"):
             source_colours, target_colours = matched_colours(source, correspondence)
             correspondence.save(paths[0])
             write_shape(paths[1], drawable(source), colours=source_colours)
             write_shape(paths[2], drawable(target), colours=target_colours)
-        told = {} if steps is None else {"steps": [asdict(step) for step in steps.finished]}
+        told = {} if timings is None else {"timings": [asdict(step) for step in timings.finished]}
         write_json(paths[3], report | told)
     return paths
 

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.datasets import Truth
 from homolog.evaluation import geodesic_errors
 from homolog.matching import Matcher, MatchResult, Side
@@ -83,7 +83,7 @@ def _diagonal(points: Float[np.ndarray, "n 3"]) -> float:
 
 
 def pair_features(
-    result: MatchResult, matcher: Matcher, *, steps: Steps | None = None
+    result: MatchResult, matcher: Matcher, *, timings: Timings | None = None
 ) -> tuple[Float[np.ndarray, "n_source d"], Float[np.ndarray, "n_target d"]]:
     """The features of a result's shapes, prepared as the report says that they were; NaN for points left out.
 
@@ -93,7 +93,7 @@ def pair_features(
     options = _options(result.report)
     ups = options.pop("up")
     pair = matcher.prepare_pair(
-        result.source, result.target, **options, source_up=ups["source"], target_up=ups["target"], steps=steps
+        result.source, result.target, **options, source_up=ups["source"], target_up=ups["target"], timings=timings
     )
     source, target = (side.repaired.to_original(side.features.float().cpu().numpy()) for side in pair)
     return source, target
