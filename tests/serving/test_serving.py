@@ -18,7 +18,7 @@ import pytest
 from serving_tools import TRIANGLE, Listener, gone, pids, program, until
 
 from homolog.core.errors import ArgumentError, ShapeError
-from homolog.matching import Match, RESULT_FILES
+from homolog.matching import RESULT_FILES, Match
 from homolog.serving import Limits, MatchCommand
 from homolog.serving.command import MatchRequest, public_error, read_message
 from homolog.serving.names import safe_file_name
