@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ def as_shape(found: Any, *, name: str | None = None) -> Shape:
     if isinstance(found, Shape):
         return found if name is None else replace(found, name=name)
     if isinstance(found, str | PathLike):
-        shape = read_shape(found)
+        shape = read_shape(Path(found))
         return shape if name is None else replace(shape, name=name)
     for has, taken in _KINDS:
         if has(found):
@@ -60,7 +61,7 @@ def as_shape(found: Any, *, name: str | None = None) -> Shape:
 
 
 def _shape(points: Any, faces: Any, name: str) -> Shape:
-    points = Shape(_numpy(points), name=name).points
+    points, faces = Shape(_numpy(points), name=name).points, _numpy(faces)
     if faces is None or len(faces) == 0:
         return Shape(points, name=name)
     sizes, corners = _polygons(faces, name)
@@ -77,20 +78,19 @@ def _numpy(values: Any) -> Any:
 
 def _polygons(faces: Any, name: str) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " c"]]:
     """Sizes and corners of faces: an array with a row a face, or a list of lists of any lengths."""
-    rows = [_numpy(faces)] if hasattr(faces, "shape") else [np.asarray(row) for row in faces]
-    corners = np.concatenate([np.asarray(row).ravel() for row in rows])
+    if isinstance(faces, list | tuple):
+        rows = [np.asarray(_numpy(row)) for row in faces]
+        sizes, corners = np.array([row.size for row in rows]), np.concatenate(rows)
+    else:
+        table = np.atleast_2d(np.asarray(faces))
+        sizes, corners = np.full(len(table), table.shape[1]), table.ravel()
     if corners.dtype.kind not in "biuf" or not np.array_equal(corners, np.round(corners)):
         raise ShapeError(f"{name}: faces must be whole numbers, indices of points from 0")
-    sizes = [len(row) for row in rows] if not hasattr(faces, "shape") else [np.shape(rows[0])[-1]] * len(rows[0])
-    return np.array(sizes), corners.astype(np.int64)
+    return sizes, corners.astype(np.int64)
 
 
 def _is_pair(found: Any) -> bool:
     return isinstance(found, tuple) and len(found) == 2 and np.ndim(_numpy(found[0])) == 2
-
-
-def _is_vtk(found: Any) -> bool:
-    return hasattr(found, "IsA") and bool(found.IsA("vtkPolyData") or found.IsA("vtkUnstructuredGrid"))
 
 
 def _of_scene(found: Any) -> tuple[Any, Any]:
@@ -100,14 +100,18 @@ def _of_scene(found: Any) -> tuple[Any, Any]:
 
 
 def _of_vtk(found: Any) -> tuple[Any, Any]:
+    if not (found.IsA("vtkPolyData") or found.IsA("vtkUnstructuredGrid")):
+        raise ShapeError(
+            f"a {type(found).__name__} of VTK is no surface; give PolyData, as its extract_surface() gives it"
+        )
     points, sizes, corners = surface_of(found)
     return points, np.split(corners, np.cumsum(sizes)[:-1]) if len(sizes) else None
 
 
 def _of_open3d_tensor(found: Any) -> tuple[Any, Any]:
     if hasattr(found, "vertex"):
-        faces = found.triangle["indices"] if "indices" in found.triangle else None
-        return found.vertex["positions"], faces
+        # Open3D's maps of tensors have no method get.
+        return found.vertex["positions"], found.triangle["indices"] if "indices" in found.triangle else None  # noqa: SIM401
     return found.point["positions"], None
 
 
@@ -122,7 +126,7 @@ def _of_meshio(found: Any) -> tuple[Any, Any]:
 # How each library's shapes are told, and where they keep points and faces; the first that fits counts.
 _KINDS: tuple[tuple[Callable[[Any], bool], Callable[[Any], tuple[Any, Any]]], ...] = (
     (_is_pair, lambda found: found),
-    (_is_vtk, _of_vtk),
+    (lambda found: hasattr(found, "IsA"), _of_vtk),
     (lambda found: hasattr(found, "geometry") and hasattr(found, "graph"), _of_scene),
     (lambda found: hasattr(found, "vertlist"), lambda found: (found.vertlist, getattr(found, "facelist", None))),
     # Open3D calls its faces triangles; trimesh and GeomFuM call them faces.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import mapbox_earcut
 import numpy as np
 from jaxtyping import Float, Int
@@ -102,7 +104,7 @@ def _in_own_plane(ring: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:
 
 
 def _flat_triangles(triangles: Int[np.ndarray, "t 3"], n_corners: int) -> Int[np.ndarray, "f 3"]:
-    """Triangles without area where ears have left out corners on a straight line, so that no edge stays without its own.
+    """Triangles without area where ears have left out corners on a straight line, so that no gap opens.
 
     The edges that have no partner among the ears and the polygon's outline run round what is left out.
     """
@@ -124,5 +126,5 @@ def _flat_triangles(triangles: Int[np.ndarray, "t 3"], n_corners: int) -> Int[np
             loop.append(ends.pop())
             if not ends:
                 del after[loop[-2]]
-        found += [(loop[0], b, c) for b, c in zip(loop[1:-2], loop[2:-1], strict=True)]
+        found += [(loop[0], b, c) for b, c in pairwise(loop[1:-1])]
     return np.array(found, dtype=np.int64).reshape(-1, 3)

@@ -51,7 +51,7 @@ def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
         >>> from pathlib import Path
         >>> folder = Path(homolog.__file__).parent / "demo_data" / "off"
         >>> homolog.read_shape(folder / "amber.off")
-        Shape('amber.off': mesh, 5000 points, 9996 faces)
+        Shape('amber.off': mesh, 4918 points, 9832 faces)
     """
     check_kind("path", path, PathLike, str)
     if pose not in get_args(Pose):
@@ -62,17 +62,17 @@ def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
     read = form.read_rest if pose == "rest" and form.read_rest is not None else form.read
     with _in_one_line(path), warnings.catch_warnings(), imports_of(form):
         warnings.simplefilter("ignore")
-        arrays = _arrays(read(file))
+        arrays = _arrays(read(file), file.name)
         _check_content(arrays)
         return Shape(
             arrays.points, arrays.faces, name=file.name, notes=arrays.notes, space=arrays.space, allow_broken=True
         )
 
 
-def _arrays(found: Any) -> Arrays:
+def _arrays(found: Any, name: str) -> Arrays:
     """What a reader gave, be it of a format of one's own: points alone, or points and faces."""
     points, faces, *rest = found if isinstance(found, tuple) else (found, None)
-    shape = Shape(points, faces, allow_broken=True)
+    shape = Shape(points, faces, name=name, allow_broken=True)
     return Arrays(shape.points, shape.faces, *rest)
 
 

@@ -52,7 +52,7 @@ class Gltf:
     """
 
     def __init__(self, path: Path) -> None:
-        content = path.read_bytes()
+        content, self.folder = path.read_bytes(), path.parent
         self.header, binary = _opened(path, content)
         self.files = _files_beside(path.parent, self.header)
         entries = self.header.get("buffers", [])
@@ -78,13 +78,14 @@ class Gltf:
     def view(self, number: int) -> bytes:
         """The bytes of a buffer view."""
         view = self.header["bufferViews"][number]
-        content = self.buffers[view["buffer"]]
+        content: bytes | None = self.buffers[view["buffer"]]
         if content is None:
             raise self._compressed(_MESHOPT)
-        start = view.get("byteOffset", 0)
-        if start + view["byteLength"] > len(content):
+        start = int(view.get("byteOffset", 0))
+        end = start + int(view["byteLength"])
+        if not 0 <= start <= end <= len(content):
             raise UnreadableError(f"a buffer ends after {len(content)} bytes, too early; {CUT_OFF}")
-        return content[start : start + view["byteLength"]]
+        return content[start:end]
 
     def accessor(self, number: int) -> np.ndarray:
         """The rows (count, width) of an accessor: sparse ones filled in, normalised whole numbers as shares of one."""
@@ -111,10 +112,23 @@ class Gltf:
             raise UnreadableError(f"an accessor leaves its {len(content)} bytes; {CUT_OFF}")
         return np.ndarray((count, width), dtype, content, start, (stride, dtype.itemsize))
 
+    def image(self, number: int) -> bytes | Path:
+        """The content of an image, or the file that holds it, which must lie in the file's own folder or below it."""
+        entry = self.header["images"][number]
+        if "uri" not in entry:
+            return self.view(entry["bufferView"])
+        name = str(entry["uri"])
+        if name.startswith("data:"):
+            return base64.b64decode(name.partition(",")[2])
+        file = (self.folder / unquote(name)).resolve()
+        if "://" in name or not file.is_relative_to(self.folder.resolve()):
+            raise UnreadableError(f"it refers to {shorten(name)!r} outside its own folder; put that file beside it")
+        return file
+
     def _compressed(self, extension: str) -> UnreadableError:
         return UnreadableError(f"it is compressed with {extension}; export it without compression")
 
-    @property
+    @cached_property
     def nodes(self) -> list[dict[str, Any]]:
         """All nodes, as the file has them."""
         return list(self.header.get("nodes", []))
@@ -226,12 +240,14 @@ class Part(NamedTuple):
     """What one primitive of a placed mesh adds to the shape.
 
     Args:
+        node: the number of the node that places it.
         primitive: as the file has it.
         points: where its points lie in the scene; shape (0, 3) if an earlier primitive has brought them.
         first: the index of its first point among those of the shape.
         faces: triangles as indices from its first point.
     """
 
+    node: int
     primitive: dict[str, Any]
     points: Float[np.ndarray, "n 3"]
     first: int
@@ -269,7 +285,7 @@ def parts(file: Gltf, *, pose: Pose = "posed") -> Iterator[Part]:
                 faces = _faces(file, primitive, mode, count)
                 # By the specification a transform that mirrors turns the triangles round as well.
                 mirrored = np.linalg.det(placed[:3, :3]) < 0 and "skin" not in file.nodes[node]
-                yield Part(primitive, points, known[key], faces[:, [0, 2, 1]] if mirrored else faces)
+                yield Part(node, primitive, points, known[key], faces[:, [0, 2, 1]] if mirrored else faces)
                 n_points += len(points)
 
 
@@ -287,7 +303,10 @@ def _placements(file: Gltf, node: int) -> list[Float[np.ndarray, "4 4"]]:
     if instances is None:
         return [world]
     rows = {name.lower(): file.accessor(number) for name, number in instances["attributes"].items()}
-    own = [{name: row.tolist() for name, row in zip(rows, values, strict=True)} for values in zip(*rows.values())]
+    own = [
+        {name: row.tolist() for name, row in zip(rows, values, strict=True)}
+        for values in zip(*rows.values(), strict=True)
+    ]
     return [world @ local_transform(entry) for entry in own]
 
 
@@ -300,12 +319,12 @@ def _placed(
     pose: Pose,
 ) -> Float[np.ndarray, "n 3"]:
     """The points of a primitive in the scene: moved by morph targets, and then by joints or by the node."""
-    points = file.accessor(primitive["attributes"]["POSITION"]).astype(np.float64)
+    points: np.ndarray = file.accessor(primitive["attributes"]["POSITION"]).astype(np.float64)
     for weight, target in zip(weights, primitive.get("targets", []), strict=False):
         if weight and "POSITION" in target:
             points = points + weight * file.accessor(target["POSITION"])
     if "skin" not in file.nodes[node] or "JOINTS_0" not in primitive["attributes"]:
-        return points @ world[:3, :3].T + world[:3, 3]
+        return np.asarray(points @ world[:3, :3].T + world[:3, 3])
     return _posed(file, file.nodes[node]["skin"], primitive["attributes"], points) if pose == "posed" else points
 
 
@@ -314,38 +333,48 @@ def _posed(
 ) -> Float[np.ndarray, "n 3"]:
     """Where joints carry the points of a skinned mesh: linear blend skinning."""
     joints = file.header["skins"][skin]["joints"]
-    carried = np.stack([file.world(joint) for joint in joints]) @ inverse_binds(file, skin)
+    carried = np.stack([file.world(joint) for joint in joints]) @ _inverse_binds(file, skin)
     posed, total = np.zeros_like(points), np.zeros((len(points), 1))
-    for layer in range(_MOST_JOINTS_PER_POINT // 4):
-        if f"JOINTS_{layer}" not in attributes:
-            break
-        which = file.accessor(attributes[f"JOINTS_{layer}"]).astype(np.int64)
-        shares = file.accessor(attributes[f"WEIGHTS_{layer}"]).astype(np.float64)
-        for joint, share in zip(which.T, shares.T, strict=True):
-            matrices = carried[joint]
-            moved = np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3]
-            posed += share[:, None] * moved
-            total += share[:, None]
+    for joint, share in influences(file, attributes):
+        matrices = carried[joint]
+        posed += share[:, None] * (np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3])
+        total += share[:, None]
     return np.where(total > 0, posed / np.where(total > 0, total, 1.0), points)
 
 
-def inverse_binds(file: Gltf, skin: int) -> Float[np.ndarray, "j 4 4"]:
+def influences(
+    file: Gltf, attributes: dict[str, int]
+) -> Iterator[tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]]:
+    """The joints that move the points of a primitive, one for each point, and their shares; a joint may come twice."""
+    for layer in range(_MOST_JOINTS_PER_POINT // 4):
+        if f"JOINTS_{layer}" not in attributes:
+            return
+        joints = file.accessor(attributes[f"JOINTS_{layer}"]).astype(np.int64)
+        shares = file.accessor(attributes[f"WEIGHTS_{layer}"]).astype(np.float64)
+        yield from zip(joints.T, shares.T, strict=True)
+
+
+def _inverse_binds(file: Gltf, skin: int) -> Float[np.ndarray, "j 4 4"]:
     """The matrices that take the points of a mesh to the coordinates of each of a skin's joints, as it was bound."""
     entry = file.header["skins"][skin]
     if "inverseBindMatrices" not in entry:
         return np.tile(np.eye(4), (len(entry["joints"]), 1, 1))
-    return file.accessor(entry["inverseBindMatrices"]).astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+    matrices = file.accessor(entry["inverseBindMatrices"]).astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+    if len(matrices) < len(entry["joints"]):
+        raise UnreadableError(f"a skin has {len(entry['joints'])} joints, but {len(matrices)} matrices; {CUT_OFF}")
+    return matrices[: len(entry["joints"])]
 
 
 def _faces(file: Gltf, primitive: dict[str, Any], mode: int, n_points: int) -> Int[np.ndarray, "m 3"]:
     if mode == _POINTS:
         return np.zeros((0, 3), dtype=np.int64)
-    corners = np.arange(n_points)
+    corners: np.ndarray = np.arange(n_points)
     if "indices" in primitive:
         corners = file.accessor(primitive["indices"])[:, 0].astype(np.int64)
     if mode == _TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
-    return corners[{_STRIP: strips, _FAN: fans}[mode](np.array([len(corners)]))]
+    triangles = {_STRIP: strips, _FAN: fans}[mode](np.array([len(corners)]))
+    return np.asarray(corners[triangles])
 
 
 def read(path: Path, *, pose: Pose = "posed") -> Arrays:
@@ -353,7 +382,7 @@ def read(path: Path, *, pose: Pose = "posed") -> Arrays:
 
     Args:
         path: the file.
-        pose: skinned meshes as their joints pose them in the file, as viewers show them, or at rest, as they were bound.
+        pose: skinned meshes as their joints pose them in the file, which viewers show, or at rest, as they were bound.
     """
     file = Gltf(path)
     file.check_compression()

@@ -11,7 +11,15 @@ from typing import IO
 
 import numpy as np
 
-from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out, polygon_faces
+from homolog.shapes.formats.parsing import (
+    CUT_OFF,
+    Arrays,
+    UnreadableError,
+    check_claim,
+    left_out,
+    polygon_faces,
+    shorten,
+)
 from homolog.shapes.shape import Shape
 
 # The names of arrays, in lower case, the first that is there.
@@ -39,11 +47,15 @@ def read_npz(path: Path) -> Arrays:
         point_key, face_key = _key(members, _POINT_KEYS), _key(members, _FACE_KEYS)
         others = sorted(members.keys() - {point_key, face_key})
         if point_key is None:
-            found = ", ".join(sorted(members)[:8]) or "nothing"
+            found = shorten(", ".join(sorted(members)[:8]) or "nothing", 100)
             raise UnreadableError(f"it holds {found}, but an array 'points' (and perhaps 'faces') is needed")
         points = _columns(_member(archive, members[point_key]), point_key)
         faces = None if face_key is None else _member(archive, members[face_key])
-    notes = [left_out("arrays", len(others), f"{', '.join(others[:8])} are not points or faces")] if others else []
+    notes = (
+        [left_out("arrays", len(others), f"{shorten(', '.join(others[:8]), 100)} are not points or faces")]
+        if others
+        else []
+    )
     return Arrays(points, None if faces is None or not len(faces) else _triangles(points, faces), tuple(notes))
 
 

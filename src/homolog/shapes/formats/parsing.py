@@ -52,7 +52,8 @@ def polygon_faces(
     points: Float[np.ndarray, "n 3"], sizes: Int[np.ndarray, " m"], corners: Int[np.ndarray, " c"]
 ) -> Int[np.ndarray, "t 3"]:
     """The triangles of polygons, as indices of points."""
-    return corners[triangulate(points, sizes, corners)]
+    faces: np.ndarray = corners[triangulate(points, sizes, corners)]
+    return faces
 
 
 class UnreadableError(Exception):

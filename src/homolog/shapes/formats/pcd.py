@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from io import BytesIO
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def read(path: Path) -> Arrays:
 
     content = path.read_bytes()
     n_points = _check_pcd(content)
-    cloud = PointCloud.from_fileobj(BytesIO(content))
+    cloud = PointCloud.from_fileobj(cast(Any, BytesIO(content)))
     if missing := {"x", "y", "z"}.difference(cloud.fields):
         raise UnreadableError(f"it has no field {', '.join(sorted(missing))}")
     points = np.stack([np.atleast_1d(cloud.pc_data[axis]).astype(np.float64) for axis in "xyz"], axis=1)
@@ -37,11 +38,13 @@ def _check_pcd(content: bytes) -> int:
     if head is None or not {b"SIZE", b"POINTS"} <= entries.keys():
         raise UnreadableError("it has no header from FIELDS and SIZE to POINTS and DATA")
     n_points, body = int(entries[b"POINTS"]), content[head.end() :]
-    bytes_per_point = sum(int(size) for size in entries[b"SIZE"].split())
+    sizes = [int(size) for size in entries[b"SIZE"].split()]
+    counts = [int(count) for count in entries.get(b"COUNT", b"").split()] or [1] * len(sizes)
+    bytes_per_point = sum(size * count for size, count in zip(sizes, counts, strict=True))
     if head[1] == b"binary":
         check_claim(n_points, "points", bytes_per_point, len(body))
     elif head[1] == b"ascii":
-        check_claim(n_points, "points", 2, len(body) + 1)
+        check_claim(n_points * sum(counts), "values", 2, len(body) + 1)
     else:
         check_claim(n_points * bytes_per_point, "bytes", 1, _MOST_LZF * len(body))
         check_claim(int.from_bytes(body[4:8], "little"), "bytes", 1, _MOST_LZF * len(body))

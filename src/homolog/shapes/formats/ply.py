@@ -220,7 +220,7 @@ class _Rows:
         return all(np.array_equal(found, wanted) for found, wanted in zip(counts, self._sizes.T, strict=True))
 
     def _walked(self, offset: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """Row by row, where it begins, where the values of its lists begin, and their sizes; and where the last ends."""
+        """Where each row begins, where the values of its lists begin, and their sizes; and where the last row ends."""
         lists, after = self._lists()
         row_starts, list_starts, sizes = list[int](), list[int](), list[int]()
         try:
@@ -242,7 +242,7 @@ class _Rows:
         return np.array(row_starts, np.int64), starts, np.array(sizes, np.int64).reshape(shape), offset
 
     def _lists(self) -> tuple[list[tuple[int, struct.Struct, int]], int]:
-        """For each list the bytes of scalars before it, its counter and the bytes of a value; and the bytes behind all."""
+        """The bytes before each list, its counter and the bytes of one of its values; and the bytes behind the last."""
         found, gap = list[tuple[int, struct.Struct, int]](), 0
         for prop in self._element.properties:
             width = int(prop.type[1])

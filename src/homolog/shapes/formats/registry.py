@@ -59,8 +59,8 @@ def register_format(
 ) -> None:
     """Add a file format, so that ``read_shape``, ``write_shape``, datasets and all commands know it.
 
-    A format that is registered under a suffix of Homolog's own takes its place. A package that is installed can register
-    formats whenever Homolog runs: a function in its entry-point group ``homolog.formats`` is called once, without
+    A format that is registered under a suffix of Homolog's own takes its place. An installed package can register its
+    formats in every run: name a function in its entry-point group ``homolog.formats``; it is called once, without
     arguments, and calls this one.
 
     Args:
@@ -88,7 +88,7 @@ def register_format(
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     homolog.write_shape(Path(folder) / "body.raw3", body.as_cloud())
         ...     homolog.read_shape(Path(folder) / "body.raw3")
-        Shape('body.raw3': cloud, 5000 points)
+        Shape('body.raw3': cloud, 4918 points)
     """
     if len(suffix) < 2 or suffix[0] != "." or not suffix[1:].isalnum():
         raise bad_value("suffix", suffix, "a dot and letters or digits, such as '.tri'")
@@ -115,7 +115,7 @@ def _load_installed() -> None:
     for entry in entry_points(group=ENTRY_POINTS):
         try:
             entry.load()()
-        except Exception as error:  # another package's fault must not keep files from being read
+        except Exception as error:  # noqa: PERF203  # a fault of another package must not stop this one
             warnings.warn(f"the formats of {entry.value} are left out: {error!r}", RuntimeWarning, stacklevel=2)
 
 

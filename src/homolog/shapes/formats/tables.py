@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -95,10 +96,11 @@ def _without_count(text: str, lines: list[str]) -> list[str]:
     """The lines without a first one that holds the number of points, and a comment that may follow it."""
     if not lines or not re.fullmatch(r"\d+", lines[0]):
         return lines
-    count, comment = int(lines[0]), text.partition(lines[0])[2].splitlines()[1:2]
-    # Chemists' second line is a comment whatever it holds, even nothing, or numbers.
-    rows = lines[1:]
-    if len(rows) == count + 1 and comment and comment[0].strip() == rows[0]:
+    count, rows = int(lines[0]), lines[1:]
+    behind = text.partition(lines[0])[2].splitlines()[1:2]
+    # Chemists' second line is a comment whatever it holds, be it nothing, or numbers before rows that begin with words.
+    is_comment = bool(behind) and len(rows) > 1 and behind[0].strip() == rows[0]
+    if is_comment and len(rows) == count + 1 and (not _is_number(_cells(rows[1])[0]) or not _is_numbers(rows[0])):
         rows = rows[1:]
     if len(rows) != count:
         raise UnreadableError(f"its first line announces {count} points, but {len(rows)} lines follow; {CUT_OFF}")
@@ -118,7 +120,7 @@ def _starts_with_index(lines: list[str]) -> bool:
     """Whether the first cells of all rows are words, or count the rows from 0 or 1."""
     first = [_cells(line)[0] for line in lines]
     if not first[0].isdigit():
-        return not _is_numbers(first[0])
+        return not _is_number(first[0])
     return first[0] in ("0", "1") and first == [
         str(number) for number in range(int(first[0]), int(first[0]) + len(first))
     ]
@@ -130,18 +132,23 @@ def _delimiter(line: str) -> str | None:
 
 
 def _cells(line: str) -> list[str]:
-    return [cell.strip(" \"'") for cell in line.split(_delimiter(line))]
+    """The cells of a line; a delimiter within double quotes is part of a cell."""
+    delimiter = _delimiter(line)
+    cells = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    return [cell.strip(" \"'") for cell in cells]
 
 
 def _is_numbers(line: str) -> bool:
     """Whether a row holds a number at all; a row of words is a header."""
-    for cell in _cells(line):
-        try:
-            float(cell)
-        except ValueError:
-            continue
-        return True
-    return False
+    return any(_is_number(cell) for cell in _cells(line))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _names(header: str) -> list[str]:

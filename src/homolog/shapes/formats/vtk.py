@@ -38,6 +38,9 @@ _LEGACY_KIND = re.compile(rb"^[ \t]*dataset[ \t]+(\w+)", re.IGNORECASE | re.MULT
 _XML_COUNTS = re.compile(rb"""\bNumberOf\w+\s*=\s*["']\s*(\d+)""")
 # No compressor of VTK makes data smaller than this.
 _MOST_COMPRESSION = 1100
+# Within so many seconds VTK has read any file that is whole.
+_SECONDS = 30.0
+_SECONDS_PER_BYTE = 2e-6
 # The exit code of vtk_process.py that comes with a reason.
 _REFUSED = 3
 
@@ -90,8 +93,12 @@ def _load(path: Path, suffix: str, content: bytes) -> Arrays:
     if find_spec("vtkmodules") is None:
         raise _missing()
     script = Path(__file__).with_name("vtk_process.py")
-    command = [sys.executable, "-I", str(script), str(path.resolve()), suffix, json.dumps(sys.path)]
-    done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False)
+    command = [sys.executable, "-I", "-W", "ignore", str(script), str(path.resolve()), suffix, json.dumps(sys.path)]
+    limit = _SECONDS + len(content) * _SECONDS_PER_BYTE
+    try:
+        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False, timeout=limit)
+    except subprocess.TimeoutExpired:
+        raise UnreadableError(f"VTK has not read it within {limit:.0f} s; {CUT_OFF}") from None
     if done.returncode:
         # Exit codes other than the one that comes with a reason are crashes.
         said = (
@@ -120,7 +127,7 @@ def surface_of(data: Any) -> tuple[np.ndarray, Int[np.ndarray, " m"], Int[np.nda
     except ValueError as error:
         raise ShapeError(f"a VTK data set cannot be used: {error}") from None
     of_strips = strip_corners[strips(strip_sizes)]
-    return points, np.append(sizes, [3] * len(of_strips)), np.append(corners, of_strips.ravel())
+    return points, np.append(sizes, np.full(len(of_strips), 3)), np.append(corners, of_strips.ravel())
 
 
 def _missing() -> MissingExtraError:

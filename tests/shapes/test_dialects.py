@@ -1,0 +1,244 @@
+"""Files as other programs write them: read where nothing is lost, and said to the user where something is left out."""
+
+import numpy as np
+import pytest
+
+from homolog.core.errors import ShapeError
+from homolog.shapes import Shape, check, read_shape, write_shape
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]], float)
+FACES = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 4]])
+
+
+def put(folder, name, content):
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def rows(values, pattern="{}"):
+    return "".join(pattern.format(" ".join(map(str, row))) + "\n" for row in values)
+
+
+def notes(shape):
+    return {f.rule: (f.count, f.action) for f in check(shape).findings if f in shape.notes}
+
+
+def is_cloud(shape):
+    np.testing.assert_array_equal(shape.points, POINTS)
+    return shape.faces is None
+
+
+OFF_FACES = rows(FACES, "3 {}")
+
+
+@pytest.mark.parametrize("head", ["OFF\n6\n3\n0\n", "OFF 6 3\n", "6 3 0\n", "OFF # x\n6\n3\n\n0\n", "STCNOFF\n6 3 0\n"])
+def test_off_headers(tmp_path, head):
+    shape = read_shape(put(tmp_path, "a.off", head + rows(POINTS) + OFF_FACES))
+    np.testing.assert_array_equal(shape.points, POINTS)
+    np.testing.assert_array_equal(shape.faces, FACES)
+
+
+def test_off_with_four_coordinates(tmp_path):
+    weights = np.array([[1], [2], [4], [0.5], [1], [1]])
+    four = np.concatenate([POINTS * weights, weights], axis=1)
+    shape = read_shape(put(tmp_path, "a.off", "4OFF\n6 3 0\n" + rows(four) + OFF_FACES))
+    np.testing.assert_array_equal(shape.points, POINTS)
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"OFF BINARY\n" + bytes(60), "it is a binary OFF"),
+        ("HOFF\n6 3 0\n" + rows(POINTS), "does not start with OFF, .*, but with 'HOFF'"),
+        ("5 6 oops\n" + rows(POINTS), "but with '5 6 oops'"),
+    ],
+)
+def test_off_that_is_not_read_has_a_true_reason(tmp_path, content, reason):
+    with pytest.raises(ShapeError, match=reason):
+        read_shape(put(tmp_path, "a.off", content))
+
+
+VERTEX = "property float x\nproperty float y\nproperty float z\n"
+
+
+def ply(order, elements, body, comment="comment x"):
+    return f"ply\nformat {order} 1.0\n{comment}\n{elements}end_header\n".encode() + body
+
+
+@pytest.mark.parametrize(("order", "mark"), [("binary_little_endian", "<"), ("binary_big_endian", ">")])
+@pytest.mark.parametrize("alike", [True, False])
+@pytest.mark.parametrize("place", ["before", "between", "behind"])
+def test_ply_vertices_with_lists(tmp_path, order, mark, alike, place):
+    """As photogrammetry writes them: the views of each point, and their weights."""
+    views, weights = "property list uchar uint views\n", "property list uchar float weights\n"
+    scalars = "".join(f"property double {axis}\n" for axis in "xyz") + "property uchar red\n"
+    if place == "before":
+        properties = views + weights + scalars
+    elif place == "between":
+        properties = views + scalars + weights
+    else:
+        properties = scalars + views + weights
+    body = b""
+    for number, point in enumerate(POINTS):
+        n = 2 if alike else number % 4
+        some = {
+            "views": bytes([n]) + np.arange(n, dtype=mark + "u4").tobytes(),
+            "weights": bytes([n]) + np.ones(n, mark + "f4").tobytes(),
+            "scalars": point.astype(mark + "f8").tobytes() + b"\7",
+        }
+        names = {"before": ["views", "weights", "scalars"], "between": ["views", "scalars", "weights"]}
+        body += b"".join(some[name] for name in names.get(place, ["scalars", "views", "weights"]))
+    body += b"".join(b"\3" + face.astype(mark + "i4").tobytes() for face in FACES)
+    elements = f"element vertex 6\n{properties}element face 3\nproperty list uchar int vertex_indices\n"
+    shape = read_shape(put(tmp_path, "a.ply", ply(order, elements, body)))
+    np.testing.assert_array_equal(shape.points, POINTS)
+    np.testing.assert_array_equal(shape.faces, FACES)
+    with pytest.raises(ShapeError, match="ends before the last element"):
+        read_shape(put(tmp_path, "b.ply", ply(order, elements, body[:-3])))
+
+
+def test_ply_with_old_line_ends_and_capitals(tmp_path):
+    elements = f"element vertex 6\n{VERTEX.upper().replace('PROPERTY FLOAT', 'property float')}"
+    text = ply("ascii", elements, rows(POINTS).encode())
+    assert is_cloud(read_shape(put(tmp_path, "a.ply", text.replace(b"\n", b"\r"))))
+
+
+def test_ply_lines_beyond_the_last_element_are_refused(tmp_path):
+    text = ply("ascii", f"element vertex 6\n{VERTEX}", (rows(POINTS) + OFF_FACES).encode())
+    with pytest.raises(ShapeError, match="3 lines follow the elements that its header announces"):
+        read_shape(put(tmp_path, "a.ply", text))
+
+
+def test_ply_bytes_beyond_the_last_element_are_noted(tmp_path):
+    content = ply("binary_little_endian", f"element vertex 6\n{VERTEX}", POINTS.astype("<f4").tobytes())
+    assert notes(read_shape(put(tmp_path, "a.ply", content + b"\n"))) == {}
+    shape = read_shape(put(tmp_path, "b.ply", content + bytes(7)))
+    assert notes(shape)["bytes after the last element"][0] == 7
+
+
+STL_FACETS = np.zeros(3, [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
+STL_FACETS["v"] = POINTS[FACES]
+
+
+def stl(count, more=b"", title=b"solid of a program"):
+    return title.ljust(80) + np.uint32(count).tobytes() + STL_FACETS.tobytes() + more
+
+
+@pytest.mark.parametrize("title", [b"solid of a program", b"another"])
+def test_stl_binary_with_bytes_after_its_triangles(tmp_path, title):
+    for count in (3, 0, 2**32 - 1):
+        shape = read_shape(put(tmp_path, "a.stl", stl(count, title=title)))
+        assert shape.n_faces == 3 and not shape.notes
+        shape = read_shape(put(tmp_path, "a.stl", stl(count, b"\0\1", title)))
+        assert shape.n_faces == 3 and notes(shape)["bytes after the last triangle"][0] == 2
+    with pytest.raises(ShapeError, match="has 100 bytes too many for the 1 triangles"):
+        read_shape(put(tmp_path, "a.stl", stl(1, title=title)))
+    with pytest.raises(ShapeError, match="cannot hold the 4 triangles"):
+        read_shape(put(tmp_path, "a.stl", stl(4, title=title)))
+
+
+@pytest.mark.parametrize("end", ["endsolid x\n", "end solid x\n", ""])
+def test_stl_text_with_any_end(tmp_path, end):
+    facets = ""
+    for face in POINTS[FACES]:
+        facets += "facet normal 0 0 0\nouter loop\n" + rows(face, "vertex {}") + "endloop\nendfacet\n"
+    assert read_shape(put(tmp_path, "a.stl", "solid x\n" + facets + end)).n_faces == 3
+    with pytest.raises(ShapeError, match="last triangle"):
+        read_shape(put(tmp_path, "a.stl", "solid x\n" + facets.removesuffix("endfacet\n") + end))
+
+
+NUMBERED = {
+    "a count first": "6\n" + rows(POINTS),
+    "chemists'": "6\nwater\n" + rows(POINTS, "C {}"),
+    "chemists', no comment": "6\n\n" + rows(POINTS, "C {}"),
+    "chemists', numbers": "6\n1 2 3\n" + rows(POINTS, "C {}"),
+    "chemists', a mark": "6\n# made up\n" + rows(POINTS, "C {}"),
+    "an index of R": '"x" "y" "z"\n' + "".join(f'"{i}" {rows([p])}' for i, p in enumerate(POINTS, 1)),
+    "an index of pandas": ",x,y,z\n" + "".join(f"{i},{','.join(map(str, p))}\n" for i, p in enumerate(POINTS)),
+    "an index and other names": ",a,b,c\n" + "".join(f"{i},{','.join(map(str, p))}\n" for i, p in enumerate(POINTS)),
+    "numbers for names": ",0,1,2\n" + "".join(f"{i},{','.join(map(str, p))}\n" for i, p in enumerate(POINTS)),
+    "numbers for names, no index": "0,1,2\n" + "".join(f"{','.join(map(str, p))}\n" for p in POINTS),
+    "an index without names": "".join(f"{i} {rows([p])}" for i, p in enumerate(POINTS)),
+    "an index from 1": "".join(f"{i} {rows([p])}" for i, p in enumerate(POINTS, 1)),
+    "names of points": "".join(f"P{i}, {', '.join(map(str, p))}\n" for i, p in enumerate(POINTS)),
+    "names with commas": "".join(f'"P, {i}",{",".join(map(str, p))}\n' for i, p in enumerate(POINTS)),
+    "another column": "".join(f"{' '.join(map(str, p))} {i}\n" for i, p in enumerate(POINTS)),
+    "a comma at the end": "x,y,z\n" + "".join(f"{','.join(map(str, p))},\n" for p in POINTS),
+}
+
+
+@pytest.mark.parametrize("text", NUMBERED.values(), ids=NUMBERED)
+@pytest.mark.parametrize("suffix", [".xyz", ".csv", ".txt"])
+def test_tables_with_counts_and_indices(tmp_path, text, suffix):
+    assert is_cloud(read_shape(put(tmp_path, "a" + suffix, text)))
+
+
+def test_a_column_that_is_left_out_is_noted(tmp_path):
+    shape = read_shape(put(tmp_path, "a.xyz", NUMBERED["an index without names"]))
+    assert "names or numbers the rows" in notes(shape)["first column"][1]
+
+
+def test_tables_in_utf_16(tmp_path):
+    assert is_cloud(read_shape(put(tmp_path, "a.txt", rows(POINTS).encode("utf-16"))))
+
+
+def test_a_count_that_does_not_fit_is_refused(tmp_path):
+    for count in (5, 7, 10**30):
+        with pytest.raises(ShapeError, match=f"announces {count} points, but 6 lines follow"):
+            read_shape(put(tmp_path, "a.xyz", f"{count}\n" + rows(POINTS)))
+
+
+@pytest.mark.parametrize("points", ["points", "vertices", "verts", "v", "V", "xyz"])
+@pytest.mark.parametrize("faces", ["faces", "triangles", "tris", "f", "F"])
+def test_npz_keys(tmp_path, points, faces):
+    np.savez(tmp_path / "a.npz", **{points: POINTS, faces: FACES})
+    shape = read_shape(tmp_path / "a.npz")
+    np.testing.assert_array_equal(shape.faces, FACES)
+    assert not shape.notes
+
+
+def test_npz_arrays_that_are_left_out_are_named(tmp_path):
+    np.savez(tmp_path / "a.npz", points=POINTS, polys=FACES, weights=np.ones(6))
+    shape = read_shape(tmp_path / "a.npz")
+    assert shape.faces is None
+    assert "polys, weights are not points or faces" in notes(shape)["arrays left out"[:6]][1]
+
+
+def test_npz_with_quadrilaterals(tmp_path):
+    np.savez(tmp_path / "a.npz", points=POINTS, faces=[[0, 1, 2, 3]])
+    assert check(read_shape(tmp_path / "a.npz")).area == pytest.approx(1)
+
+
+def test_faces_that_count_from_one(tmp_path):
+    np.savez(tmp_path / "a.npz", points=POINTS[:5], faces=FACES + 1)
+    text = f"OFF\n5 3 0\n{rows(POINTS[:5])}{rows(FACES + 1, '3 {}')}"
+    for path in (tmp_path / "a.npz", put(tmp_path, "a.off", text)):
+        with pytest.raises(ShapeError, match="faces seem to count points from 1"):
+            read_shape(path)
+
+
+@pytest.mark.parametrize("space", ["RAS", "LPS"])
+def test_axes_that_slicer_names(tmp_path, space):
+    said = f"3D Slicer output. SPACE={space}"
+    elements = f"element vertex 6\n{VERTEX}"
+    content = ply("binary_little_endian", elements, POINTS.astype("<f4").tobytes(), f"comment {said}")
+    vtk = f"# vtk DataFile Version 3.0\n{said}\nASCII\nDATASET POLYDATA\nPOINTS 6 double\n{rows(POINTS)}"
+    obj = f"# {said}\n{rows(POINTS, 'v {}')}{rows(FACES + 1, 'f {}')}"
+    paths = [put(tmp_path, "a.ply", content), put(tmp_path, "a.obj", obj), put(tmp_path, "a.vtk", vtk)]
+    for path in (*paths, put(tmp_path, "a.stl", stl(3, title=said.encode()))):
+        shape = read_shape(path)
+        assert shape.space == space
+        assert any(space in f.action for f in check(shape).findings)
+    assert read_shape(put(tmp_path, "b.obj", obj.replace("SPACE", "space"))).space is None
+
+
+def test_obj_keeps_marks_out_of_its_numbers(tmp_path):
+    text = rows(POINTS, "V {} # a point") + "usemtl Material #1\n" + rows(FACES + 1, "f {} # of the front")
+    np.testing.assert_array_equal(read_shape(put(tmp_path, "a.obj", text)).faces, FACES)
+
+
+def test_stl_is_written_with_normals(tmp_path):
+    write_shape(tmp_path / "a.stl", Shape(POINTS, [*FACES.tolist(), [0, 0, 1]]))
+    facets = np.frombuffer((tmp_path / "a.stl").read_bytes(), STL_FACETS.dtype, offset=84)
+    np.testing.assert_allclose(facets["n"], [[0, 0, 1], [0, 0, 1], [0, -1, 0], [0, 0, 0]])

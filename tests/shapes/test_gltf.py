@@ -1,0 +1,281 @@
+"""glTF as its specification has it: accessors, primitives, scenes, instances, morph targets and skins."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+
+from homolog.core.errors import ArgumentError, ShapeError
+from homolog.shapes import check, read_shape
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1]], "<f4")
+FACES = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 4]], "<u2")
+CODES = {"<i1": 5120, "|i1": 5120, "|u1": 5121, "<i2": 5122, "<u2": 5123, "<u4": 5125, "<f4": 5126}
+TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+
+
+class File:
+    """A glTF that is put together array by array."""
+
+    def __init__(self):
+        self.buffer = b""
+        self.tree = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": []}
+        self.tree |= {"meshes": [{"primitives": []}], "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}], "scene": 0}
+
+    def view(self, array, **more):
+        self.buffer += bytes(-len(self.buffer) % 4)
+        entry = {"buffer": 0, "byteOffset": len(self.buffer), "byteLength": array.nbytes}
+        self.buffer += array.tobytes()
+        self.tree["bufferViews"].append(entry | more)
+        return len(self.tree["bufferViews"]) - 1
+
+    def accessor(self, array, **more):
+        array = np.asarray(array)
+        width = 1 if array.ndim == 1 else array.shape[1]
+        entry = {"componentType": CODES[array.dtype.str], "count": len(array), "type": TYPES[width]}
+        self.tree["accessors"].append(entry | {"bufferView": self.view(array)} | more)
+        return len(self.tree["accessors"]) - 1
+
+    def primitive(self, points=POINTS, indices=None, mesh=0, **more):
+        entry = {"attributes": {"POSITION": points if isinstance(points, int) else self.accessor(points)}}
+        if indices is not None:
+            entry["indices"] = self.accessor(np.ravel(indices))
+        self.tree["meshes"][mesh]["primitives"].append(entry | more)
+        return entry
+
+    def put(self, folder, **changes):
+        uri = "data:application/octet-stream;base64," + base64.b64encode(self.buffer).decode()
+        tree = self.tree | {"buffers": [{"byteLength": len(self.buffer), "uri": uri}]} | changes
+        (folder / "a.gltf").write_text(json.dumps(tree))
+        return folder / "a.gltf"
+
+
+@pytest.fixture
+def file():
+    return File()
+
+
+def is_plain(shape):
+    np.testing.assert_allclose(shape.points, POINTS, atol=1e-6)
+    np.testing.assert_array_equal(shape.faces, FACES)
+
+
+@pytest.mark.parametrize(("dtype", "largest"), [("<i2", 32767), ("|i1", 127), ("<u2", 65535), ("|u1", 255)])
+def test_normalized_positions(tmp_path, file, dtype, largest):
+    position = file.accessor((POINTS * largest).astype(dtype), normalized=True)
+    file.primitive(position, FACES)
+    is_plain(read_shape(file.put(tmp_path)))
+
+
+def test_whole_numbers_that_are_not_normalized(tmp_path, file):
+    file.primitive(file.accessor(POINTS.astype("<i2")), FACES)
+    is_plain(read_shape(file.put(tmp_path)))
+
+
+def test_lowest_normalized_number_is_minus_one(tmp_path, file):
+    points = np.array([[-128, 0, 0], [127, 0, 0], [0, 127, 0], [0, 0, 127]], "|i1")
+    file.primitive(file.accessor(points, normalized=True), mode=0)
+    assert read_shape(file.put(tmp_path)).points[0, 0] == -1
+
+
+def test_strides(tmp_path, file):
+    interleaved = np.concatenate([POINTS, np.full_like(POINTS, 7)], axis=1).astype("<f4")
+    view = file.view(interleaved, byteStride=24)
+    file.tree["accessors"].append({"bufferView": view, "componentType": 5126, "count": 5, "type": "VEC3"})
+    file.primitive(0, FACES)
+    is_plain(read_shape(file.put(tmp_path)))
+
+
+@pytest.mark.parametrize("base", [True, False])
+def test_sparse_accessors(tmp_path, file, base):
+    """A few rows replace those of a view, or zeros."""
+    which, values = file.view(np.array([1, 3], "<u2")), file.view(np.array([[5, 0, 0], [0, 6, 0]], "<f4"))
+    sparse = {"indices": {"bufferView": which, "componentType": 5123}, "values": {"bufferView": values}, "count": 2}
+    entry = {"componentType": 5126, "count": 5, "type": "VEC3", "sparse": sparse}
+    file.tree["accessors"].append(entry | ({"bufferView": file.view(POINTS)} if base else {}))
+    file.primitive(0, FACES)
+    expected = POINTS.copy() if base else np.zeros_like(POINTS)
+    expected[[1, 3]] = [[5, 0, 0], [0, 6, 0]]
+    if base:
+        np.testing.assert_array_equal(read_shape(file.put(tmp_path)).points, expected)
+    else:
+        file.primitive(POINTS)
+        np.testing.assert_array_equal(read_shape(file.put(tmp_path)).points[:5], expected)
+
+
+def test_fans_strips_and_lines(tmp_path, file):
+    square = file.accessor(POINTS)
+    file.primitive(square, np.array([0, 1, 2, 3], "<u2"), mode=6)
+    file.primitive(square, np.array([0, 1, 3, 2], "<u4"), mode=5)
+    file.primitive(square, np.array([0, 1, 4], "|u1"))
+    file.primitive(square, np.array([0, 4], "<u2"), mode=1)
+    shape = read_shape(file.put(tmp_path))
+    # All four share their points, so that these come once.
+    np.testing.assert_array_equal(shape.points, POINTS)
+    np.testing.assert_array_equal(shape.faces, [[0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3], [0, 1, 4]])
+    assert [(f.rule, f.count) for f in shape.notes] == [("primitives of lines", 1)]
+
+
+def test_points_alone_are_a_cloud_and_beside_triangles_stay_points(tmp_path, file):
+    file.primitive(mode=0)
+    assert read_shape(file.put(tmp_path)).faces is None
+    file.primitive(POINTS + 3, FACES)
+    shape = read_shape(file.put(tmp_path))
+    assert shape.n_points == 10
+    np.testing.assert_array_equal(shape.faces, FACES + 5)
+
+
+def test_scenes(tmp_path, file):
+    """The active one, or the first; nodes in no scene are left out, with a word."""
+    file.primitive(POINTS, FACES)
+    nodes = [{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}]
+    scenes = [{"nodes": [0]}, {"nodes": [1]}]
+    for changes, shift in (({"scene": 1}, 5), ({"scene": 0}, 0)):
+        shape = read_shape(file.put(tmp_path, nodes=nodes, scenes=scenes, **changes))
+        np.testing.assert_array_equal(shape.points, np.add(POINTS, [shift, 0, 0]))
+        assert [(f.rule, f.count) for f in shape.notes] == [("meshes outside the scene", 1)]
+    del file.tree["scene"]
+    is_plain(read_shape(file.put(tmp_path, nodes=nodes, scenes=scenes)))
+    del file.tree["scenes"]
+    assert read_shape(file.put(tmp_path, nodes=nodes)).n_points == 10
+
+
+def test_instances(tmp_path, file):
+    file.primitive(POINTS, FACES)
+    turn = np.array([[0, 0, 0, 32767], [0, 0, 32767, 0]], "<i2")
+    attributes = {
+        "TRANSLATION": file.accessor(np.array([[0, 0, 0], [4, 0, 0]], "<f4")),
+        "ROTATION": file.accessor(turn, normalized=True),
+        "_ID": file.accessor(np.array([1, 2], "<f4")),
+    }
+    node = {"mesh": 0, "scale": [2, 2, 2], "extensions": {"EXT_mesh_gpu_instancing": {"attributes": attributes}}}
+    shape = read_shape(file.put(tmp_path, nodes=[node]))
+    half_turn = POINTS * [-1, -1, 1] + [4, 0, 0]
+    np.testing.assert_allclose(shape.points, 2 * np.concatenate([POINTS, half_turn]), atol=1e-3)
+    np.testing.assert_array_equal(shape.faces, np.concatenate([FACES, FACES + 5]))
+
+
+def test_morph_targets(tmp_path, file):
+    """The node's weights, or else the mesh's; without any the mesh is as it is."""
+    up, right = (file.accessor(np.tile(np.array(d, "<f4"), (5, 1))) for d in ([0, 2, 0], [1, 0, 0]))
+    file.primitive(POINTS, FACES, targets=[{"POSITION": up}, {"POSITION": right}, {"NORMAL": up}])
+    is_plain(read_shape(file.put(tmp_path)))
+    file.tree["meshes"][0]["weights"] = [0.5, 0, 1]
+    np.testing.assert_array_equal(read_shape(file.put(tmp_path)).points, np.add(POINTS, [0, 1, 0]))
+    shape = read_shape(file.put(tmp_path, nodes=[{"mesh": 0, "weights": [0, 3]}]))
+    np.testing.assert_array_equal(shape.points, np.add(POINTS, [3, 0, 0]))
+
+
+def skinned(file, weights=((255, 0, 0, 0),) * 5):
+    primitive = file.primitive(POINTS, FACES)
+    primitive["attributes"]["JOINTS_0"] = file.accessor(np.tile(np.array([0, 1, 0, 0], "|u1"), (5, 1)))
+    primitive["attributes"]["WEIGHTS_0"] = file.accessor(np.array(weights, "|u1"), normalized=True)
+    file.tree["skins"] = [{"joints": [1, 2]}]
+    quarter = [-np.sqrt(0.5), 0, 0, np.sqrt(0.5)]
+    file.tree["nodes"] = [
+        {"mesh": 0, "skin": 0, "scale": [100, 100, 100]},
+        {"rotation": quarter},
+        {"translation": [0, 0, 9]},
+    ]
+    file.tree["scenes"] = [{"nodes": [0, 1, 2]}]
+
+
+def test_skins(tmp_path, file):
+    """Joints pose the mesh, and the transform of its own node is ignored."""
+    skinned(file)
+    shape = read_shape(file.put(tmp_path))
+    np.testing.assert_allclose(shape.points, POINTS[:, [0, 2, 1]] * [1, 1, -1], atol=1e-6)
+    assert [f.rule for f in shape.notes] == ["skinned meshes"] and "posed" in shape.notes[0].action
+    rest = read_shape(file.put(tmp_path), pose="rest")
+    is_plain(rest)
+    assert "at rest" in rest.notes[0].action
+    with pytest.raises(ArgumentError, match="pose is 'T', but must be one of posed, rest"):
+        read_shape(file.put(tmp_path), pose="T")
+
+
+def test_weights_of_a_skin_blend_and_bind_matrices_count(tmp_path, file):
+    skinned(file, [(0, 255, 0, 0), (51, 204, 0, 0), (0, 0, 0, 0), (0, 102, 0, 0), (255, 0, 0, 0)])
+    binds = np.array([np.eye(4), np.eye(4)], "<f4")
+    binds[1, 3, 2] = -4.0  # matrices lie in columns: the second joint was bound at z = 4
+    file.tree["skins"][0]["inverseBindMatrices"] = file.accessor(binds.reshape(2, 16))
+    shape = read_shape(file.put(tmp_path))
+    turned, moved = POINTS[:, [0, 2, 1]] * [1, 1, -1], np.add(POINTS, [0, 0, 5])
+    # Shares that do not add up to one are scaled; a point that no joint moves stays.
+    expected = [moved[0], 0.2 * turned[1] + 0.8 * moved[1], POINTS[2], moved[3], turned[4]]
+    np.testing.assert_allclose(shape.points, expected, atol=1e-6)
+
+
+def test_mirrors_turn_triangles_round(tmp_path, file):
+    file.primitive(POINTS, FACES)
+    shape = read_shape(file.put(tmp_path, nodes=[{"mesh": 0, "scale": [-1, 1, 1]}]))
+    np.testing.assert_array_equal(shape.faces, FACES[:, [0, 2, 1]])
+
+
+@pytest.mark.parametrize("where", ["extensionsRequired", "extensionsUsed"])
+def test_draco_is_one_clear_line(tmp_path, file, where):
+    name = "KHR_draco_mesh_compression"
+    bare = {"componentType": 5126, "count": 5, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 1]}
+    file.tree["accessors"] += [bare]
+    file.primitive(0, extensions={name: {"bufferView": file.view(POINTS), "attributes": {"POSITION": 0}}})
+    with pytest.raises(ShapeError, match=f"compressed with {name}; export it without compression"):
+        read_shape(file.put(tmp_path, **{where: [name]}))
+
+
+def test_draco_beside_plain_numbers_is_read(tmp_path, file):
+    name = "KHR_draco_mesh_compression"
+    file.primitive(POINTS, FACES, extensions={name: {"bufferView": 0, "attributes": {"POSITION": 0}}})
+    is_plain(read_shape(file.put(tmp_path, extensionsUsed=[name])))
+
+
+def test_meshopt_buffers_without_content(tmp_path, file):
+    file.primitive(POINTS, FACES)
+    path = file.put(tmp_path)
+    tree = json.loads(path.read_text())
+    tree["buffers"] += [{"byteLength": 60}]
+    tree["bufferViews"][0]["buffer"] = 1
+    path.write_text(json.dumps(tree))
+    with pytest.raises(ShapeError, match="compressed with EXT_meshopt_compression"):
+        read_shape(path)
+
+
+def test_version_one(tmp_path, file):
+    file.primitive(POINTS, FACES)
+    for changes in ({"asset": {"version": "1.0"}}, {"asset": {}, "meshes": {"a": {}}, "accessors": {}}):
+        with pytest.raises(ShapeError, match=r"it is glTF 1.*, but glTF 2 is needed"):
+            read_shape(file.put(tmp_path, **changes))
+    (tmp_path / "a.glb").write_bytes(b"glTF" + np.array([1, 40, 20, 0], "<u4").tobytes() + bytes(20))
+    with pytest.raises(ShapeError, match="it is glTF 1, but glTF 2 is needed"):
+        read_shape(tmp_path / "a.glb")
+
+
+@pytest.mark.parametrize(
+    ("kind", "number", "changes"),
+    [
+        ("accessors", 0, {"byteOffset": 48}),
+        ("accessors", 0, {"byteOffset": -12}),
+        ("accessors", 0, {"bufferView": 9}),
+        ("accessors", 0, {"componentType": 5}),
+        ("bufferViews", 0, {"byteLength": 5000}),
+        ("bufferViews", 0, {"byteOffset": -4}),
+        ("bufferViews", 0, {"byteStride": 4000}),
+        ("nodes", 0, {"children": [0]}),
+        ("nodes", 0, {"mesh": 3}),
+    ],
+)
+def test_damage_is_one_line(tmp_path, file, kind, number, changes):
+    file.primitive(POINTS, FACES)
+    file.tree[kind][number] |= changes
+    with pytest.raises(ShapeError, match=r"a\.gltf could not be read as GLTF") as caught:
+        read_shape(file.put(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_two_meshes_of_one_character_fit(tmp_path, file):
+    """Of two skinned meshes one lies under a node that is scaled: viewers show both in one place."""
+    skinned(file)
+    file.tree["nodes"] += [{"mesh": 0, "skin": 0}]
+    file.tree["scenes"] = [{"nodes": [0, 1, 2, 3]}]
+    shape = read_shape(file.put(tmp_path))
+    np.testing.assert_allclose(shape.points[:5], shape.points[5:])
+    assert check(shape).extent == pytest.approx(np.sqrt(3))

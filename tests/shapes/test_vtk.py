@@ -1,0 +1,147 @@
+"""Surfaces of VTK's grids: over the file's own points, whatever the cells."""
+
+import numpy as np
+import pytest
+
+from homolog.core.errors import ShapeError
+from homolog.shapes import check, read_shape, write_shape
+
+pytest.importorskip("vtkmodules")
+import meshio
+import pyvista
+
+# A cube of side 2 as five tetrahedra.
+CUBE = 2.0 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+TETRAHEDRA = np.array([[0, 3, 5, 6], [1, 0, 3, 5], [2, 3, 0, 6], [4, 5, 6, 0], [7, 6, 5, 3]])
+EDGES = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
+
+
+def with_middles(points, cells, edges):
+    """Cells with a point on the middle of each edge, shared where cells share the edge."""
+    points, cells, number = list(points), cells.tolist(), {}
+    for cell in cells:
+        for a, b in edges:
+            key = tuple(sorted((cell[a], cell[b])))
+            if key not in number:
+                number[key] = len(points)
+                points.append((points[key[0]] + points[key[1]]) / 2)
+            cell.append(number[key])
+    return np.array(points), np.array(cells)
+
+
+def surface_is_closed(path, area, n_used):
+    shape = read_shape(path)
+    report = check(shape)
+    assert report.area == pytest.approx(area)
+    assert report.n_boundary_loops == 0
+    assert len(np.unique(shape.faces)) == n_used
+    return shape
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk"])
+def test_quadratic_tetrahedra(tmp_path, suffix):
+    points, cells = with_middles(CUBE, TETRAHEDRA, EDGES)
+    meshio.Mesh(points, [("tetra10", cells)]).write(tmp_path / f"a{suffix}")
+    shape = surface_is_closed(tmp_path / f"a{suffix}", 24, 26)
+    np.testing.assert_array_equal(shape.points, points)
+    assert shape.n_faces == 12 * 4
+
+
+def test_middles_that_leave_their_edges_bend_the_surface(tmp_path):
+    points, cells = with_middles(CUBE, TETRAHEDRA, EDGES)
+    round_points = points - 1
+    round_points /= np.linalg.norm(round_points, axis=1, keepdims=True)
+    meshio.Mesh(round_points, [("tetra10", cells)]).write(tmp_path / "a.vtu")
+    shape = read_shape(tmp_path / "a.vtu")
+    # All points of the surface lie on a sphere; its area is below the sphere's, above that of the cube in it.
+    assert 8 < check(shape).area < 4 * np.pi
+
+
+HEXAHEDRON_EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]
+BOX = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)
+WEDGE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [0, 1, 1]], float)
+WEDGE_EDGES = [(0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5)]
+PYRAMID = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1]], float)
+PYRAMID_EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 4), (2, 4), (3, 4)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "points", "edges", "area"),
+    [
+        (25, BOX, HEXAHEDRON_EDGES, 6),
+        (26, WEDGE, WEDGE_EDGES, 1 + 2 + np.sqrt(2)),
+        (27, PYRAMID, PYRAMID_EDGES, 1 + 1 + np.sqrt(2)),
+    ],
+)
+def test_other_quadratic_cells(tmp_path, kind, points, edges, area):
+    points, cells = with_middles(points, np.arange(len(points))[None], edges)
+    pyvista.UnstructuredGrid(np.append(len(points), cells[0]), np.array([kind]), points).save(tmp_path / "a.vtu")
+    surface_is_closed(tmp_path / "a.vtu", area, len(points))
+
+
+def test_two_quadratic_hexahedra_share_a_face(tmp_path):
+    both = np.concatenate([BOX, BOX[[1, 2, 5, 6]] + [1, 0, 0]])
+    cells = np.array([[0, 1, 2, 3, 4, 5, 6, 7], [1, 8, 9, 2, 5, 10, 11, 6]])
+    points, cells = with_middles(both, cells, HEXAHEDRON_EDGES)
+    meshio.Mesh(points, [("hexahedron20", cells)]).write(tmp_path / "a.vtu")
+    surface_is_closed(tmp_path / "a.vtu", 10, len(points))
+
+
+@pytest.mark.parametrize(("kind", "n"), [("quad8", 8), ("quad9", 9), ("triangle6", 6), ("triangle7", 7)])
+def test_quadratic_faces(tmp_path, kind, n):
+    square, triangle = BOX[:4], BOX[[0, 1, 3]]
+    corners = square if kind.startswith("quad") else triangle
+    middles = (corners + np.roll(corners, -1, axis=0)) / 2
+    points = np.concatenate([corners, middles, [corners.mean(axis=0)]])[:n]
+    types = {"quad8": 23, "quad9": 28, "triangle6": 22, "triangle7": 34}
+    grid = pyvista.UnstructuredGrid(np.array([n, *range(n)]), np.array([types[kind]]), points)
+    grid.save(tmp_path / "a.vtu")
+    shape = read_shape(tmp_path / "a.vtu")
+    report = check(shape)
+    assert report.area == pytest.approx(1 if kind.startswith("quad") else 0.5)
+    assert report.n_boundary_loops == 1 and report.n_clean_points == n
+    # All look up, as the face does.
+    assert np.all(np.cross(*np.diff(shape.points[shape.faces], axis=1).transpose(1, 0, 2))[:, 2] > 0)
+
+
+def test_linear_and_quadratic_cells_in_one_grid(tmp_path):
+    points, cells = with_middles(CUBE, TETRAHEDRA, EDGES)
+    meshio.Mesh(points, [("tetra10", cells[:4]), ("tetra", TETRAHEDRA[4:])]).write(tmp_path / "a.vtu")
+    assert check(read_shape(tmp_path / "a.vtu")).area == pytest.approx(24)
+
+
+def test_cells_of_higher_order_are_refused(tmp_path):
+    grid = pyvista.UnstructuredGrid(
+        np.array([10, *range(10)]), np.array([69]), np.random.default_rng(0).random((10, 3))
+    )
+    grid.save(tmp_path / "a.vtu")
+    with pytest.raises(ShapeError, match="vtkLagrangeTriangle are not read; export it with linear cells"):
+        read_shape(tmp_path / "a.vtu")
+
+
+def test_the_content_says_which_kind_a_file_holds(tmp_path, make):
+    """Whatever its suffix says."""
+    write_shape(tmp_path / "a.vtp", make.blob(1))
+    write_shape(tmp_path / "a.vtk", make.blob(1))
+    for source, name in (("a.vtp", "b.vtu"), ("a.vtp", "b.vtk"), ("a.vtk", "b.vtp")):
+        (tmp_path / name).write_bytes((tmp_path / source).read_bytes())
+        np.testing.assert_array_equal(read_shape(tmp_path / name).faces, make.blob(1).faces)
+    (tmp_path / "c.vtu").write_text('<?xml version="1.0"?>\n<VTKFile type="ImageData"></VTKFile>')
+    with pytest.raises(ShapeError, match="holds a data set ImageData, but PolyData or UnstructuredGrid is needed"):
+        read_shape(tmp_path / "c.vtu")
+
+
+def test_strips(tmp_path):
+    text = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 5 double\n"
+    text += "0 0 0\n1 0 0\n0 1 0\n1 1 0\n0 2 0\nTRIANGLE_STRIPS 1 6\n5 0 1 2 3 4\n"
+    (tmp_path / "a.vtk").write_text(text)
+    np.testing.assert_array_equal(read_shape(tmp_path / "a.vtk").faces, [[0, 1, 2], [1, 3, 2], [2, 3, 4]])
+
+
+@pytest.mark.parametrize("n", [1, 64, 65, 256, 1000])
+@pytest.mark.parametrize("mark", [b" ", b"\n"])
+def test_blanks_at_the_end(tmp_path, make, n, mark):
+    """VTK's own reader waits forever where there are 256."""
+    write_shape(tmp_path / "a.vtk", make.blob(1))
+    (tmp_path / "b.vtk").write_bytes((tmp_path / "a.vtk").read_bytes() + n * mark)
+    np.testing.assert_array_equal(read_shape(tmp_path / "b.vtk").faces, make.blob(1).faces)

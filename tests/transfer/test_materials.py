@@ -1,0 +1,153 @@
+"""Materials of OBJ and glTF, however programs spell them."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from homolog.core.errors import DataError
+from homolog.shapes import read_shape, write_shape
+from homolog.transfer import read_appearance
+from homolog.transfer.obj import read_obj_texture
+
+RED, BLUE = (255, 0, 0), (0, 0, 255)
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+FACE = "f 1/1 2/2 3/3 4/4\n"
+
+
+def image(path, colour):
+    path.parent.mkdir(exist_ok=True)
+    Image.new("RGB", (2, 2), colour).save(path)
+
+
+def colours(path):
+    """The colour of each triangle, by its texture."""
+    texture = read_appearance(path, read_shape(path)).texture
+    return None if texture is None else [tuple(texture.images[number][0, 0].tolist()) for number in texture.image_of]
+
+
+def obj(folder, faces, **libraries):
+    for name, text in libraries.items():
+        (folder / f"{name}.mtl").write_text(text)
+    (folder / "a.obj").write_text(SQUARE + faces)
+    return folder / "a.obj"
+
+
+def test_names_with_marks(tmp_path):
+    image(tmp_path / "red.png", RED)
+    image(tmp_path / "blue #2.png", BLUE)
+    library = "newmtl Material #1\nmap_Kd red.png\nnewmtl Material #2\nmap_Kd blue #2.png\n# the end\n"
+    faces = f"mtllib m.mtl\nusemtl Material #1\n{FACE}usemtl Material #2\n{FACE}usemtl Material #1 # again\n{FACE}"
+    assert colours(obj(tmp_path, faces, m=library)) == [RED, RED, BLUE, BLUE, RED, RED]
+
+
+@pytest.mark.parametrize(
+    ("library", "use"),
+    [
+        ("newmtl a\nmap_kd red.png", "usemtl a"),
+        ("NEWMTL a\nMAP_KD red.png", "USEMTL a"),
+        ("newmtl a\n\tmap_Kd RED.PNG", "usemtl a"),
+        ('newmtl "a b"\nmap_Kd "red.png"', "usemtl a b"),
+        ("newmtl a\nmap_Kd -s 1 1 1 -o 0 0 0 red.png", "usemtl a"),
+        ("newmtl a\nmap_Kd -blendu on -mm 0 1 -bm 0.5 -texres 2 red.png", "usemtl a"),
+        ("newmtl a\nmap_Kd C:\\art\\red.png", "usemtl a"),
+        ("newmtl a\nmap_Kd gone/red.png", "usemtl a"),
+        ("newmtl a\nKd spectral file.rfl 1\nmap_Kd red.png", "usemtl a"),
+        ("newmtl a\nKd 1\nmap_Kd red.png", "usemtl a"),
+    ],
+)
+def test_spellings(tmp_path, library, use):
+    image(tmp_path / "red.png", RED)
+    assert colours(obj(tmp_path, f"mtllib m.mtl\n{use}\n{FACE}", m=library)) == [RED, RED]
+
+
+@pytest.mark.parametrize("name", ["my red.png", "1 red.png", "-1 red.png"])
+def test_names_with_blanks(tmp_path, name):
+    image(tmp_path / name, RED)
+    options = "-s 2 2 2 " if name.startswith("my") else ""
+    assert colours(obj(tmp_path, f"mtllib m.mtl\nusemtl a\n{FACE}", m=f"newmtl a\nmap_Kd {options}{name}")) == [
+        RED,
+        RED,
+    ]
+
+
+@pytest.mark.parametrize(
+    "line", ["mtllib one.mtl two.mtl", "mtllib one.mtl\nmtllib two.mtl", 'MTLLIB "one.mtl" Two.MTL']
+)
+def test_several_libraries(tmp_path, line):
+    image(tmp_path / "red.png", RED)
+    image(tmp_path / "art" / "blue.png", BLUE)
+    faces = f"{line}\nusemtl a\n{FACE}usemtl b\n{FACE}"
+    path = obj(tmp_path, faces, one="newmtl a\nmap_Kd red.png", two="newmtl b\nmap_Kd art\\blue.png")
+    assert colours(path) == [RED, RED, BLUE, BLUE]
+
+
+def test_a_library_whose_name_has_blanks(tmp_path):
+    image(tmp_path / "red.png", RED)
+    path = obj(tmp_path, f"mtllib my mats.mtl\nusemtl a\n{FACE}", **{"my mats": "newmtl a\nmap_Kd red.png"})
+    assert colours(path) == [RED, RED]
+    path = obj(tmp_path, f"mtllib my mats.mtl gone.mtl\nusemtl a\n{FACE}")
+    with pytest.raises(DataError, match=r"gone\.mtl, the materials of an OBJ file, is not there"):
+        colours(path)
+
+
+def test_options_move_coordinates(tmp_path):
+    image(tmp_path / "red.png", RED)
+    library = "newmtl a\nmap_Kd -o 0.25 0.5 -s 2 red.png"
+    found = read_obj_texture(obj(tmp_path, f"mtllib m.mtl\nusemtl a\n{FACE}", m=library))
+    np.testing.assert_allclose(found.coordinates[0], [[0.25, 0.5], [2.25, 0.5], [2.25, -0.5]])
+
+
+def test_texture_of_a_concave_polygon(tmp_path):
+    """Its triangles are those of the shape, and each has its own corners' coordinates."""
+    image(tmp_path / "red.png", RED)
+    ring = [[4, 1], [1, 1], [1, 4], [0, 4], [0, 0], [4, 0]]
+    text = "mtllib m.mtl\nusemtl a\n" + "".join(f"v {x} {y} 0\nvt {x / 4} {y / 4}\n" for x, y in ring)
+    (tmp_path / "a.obj").write_text(text + "f " + " ".join(f"{i}/{i}" for i in range(1, 7)))
+    (tmp_path / "m.mtl").write_text("newmtl a\nmap_Kd red.png")
+    shape, texture = read_shape(tmp_path / "a.obj"), read_obj_texture(tmp_path / "a.obj")
+    expected = shape.points[shape.faces][..., :2] / 4 * [1, -1] + [0, 1]
+    np.testing.assert_allclose(texture.coordinates, expected)
+
+
+def glb_tree(path):
+    content = path.read_bytes()
+    length = int.from_bytes(content[12:16], "little")
+    return json.loads(content[20 : 20 + length]), content[28 + length :]
+
+
+def test_gltf_textures_in_files_below(tmp_path, make):
+    """A texture by its file's name, one without an image, and a factor; numbers of points stay."""
+    shape = make.blob(1)
+    write_shape(tmp_path / "a.glb", shape)
+    tree, binary = glb_tree(tmp_path / "a.glb")
+    image(tmp_path / "art" / "my red.png", RED)
+    places = np.random.default_rng(0).random((shape.n_points, 2)).astype("<f4")
+    (tmp_path / "a.bin").write_bytes(binary + places.tobytes())
+    tree["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": places.nbytes})
+    tree["accessors"].append({"bufferView": 2, "componentType": 5126, "count": shape.n_points, "type": "VEC2"})
+    tree["buffers"] = [{"byteLength": len(binary) + places.nbytes, "uri": "a.bin"}]
+    tree |= {"images": [{"uri": "art/my%20red.png"}], "textures": [{"source": 0}]}
+    textured = {"baseColorTexture": {"index": 0, "texCoord": 1}, "baseColorFactor": [0.2, 1, 1, 1]}
+    tree["materials"] = [
+        {"pbrMetallicRoughness": textured},
+        {"pbrMetallicRoughness": {"baseColorFactor": [0, 0, 1, 1]}},
+    ]
+    first = tree["meshes"][0]["primitives"][0]
+    first["attributes"]["TEXCOORD_1"] = 2
+    tree["meshes"][0]["primitives"] = [first | {"material": 0}, first | {"material": 1}]
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    read = read_shape(tmp_path / "a.gltf")
+    assert read.n_points == shape.n_points and read.n_faces == 2 * shape.n_faces
+    texture = read_appearance(tmp_path / "a.gltf", read).texture
+    np.testing.assert_allclose(texture.coordinates[: shape.n_faces], places[shape.faces])
+    assert colours(tmp_path / "a.gltf") == [(51, 0, 0)] * shape.n_faces + [BLUE] * shape.n_faces
+    tree["images"] = [{"uri": "../red.png"}]
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    with pytest.raises(DataError, match="outside its own folder"):
+        read_appearance(tmp_path / "a.gltf", read)
+    tree["images"] = [{"uri": "gone.png"}]
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    with pytest.raises(DataError, match=r"gone\.png, a texture, cannot be read"):
+        read_appearance(tmp_path / "a.gltf", read)
