@@ -91,6 +91,11 @@ class Matcher:
             source=operators,
         )
 
+    @property
+    def _resolved(self) -> MatcherSettings:
+        """The settings with the operators that the features expect, as reports tell them."""
+        return replace(self.settings, operators=self.preprocess.settings)
+
     @classmethod
     def from_weights(
         cls,
@@ -177,13 +182,13 @@ class Matcher:
         check_supported(self._method, options)
         shapes, files = read_inputs(source, target, timings)
         pair = Pair.of(
-            *shapes, self.preprocess, options=options, settings=self.settings, features=features, timings=timings
+            *shapes, self.preprocess, options=options, settings=self._resolved, features=features, timings=timings
         )
         return pair, files
 
     def paired(self, source: PreprocessedShape, target: PreprocessedShape, options: PairOptions | None = None) -> Pair:
         """Two shapes that ``preprocess`` gave, as a pair."""
-        return Pair(source, target, options or PairOptions(), self.settings, self.extractor)
+        return Pair(source, target, options or PairOptions(), self._resolved, self.extractor)
 
     @torch.no_grad()
     def find(self, pair: Pair) -> Match:
