@@ -31,9 +31,9 @@ _SPACINGS = 2.0
 def check_method(method: Any, *, features: Any = None) -> None:
     """Check that a method keeps the promises of a ``Method``.
 
-    It is tried on small shapes: meshes, clouds and mixed pairs, and a partial shape, as far as it supports them. Checked
-    are the form of its maps, their indices where repair leaves points out, that nothing given is changed, that equal
-    input gives equal maps, that the order of points does not matter, and that a shape is mapped to itself.
+    It is tried on small shapes: meshes, clouds and mixed pairs, and a partial shape, as far as it supports them. It
+    must give maps of the right form, in the indices of the repaired shapes; change nothing; give equal maps for equal
+    input, whatever the order of points; and map a shape to itself.
 
     Args:
         method: a ``Method``, the name of one, or a function of a ``Pair``.

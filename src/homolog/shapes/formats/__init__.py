@@ -37,6 +37,7 @@ add(
 
 __all__ = [
     "Format",
+    "add",
     "folder_suffixes",
     "formats",
     "imports_of",
