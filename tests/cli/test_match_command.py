@@ -14,6 +14,7 @@ import trimesh
 from homolog import shapes
 from homolog.core.errors import ShapeError
 from homolog.matching import Matcher
+from homolog.matching import matcher as matcher_module
 from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
 from homolog.shapes import reading as reading_module
@@ -96,33 +97,32 @@ def test_report(homolog, files, tmp_path):
     assert findings["duplicate faces"] == 1
     assert found["inputs"]["source"]["n_points"] == 165
     assert [entry["severity"] for entry in found["inputs"]["target"]["findings"]] in ([], ["note"])
-    assert found["route"] == "nearest-features"
+    assert found["method"] == "nearest-features"
     assert all("doubtful" in warning for warning in found["warnings"])
     assert found["options"] == {
-        "method": "auto",
-        "adapt": 0,
         "as_cloud": "target",
         "partial": "target",
         "partial_scale": 1.0,
         "pre_aligned": False,
-        "up": {"source": "z", "target": "y"},
+        "source_up": "z",
+        "target_up": "y",
         "strict": False,
     }
-    assert found["weights"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
-    assert found["weights"]["given"] == str(files.weights)
-    assert (found["weights"]["name"], found["weights"]["licence"]) == ("untrained", "none")
+    assert found["adapt"] == 0
+    assert found["features"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
+    assert (found["features"]["name"], found["features"]["licence"]) == ("untrained", "none")
     assert found["settings"]["method"] == "auto"
     assert found["settings"]["operators"] == {"n_eigenpairs": 128, "laplacian": "robust", "n_neighbours": 14}
     for side in ("source", "target"):
         assert found["inputs"][side]["eigenpairs"]["number"] == 128
         assert found["inputs"][side]["eigenpairs"]["method"]
-    assert found["weights"]["n_eigenpairs"] == 128
-    assert found["weights"]["map_eigenpairs"] == 20
-    steps = [step["name"] for step in found["steps"]]
+    assert found["features"]["n_eigenpairs"] == 128
+    assert found["features"]["map_eigenpairs"] == 20
+    steps = [step["name"] for step in found["timings"]]
     assert steps[:2] == ["read source", "read target"]
     assert steps[-3:] == ["map", "check orientation", "write"]
     assert len(steps) == 11
-    for step in found["steps"]:
+    for step in found["timings"]:
         assert 0 <= step["seconds"] < 600
         assert 10 < step["process_peak_mb"] < 1e6
     assert {"python", "homolog", "torch", "numpy", "scipy", "robust-laplacian"} <= set(found["versions"])
@@ -155,15 +155,15 @@ def test_points_left_out_are_told_from_those_without_a_counterpart(homolog, file
     assert matched["target_points_left_out"] == 162 - len(np.unique(upper))
 
 
-def test_a_part_in_place_is_matched_as_such(homolog, files, tmp_path, monkeypatch):
+def test_a_pre_aligned_partial_shape_is_matched_as_such(homolog, files, tmp_path, monkeypatch):
     asked = []
-    prepare_pair = Matcher.prepare_pair
+    pair = Matcher.pair
 
-    def spy(self, *shapes, **options):
-        asked.append(options["pre_aligned"])
-        return prepare_pair(self, *shapes, **options)
+    def spy(self, source, target, options, **others):
+        asked.append(options.pre_aligned)
+        return pair(self, source, target, options, **others)
 
-    monkeypatch.setattr(Matcher, "prepare_pair", spy)
+    monkeypatch.setattr(Matcher, "pair", spy)
     common = (files.mesh, files.other, "--weights", files.weights, "--partial", "target", "-q")
     for number, options in enumerate(((), ("--pre-aligned",))):
         assert homolog("match", *common, "-o", tmp_path / str(number), *options).code == 0
@@ -200,7 +200,7 @@ def test_a_match_that_fails_for_its_units_says_so(homolog, files, tmp_path, monk
     """And not what came of them; a match in the same units fails with its own reason."""
     clean = read_shape(files.other)
     write_shape(tmp_path / "large.ply", Shape(1000 * clean.points, clean.faces))
-    monkeypatch.setattr(Matcher, "match_prepared", raising(ShapeError("it falls into pieces")))
+    monkeypatch.setattr(Matcher, "find", raising(ShapeError("it falls into pieces")))
     ended = homolog("match", files.mesh, tmp_path / "large.ply", "--partial", "target", "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint()
     assert "their units seem to differ; give partial_scale (--partial-scale)" in ended.err
@@ -223,7 +223,7 @@ def test_weights_that_the_method_does_not_use_are_said_and_leave_no_trace(homolo
     homolog("match", files.mesh, files.other, "-o", tmp_path / "with", *options)
     (said,) = (record.getMessage() for record in caplog.records)
     assert "does not use weights; the given ones, untrained, are left aside" in said
-    assert report(tmp_path / "with")["weights"] is None
+    assert report(tmp_path / "with")["features"]["name"] == "axiomatic"
     homolog("match", files.mesh, files.other, "-o", tmp_path / "without", "--method", "axiomatic")
     for name, array in maps(tmp_path / "without").items():
         np.testing.assert_array_equal(maps(tmp_path / "with")[name], array)
@@ -237,13 +237,13 @@ def test_the_map_is_that_of_the_adapted_network(homolog, files, tmp_path):
     options = "--weights", files.weights, "--method", "nearest-features", "--adapt", 3
     assert homolog("match", files.mesh, files.other, "-o", tmp_path, *options).code == 0
     matcher = Matcher.from_weights(files.weights, settings=MatcherSettings(method="nearest-features"))
-    pair = matcher.prepare_pair(read_shape(files.mesh), read_shape(files.other))
-    adapted, *pair = adapt_to_pair(matcher, *pair, AdaptationSettings(steps=3))
-    expected, found = adapted.match_prepared(*pair), maps(tmp_path)
+    pair, _ = matcher.pair(files.mesh, files.other)
+    adapted, pair = adapt_to_pair(matcher, pair, AdaptationSettings(steps=3))
+    expected, found = adapted.find(pair), maps(tmp_path)
     assert np.array_equal(found["source_to_target"], expected.source_to_target)
     assert np.array_equal(found["source_confidence"], expected.source_confidence)
-    assert report(tmp_path)["options"]["adapt"] == 3
-    assert "adapt" in [step["name"] for step in report(tmp_path)["steps"]]
+    assert report(tmp_path)["adapt"] == 3
+    assert "adapt" in [step["name"] for step in report(tmp_path)["timings"]]
     assert files.weights.read_bytes() == before
 
 
@@ -256,21 +256,22 @@ def test_adapting_needs_weights(homolog, files, tmp_path):
 
 def test_weights_for_people_are_the_default(homolog, files, tmp_path):
     homolog("match", files.mesh, files.other, "-o", tmp_path)
-    weights = report(tmp_path)["weights"]
-    assert (weights["given"], weights["name"], weights["licence"]) == ("people", "people", "CC0-1.0")
-    assert report(tmp_path)["route"] == "functional-map"
+    features = report(tmp_path)["features"]
+    assert (features["name"], features["licence"]) == ("people", "CC0-1.0")
+    assert report(tmp_path)["method"] == "functional-map"
 
 
 def test_report_without_weights(homolog, files, tmp_path):
     homolog("match", files.mesh, files.cloud, "-o", tmp_path, "--no-cache", "--method", "axiomatic")
-    assert report(tmp_path)["weights"] is None
-    assert report(tmp_path)["route"] == "axiomatic"
+    assert report(tmp_path)["features"]["name"] == "axiomatic"
+    assert report(tmp_path)["features"]["sha256"] == ""
+    assert report(tmp_path)["method"] == "axiomatic"
     assert report(tmp_path)["inputs"]["target"]["modality"] == "cloud"
     assert report(tmp_path)["device"] in ("cpu", "cuda")
 
 
 @pytest.mark.parametrize(
-    ("options", "route"),
+    ("options", "method"),
     [
         ([], "functional-map"),
         (["--as-cloud", "both"], "nearest-features"),
@@ -278,9 +279,9 @@ def test_report_without_weights(homolog, files, tmp_path):
         (["--method", "axiomatic"], "axiomatic"),
     ],
 )
-def test_routes(homolog, files, tmp_path, options, route):
+def test_methods(homolog, files, tmp_path, options, method):
     homolog("match", files.mesh, files.other, "-o", tmp_path, "--weights", files.weights, *options)
-    assert report(tmp_path)["route"] == route
+    assert report(tmp_path)["method"] == method
 
 
 @pytest.mark.parametrize(("up", "turn"), [("z", rotation_about(0, 90)), ("x", rotation_about(2, -90))])
@@ -318,7 +319,7 @@ def test_following_the_advice_on_the_up_axis_ends_the_warning(homolog, demo, dem
 
 
 def test_warnings_are_shown_and_kept(homolog, files, tmp_path, monkeypatch):
-    monkeypatch.setattr(Matcher, "orientation_warnings", lambda *args: ("it lies on its side",))
+    monkeypatch.setattr(matcher_module, "pair_orientation_warnings", lambda *args: ("it lies on its side",))
     ended = homolog("match", files.mesh, files.other, "-o", tmp_path)
     assert ended.code == 0
     assert "Warning: it lies on its side\n" in ended.err
@@ -508,7 +509,7 @@ TROUBLES = {
 @pytest.mark.parametrize("trouble", TROUBLES)
 def test_what_the_machine_cannot_do_is_one_line(homolog, files, tmp_path, monkeypatch, trouble):
     fail, said = TROUBLES[trouble]
-    monkeypatch.setattr(Matcher, "match_prepared", fail)
+    monkeypatch.setattr(Matcher, "find", fail)
     ended = homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint(), ended
     assert said in ended.err
@@ -516,7 +517,7 @@ def test_what_the_machine_cannot_do_is_one_line(homolog, files, tmp_path, monkey
 
 
 def test_a_mistake_of_the_program_itself_is_not_hidden(homolog, files, tmp_path, monkeypatch):
-    monkeypatch.setattr(Matcher, "match_prepared", raising(RuntimeError("a shape mismatch")))
+    monkeypatch.setattr(Matcher, "find", raising(RuntimeError("a shape mismatch")))
     with pytest.raises(RuntimeError, match="a shape mismatch"):
         homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out")
 
@@ -525,13 +526,13 @@ def test_the_hash_is_that_of_the_bytes_read(homolog, files, tmp_path, monkeypatc
     """An input that is replaced during the match is reported as it was read."""
     source = tmp_path / "mesh.off"
     source.write_bytes(files.mesh.read_bytes())
-    match = Matcher.match_prepared
+    find = Matcher.find
 
     def meddling(*args, **kwargs):
         source.write_text("another")
-        return match(*args, **kwargs)
+        return find(*args, **kwargs)
 
-    monkeypatch.setattr(Matcher, "match_prepared", meddling)
+    monkeypatch.setattr(Matcher, "find", meddling)
     assert homolog("match", source, files.other, "-o", tmp_path / "out").code == 0
     assert report(tmp_path / "out")["inputs"]["source"]["sha256"] == hashlib.sha256(files.mesh.read_bytes()).hexdigest()
 

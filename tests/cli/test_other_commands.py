@@ -14,10 +14,10 @@ import pytest
 
 import homolog as homolog_package
 from homolog.cli import doctor as doctor_module
-from homolog.cli import match as match_module
 from homolog.cli.options import check_file
 from homolog.core.errors import DataError
 from homolog.matching import Match, Matcher
+from homolog.pairs import Preprocessor
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
 from homolog.training import adapt_to_pair
 
@@ -59,7 +59,7 @@ def test_evaluate(homolog, data, tmp_path):
     assert "mean geodesic error x100" in ended.out
     found = strictly((tmp_path / "score.json").read_text())
     promised = ["mean_geodesic_error", "median_geodesic_error", "pck_auc", "pck_threshold", "pck", "pairs", "seconds"]
-    for key in [*promised, "protocol", "weights", "versions", "command", "data", "settings", "device", "route"]:
+    for key in [*promised, "protocol", "features", "versions", "command", "data", "settings", "device", "method"]:
         assert key in found
     assert found["mean_geodesic_error"] < 1
     assert found["pck_auc"] > 0.9
@@ -76,7 +76,7 @@ def test_evaluate(homolog, data, tmp_path):
         "noise": 0.0,
         "seed": 0,
     }
-    assert found["weights"] is None
+    assert found["features"]["name"] == "axiomatic"
     assert found["command"] == ["homolog", "evaluate", str(data), "--method", "axiomatic", *json]
     assert found["versions"]["homolog"]
     assert f"{found['mean_geodesic_error']:.2f}" in ended.out
@@ -105,20 +105,20 @@ def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
         ended = homolog("evaluate", data, "-q", "--weights", files.weights, *options, "--json", tmp_path / name)
         assert (ended.code, ended.out, ended.err) == (0, "", "")
     first, second = (strictly((tmp_path / name).read_text()) for name in ("first", "second"))
-    assert first["weights"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
+    assert first["features"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
     assert first["protocol"]["noise"] == 0.01
     assert first["protocol"]["seed"] == 3
     assert [(pair["source"], pair["target"]) for pair in first["pairs"]] == [("two", "one")]
-    assert first["route"] == "nearest-features"
+    assert first["method"] == "nearest-features"
     assert first["mean_geodesic_error"] == second["mean_geodesic_error"] > 0
 
 
 def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatch):
     adapted = []
 
-    def noted(matcher, *pair, partial):
-        adapted.append((matcher.info.name, pair[-1].steps, partial))
-        return adapt_to_pair(matcher, *pair, partial=partial)
+    def noted(matcher, pair, settings):
+        adapted.append((matcher.extractor.info.name, settings.steps, pair.options.partial))
+        return adapt_to_pair(matcher, pair, settings)
 
     monkeypatch.setattr(homolog_package.training, "adapt_to_pair", noted)
     options = "-q", "--weights", files.weights, "--adapt", 2, "--json", tmp_path / "adapted.json"
@@ -183,7 +183,7 @@ def test_a_mistake_is_one_line(homolog, data, tmp_path, mistake):
 
 
 def test_a_place_for_the_score_is_asked_for_first(homolog, data, tmp_path, monkeypatch):
-    monkeypatch.setattr(Matcher, "prepare", None)
+    monkeypatch.setattr(Preprocessor, "__call__", None)
     assert homolog("evaluate", data, "--json", tmp_path / "gone" / "x.json").is_one_line_of_complaint()
 
 
@@ -195,7 +195,7 @@ def forbidden(monkeypatch, folder):
 
 @pytest.mark.parametrize("place", ["new.json", "old.json", "link.json"])
 def test_a_place_that_may_not_be_written_to_is_refused_first(homolog, data, tmp_path, monkeypatch, place):
-    monkeypatch.setattr(Matcher, "prepare", None)
+    monkeypatch.setattr(Preprocessor, "__call__", None)
     kept, linked = tmp_path / "kept", tmp_path / "linked"
     kept.mkdir()
     linked.mkdir()
@@ -217,7 +217,7 @@ def test_a_read_only_folder(homolog, data, tmp_path):
 
 
 def test_places_that_no_file_can_take(homolog, data, tmp_path, monkeypatch):
-    monkeypatch.setattr(Matcher, "prepare", None)
+    monkeypatch.setattr(Preprocessor, "__call__", None)
     os.mkfifo(tmp_path / "pipe")
     for place, said in ((tmp_path / "pipe", "no ordinary file"), (tmp_path / ("long" * 100), "too long")):
         ended = homolog("evaluate", data, "--json", place)
@@ -294,7 +294,7 @@ def test_evaluate_parts(homolog, data, tmp_path):
     assert ended.code == 0, ended
     assert "shrec16_cuts, mesh, partial, pre-aligned" in ended.out
     found = strictly((tmp_path / "score.json").read_text())
-    assert (found["set"], found["up"], found["pairs"][0]["points"]) == ("shrec16_cuts", "z", len(kept))
+    assert (found["dataset"], found["up"], found["pairs"][0]["points"]) == ("shrec16_cuts", "z", len(kept))
     figures = found["without_counterpart"]
     assert figures["true"] > 10
     assert f"precision {figures['precision']:.3f}, recall {figures['recall']:.3f}, F1 {figures['f1']:.3f}" in ended.out
@@ -307,7 +307,7 @@ def test_evaluate_clouds_in_their_own_unit(homolog, clouds_set, tmp_path, caplog
     assert "has 3 shapes, but lungs has 48; homolog data check lungs says which differ." in caplog.text
     found = strictly((tmp_path / "score.json").read_text())
     assert (found["unit"], found["protocol"]["modality"]) == ("mm", "cloud")
-    assert f"mean straight error in mm │ {found['mean_straight_error']:.2f}" in " ".join(ended.out.split())
+    assert f"mean euclidean error in mm │ {found['mean_euclidean_error']:.2f}" in " ".join(ended.out.split())
     assert "geodesic" not in ended.out
 
 
@@ -430,14 +430,16 @@ def test_demo(homolog, tmp_path):
 def test_demo_fails_if_the_maps_are_bad(homolog, tmp_path, monkeypatch):
     """Every point to one: the error is far above the bound, and left and right are mixed up."""
 
-    class Bad(match_module.Job):
-        def run(self, steps, **options):
-            outcome = super().run(steps, **options)
-            n, m = (outcome.shapes[side].n_points for side in ("source", "target"))
-            bad = Match(np.zeros(n, int), np.zeros(m, int), np.zeros(n), np.zeros(m), "axiomatic")
-            return replace(outcome, found=bad)
+    def bad(self, pair):
+        return Match(
+            pair.source.given, pair.target.given, *(np.zeros(shape.given.n_points, int) for shape in sides_of(pair))
+        )
 
-    monkeypatch.setattr(match_module, "Job", Bad)
+    def sides_of(pair):
+        return pair.source, pair.target
+
+    find = Matcher.find
+    monkeypatch.setattr(Matcher, "find", lambda *given: replace(bad(*given), report=find(*given).report))
     ended = homolog("demo", "-o", tmp_path / "demo", "--quiet")
     assert ended.code == 1
     assert ended.out == ""

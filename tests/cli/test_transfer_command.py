@@ -37,11 +37,10 @@ def result(make, tmp_path):
     back = np.array([np.flatnonzero(point_of == point)[0] for point in range(shape.n_points)])
     there = np.where(lost[point_of], -1, point_of)
     back = np.where(lost, -1, back)
-    found = Match(there, back, (there >= 0) * 1.0, (back >= 0) * 1.0, "nearest-features")
     files = {"source": tmp_path / "source.glb", "target": tmp_path / "target.ply"}
     inputs = {side: {"file": str(file), "sha256": sha256(file)} for side, file in files.items()}
-    report = {"route": "nearest-features", "inputs": inputs}
-    write_result(tmp_path / "result", source, read_shape(tmp_path / "target.ply"), found, report)
+    target = read_shape(tmp_path / "target.ply")
+    Match(source, target, there, back, method="nearest-features", report={"inputs": inputs}).save(tmp_path / "result")
     return tmp_path / "result"
 
 
