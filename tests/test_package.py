@@ -46,6 +46,7 @@ FLOORS = CORE | {
     "pairs": GROUND | {"shapes", "geometry", "maps", "features"},
     "methods": GROUND | {"shapes", "geometry", "maps", "features", "pairs"},
     "matching": GROUND | BENEATH_MATCHING,
+    "testing": GROUND | BENEATH_MATCHING | {"matching"},
     "transfer": GROUND | {"shapes", "geometry", "maps", "pairs", "matching"},
     "datasets": GROUND | {"shapes"},
     "volumes": GROUND | {"shapes"},

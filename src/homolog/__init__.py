@@ -116,6 +116,7 @@ _PACKAGES = (
     "shapes",
     "statistics",
     "synthesis",
+    "testing",
     "training",
     "transfer",
     "viewing",
