@@ -46,6 +46,7 @@ FUNCTIONS = [
     (maps.cycle_error, (POINTS[1], Y_TO_X, X_TO_Y)),
     (maps.functional_map, (random(12, 20), random(10, 20, seed=1), random(10, 12, seed=2).abs())),
     (maps.functional_map_from_point_map, (Y_TO_X, *PHI, random(40).abs())),
+    (maps.heat_kernel_signature, (VALUES[0], PHI[0])),
     (maps.local_stretch, (POINTS[0], random(50, 3), indices(50 * 4, 50).reshape(50, 4))),
     (maps.most_similar, FEATURES),
     (maps.nearest_neighbour, POINTS),

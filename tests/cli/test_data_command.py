@@ -3,7 +3,6 @@
 import pytest
 from rich.console import Console
 
-from homolog.cli import data as data_module
 from homolog.datasets import builtin_descriptions
 from homolog.shapes import write_shape
 
@@ -30,7 +29,7 @@ def test_list_is_plain_where_it_is_piped(homolog):
 
 
 def test_list_is_a_table_on_a_terminal(homolog, monkeypatch):
-    monkeypatch.setattr(data_module, "_is_terminal", lambda: True)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     monkeypatch.setattr("rich.console.Console", lambda: Console(force_terminal=True, width=200))
     out = homolog("data", "list").out
     assert "┃ name" in out and "│ shrec16_holes" in out and "\t" not in out

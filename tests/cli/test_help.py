@@ -63,6 +63,17 @@ def test_the_names_of_options_are_the_same_everywhere(words):
             assert param.opts[0].startswith("--n-")
 
 
+GROUPS = ["Input", "Method", "Partial shapes", "Output", "Other"]
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_groups_of_options_have_one_order(words):
+    shown = list(dict.fromkeys(getattr(param, "rich_help_panel", None) for param in COMMANDS[words].params))
+    known = [GROUPS.index(group) for group in shown if group in GROUPS]
+    assert known == sorted(known)
+    assert "Other" not in shown[:-1]
+
+
 def test_examples_give_options_that_exist():
     for words, command in COMMANDS.items():
         known = {option for param in command.params for option in (*param.opts, *param.secondary_opts)} | {"--help"}

@@ -118,11 +118,11 @@ def test_report(homolog, files, tmp_path):
         assert found["inputs"][side]["eigenpairs"]["method"]
     assert found["features"]["n_eigenpairs"] == 128
     assert found["features"]["map_eigenpairs"] == 20
-    steps = [step["name"] for step in found["steps"]]
+    steps = [step["name"] for step in found["timings"]]
     assert steps[:2] == ["read source", "read target"]
     assert steps[-3:] == ["map", "check orientation", "write"]
     assert len(steps) == 11
-    for step in found["steps"]:
+    for step in found["timings"]:
         assert 0 <= step["seconds"] < 600
         assert 10 < step["process_peak_mb"] < 1e6
     assert {"python", "homolog", "torch", "numpy", "scipy", "robust-laplacian"} <= set(found["versions"])
@@ -243,7 +243,7 @@ def test_the_map_is_that_of_the_adapted_network(homolog, files, tmp_path):
     assert np.array_equal(found["source_to_target"], expected.source_to_target)
     assert np.array_equal(found["source_confidence"], expected.source_confidence)
     assert report(tmp_path)["adapt"] == 3
-    assert "adapt" in [step["name"] for step in report(tmp_path)["steps"]]
+    assert "adapt" in [step["name"] for step in report(tmp_path)["timings"]]
     assert files.weights.read_bytes() == before
 
 

@@ -294,7 +294,7 @@ def test_evaluate_parts(homolog, data, tmp_path):
     assert ended.code == 0, ended
     assert "shrec16_cuts, mesh, partial, pre-aligned" in ended.out
     found = strictly((tmp_path / "score.json").read_text())
-    assert (found["set"], found["up"], found["pairs"][0]["points"]) == ("shrec16_cuts", "z", len(kept))
+    assert (found["dataset"], found["up"], found["pairs"][0]["points"]) == ("shrec16_cuts", "z", len(kept))
     figures = found["without_counterpart"]
     assert figures["true"] > 10
     assert f"precision {figures['precision']:.3f}, recall {figures['recall']:.3f}, F1 {figures['f1']:.3f}" in ended.out

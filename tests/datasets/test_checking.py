@@ -220,10 +220,10 @@ def test_maps_that_do_not_fit(tmp_path, make):
 
 def test_every_missing_file_of_a_list_is_named_and_the_others_are_read(own):
     (own / "train.txt").write_text("a\nx\nb\ny\n")
-    (own / "pairs.txt").write_text("a,z\nc,d\n")
+    (own / "pairs.txt").write_text("a,z\nc,w\n")
     (own / "corres" / "c.vts").write_text("1\n2\n")
     findings = check_dataset(own, DatasetDescription()).findings
-    for name, listed in (("x", "train.txt"), ("y", "train.txt"), ("z", "pairs.txt")):
+    for name, listed in (("x", "train.txt"), ("y", "train.txt"), ("w", "pairs.txt"), ("z", "pairs.txt")):
         assert f"{own / listed} names '{name}', but {own / 'off'} has no {name}.off; put it there" in findings
     assert any("template points" in finding for finding in findings)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from homolog.core.errors import ArgumentError, HomologError, ShapeError, WeightsError
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.features import FeatureInfo
 from homolog.features import weights as weights_module
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
@@ -171,9 +171,9 @@ def test_raw_products_skip_the_normalisation(build, blobs, network):
 
 def test_steps_are_measured_in_order(build, blobs):
     heard = []
-    steps = Steps(listener=heard.append)
-    build("nearest-features").match(blobs.source, blobs.target, steps=steps)
-    names = [step.name for step in steps.finished]
+    timings = Timings(listener=heard.append)
+    build("nearest-features").match(blobs.source, blobs.target, timings=timings)
+    names = [step.name for step in timings.finished]
     assert names == heard
     assert set(names) == {
         *(f"{what} {side}" for what in ("repair", "operators of", "features of") for side in ("source", "target")),
@@ -182,7 +182,7 @@ def test_steps_are_measured_in_order(build, blobs):
     }
     assert len(names) == 8
     assert names[-2:] == ["map", "check orientation"]
-    assert all(step.seconds > 0 and step.process_peak_mb > 10 for step in steps.finished)
+    assert all(step.seconds > 0 and step.process_peak_mb > 10 for step in timings.finished)
 
 
 def test_weights_from_a_file(build, blobs, weights):

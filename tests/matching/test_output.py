@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from homolog.core.errors import ArgumentError, DataError
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.matching import Match, matched_colours, position_colours, write_folder
 from homolog.shapes import Shape, read_shape
 from homolog.shapes.formats import formats
@@ -148,15 +148,15 @@ def test_results_that_are_spoilt_are_one_line(shapes, found, tmp_path, spoil, sa
 
 def test_writing_is_a_step_of_the_report(shapes, found, tmp_path):
     heard = []
-    steps = Steps(listener=heard.append)
-    with steps.step("map"):
+    timings = Timings(listener=heard.append)
+    with timings.measure("map"):
         pass
-    paths = write_folder(tmp_path, found, steps=steps)
+    paths = write_folder(tmp_path, found, timings=timings)
     report = json.loads(paths[3].read_text())
     assert report["answer"] == 42
-    assert [step["name"] for step in report["steps"]] == heard == ["map", "write"]
-    assert report["steps"] == [asdict(step) for step in steps.finished]
-    assert report["steps"][1]["seconds"] > 0
+    assert [step["name"] for step in report["timings"]] == heard == ["map", "write"]
+    assert report["timings"] == [asdict(step) for step in timings.finished]
+    assert report["timings"][1]["seconds"] > 0
 
 
 def broken(shape):

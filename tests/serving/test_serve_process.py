@@ -19,11 +19,11 @@ pytestmark = pytest.mark.process
 # A server one of whose matches has begun, waiting to be ended.
 BUSY = """
 import sys
-import homolog.cli.serve
+import homolog.serving
 from homolog.serving import MatchCommand
 
 stuck = "import sys, time; open('pid', 'w').write(str(__import__('os').getpid())); time.sleep(600)"
-homolog.cli.serve.MatchCommand = lambda *given, **named: MatchCommand(program=(sys.executable, "-c", stuck))
+homolog.serving.MatchCommand = lambda *given, **named: MatchCommand(program=(sys.executable, "-c", stuck))
 from homolog.cli.main import main
 main()
 """

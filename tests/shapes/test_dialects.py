@@ -67,9 +67,9 @@ def ply(order, elements, body, comment="comment x"):
 
 
 @pytest.mark.parametrize(("order", "mark"), [("binary_little_endian", "<"), ("binary_big_endian", ">")])
-@pytest.mark.parametrize("alike", [True, False])
+@pytest.mark.parametrize("sizes", [[2] * 6, [0, 1, 2, 3, 0, 1], [5, 0, 0, 1, 0, 0]], ids=["alike", "mixed", "falling"])
 @pytest.mark.parametrize("place", ["before", "between", "behind"])
-def test_ply_vertices_with_lists(tmp_path, order, mark, alike, place):
+def test_ply_vertices_with_lists(tmp_path, order, mark, sizes, place):
     """As photogrammetry writes them: the views of each point, and their weights."""
     views, weights = "property list uchar uint views\n", "property list uchar float weights\n"
     scalars = "".join(f"property double {axis}\n" for axis in "xyz") + "property uchar red\n"
@@ -80,8 +80,7 @@ def test_ply_vertices_with_lists(tmp_path, order, mark, alike, place):
     else:
         properties = scalars + views + weights
     body = b""
-    for number, point in enumerate(POINTS):
-        n = 2 if alike else number % 4
+    for n, point in zip(sizes, POINTS, strict=True):
         some = {
             "views": bytes([n]) + np.arange(n, dtype=mark + "u4").tobytes(),
             "weights": bytes([n]) + np.ones(n, mark + "f4").tobytes(),
@@ -94,8 +93,12 @@ def test_ply_vertices_with_lists(tmp_path, order, mark, alike, place):
     shape = read_shape(put(tmp_path, "a.ply", ply(order, elements, body)))
     np.testing.assert_array_equal(shape.points, POINTS)
     np.testing.assert_array_equal(shape.faces, FACES)
-    with pytest.raises(ShapeError, match="ends before the last element"):
-        read_shape(put(tmp_path, "b.ply", ply(order, elements, body[:-3])))
+    # Without faces the vertices are the last thing in the file.
+    alone = elements.partition("element face")[0]
+    np.testing.assert_array_equal(read_shape(put(tmp_path, "b.ply", ply(order, alone, body[:-39]))).points, POINTS)
+    for kinds, n_missing in ((elements, 3), (alone, 40)):
+        with pytest.raises(ShapeError, match="ends before the last element"):
+            read_shape(put(tmp_path, "c.ply", ply(order, kinds, body[:-n_missing])))
 
 
 def test_ply_with_old_line_ends_and_capitals(tmp_path):

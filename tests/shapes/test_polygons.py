@@ -50,7 +50,7 @@ def test_concave_quadrilateral():
 
 
 def test_random_stars_with_points_on_their_edges():
-    """Ears leave such points out; the surface must stay joined to neighbours that use them."""
+    """The surface must stay joined to neighbours that use them."""
     rng = np.random.default_rng(0)
     for _ in range(200):
         n = rng.integers(5, 40)
@@ -61,6 +61,15 @@ def test_random_stars_with_points_on_their_edges():
         assert len(triangles) == 2 * n - 2
         assert area(ring, triangles) == pytest.approx(signed_area(ring))
         assert outline(triangles) == {(i, (i + 1) % (2 * n)) for i in range(2 * n)}
+
+
+@pytest.mark.parametrize("repeated", range(6))
+def test_points_in_one_place_stay_corners(repeated):
+    """Ears leave them out."""
+    ring = np.insert(L, repeated, L[repeated], axis=0)
+    triangles = triangulate(ring, np.array([7]), np.arange(7))
+    assert area(ring, triangles) == pytest.approx(7)
+    assert outline(triangles) == {(i, (i + 1) % 7) for i in range(7)}
 
 
 def test_convex_polygons_keep_their_fans_and_their_order():

@@ -1,12 +1,13 @@
 """What a shape may be made of."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
 from homolog.core.errors import ShapeError
-from homolog.shapes import Shape
+from homolog.shapes import Shape, check, demo_shapes, repair, stand_upright
 
 POINTS = np.eye(4, 3)
 FACES = [[0, 1, 2], [1, 2, 3]]
@@ -69,3 +70,39 @@ def test_what_is_refused(points, faces, said):
         Shape(points, faces, name="thing")
     assert str(caught.value).startswith(f"thing: {said}")
     assert "\n" not in str(caught.value)
+
+
+def test_faces_that_do_not_fit_are_refused():
+    points = np.random.default_rng(0).random((5, 3))
+    with pytest.raises(
+        ShapeError, match="body: faces seem to count from 1, as they hold 1 to 5 but not 0; give faces - 1"
+    ):
+        Shape(points, [[1, 2, 3], [3, 4, 5]], name="body")
+    for bad, index in (([0, 1, 5], 5), ([0, 1, -1], -1), ([2, 3, 99], 99)):
+        with pytest.raises(
+            ShapeError, match=f"body: faces hold the index {index}, but must hold .* from 0 to 4"
+        ) as caught:
+            Shape(points, [[1, 2, 3], [1, 3, 0], bad], name="body")
+        assert "\n" not in str(caught.value)
+        broken = Shape(points, [[1, 2, 3], [1, 3, 0], bad], allow_broken=True)
+        # What is made of it stays allowed, and what is repaired needs no leave any more.
+        assert replace(broken, points=2 * points).n_faces == 3
+        assert not repair(broken).shape.allow_broken and repair(broken).shape.n_faces == 2
+    assert Shape(points, np.zeros((0, 3), int)).n_faces == 0
+
+
+def test_what_is_printed_is_short():
+    shape = Shape(np.random.default_rng(0).random((500, 3)), name="cloud.ply")
+    assert repr(shape) == "Shape('cloud.ply': cloud, 500 points)"
+    assert repr(repair(shape)) == "Repaired(Shape('cloud.ply': cloud, 500 points), 500 of 500 points kept)"
+    assert repr(check(shape)) == "Report('cloud.ply': cloud, 500 points, 0 faces, 0 findings)"
+
+
+def test_turning_a_shape_leaves_its_anatomical_axes():
+    shape = Shape(np.eye(4, 3), space="RAS")
+    assert stand_upright(shape, "y").space == "RAS" and stand_upright(shape, "z").space is None
+
+
+def test_demo_bodies():
+    for shape in demo_shapes():
+        assert check(shape).is_clean and shape.modality == "mesh"

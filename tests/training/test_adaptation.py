@@ -50,7 +50,7 @@ def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_tho
         settings=matcher.settings,
     )
     pair = for_organs.pair(*shapes)[0]
-    with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that keep no areas"):
+    with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that are not near-isometric"):
         adapt_to_pair(for_organs, pair, SETTINGS)
     registration = replace(
         SETTINGS,

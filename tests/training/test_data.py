@@ -224,3 +224,10 @@ def test_files_that_can_only_hold_points_are_found_where_clouds_are_asked_for(tm
     assert TrainingSet.open(tmp_path, recipe).names == ("a", "b", "c", "d")
     with pytest.raises(DataError, match="1 of its shapes are left"):
         TrainingSet.open(tmp_path, small(validation={"shapes": 0}))
+
+
+def test_lists_of_full_shapes_are_for_tests_and_those_with_partial_ones_for_training(meshes, tmp_path, small):
+    (tmp_path / "off").symlink_to(meshes / "off")
+    (tmp_path / "pairs.txt").write_text("ape,bee\ncat,ape\n")
+    assert TrainingSet.open(tmp_path, small()).pairs == ()
+    assert TrainingSet.open(tmp_path, small(partial={})).pairs == (("ape", "bee"), ("cat", "ape"))

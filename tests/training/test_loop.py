@@ -200,8 +200,8 @@ def test_training_can_begin_with_weights(trained, meshes, small, tmp_path):
     assert fresh.step == state.step == 6
     info = load_weights(run / "weights.safetensors")[1]
     report = json.loads((tmp_path / "a" / "report.json").read_text())
-    assert report["begun_with"] == {"name": "small", "licence": "CC0-1.0", "sha256": info.sha256}
-    assert json.loads((tmp_path / "fresh" / "report.json").read_text())["begun_with"] is None
+    assert report["started_from"] == {"name": "small", "licence": "CC0-1.0", "sha256": info.sha256}
+    assert json.loads((tmp_path / "fresh" / "report.json").read_text())["started_from"] is None
     again = loop.train(recipe, meshes, tmp_path / "a", device="cpu", resume=True, weights=run / "weights.safetensors")
     assert again.step == 6 and alike(tmp_path / "a", tmp_path / "b")
 

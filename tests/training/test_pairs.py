@@ -1,5 +1,7 @@
 """Pairs as steps train on them: partial ones at the full shape's scale, registration targets where a loss asks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,7 +14,9 @@ from homolog.training.data import TrainingSet
 from homolog.training.losses import Loss, losses_of
 from homolog.training.pairs import PairLoader
 from homolog.training.sampling import PairSampler, SampledPair, SampledShape
+from homolog.training.state import TrainingState
 from homolog.training.store import ShapeStore
+from homolog.training.validation import validation_losses
 
 
 def store_of(root, recipe):
@@ -113,3 +117,16 @@ def test_a_loss_of_one_s_own_may_ask_for_registration(clouds, small):
     loader = PairLoader(store_of(clouds, recipe), None, [mine])
     (pair,) = loader.pairs([SampledPair(SampledShape("bee", 0, 0), SampledShape("ape", 0, 0), 0)])
     assert pair.registration_targets.shape == (150, 3)
+
+
+def test_validation_uses_the_registration_of_all_points(clouds, small):
+    recipe = small(data={"clouds": True}, loss={"registration": 1.0})
+    (pair,) = loader_of(clouds, recipe).pairs([SampledPair(SampledShape("bee", 0, 0), SampledShape("ape", 0, 0), 0)])
+    network, losses = TrainingState.new(recipe).result(), losses_of(recipe.loss)
+
+    def total(*pairs):
+        return validation_losses(network, pairs, recipe.loss, losses, partial=False)["total"]
+
+    opposite = replace(pair, registration_targets=-pair.registration_targets)
+    assert total(opposite) > total(pair) + 0.1
+    assert total(pair, opposite) == pytest.approx((total(pair) + total(opposite)) / 2)

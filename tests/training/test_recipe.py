@@ -67,6 +67,7 @@ MISTAKES = {
     "[clouds]\nnoise = 0.01": ["[clouds] noise is 0.01", "a list, each of them a number"],
     "[clouds]\nnoise = [0.01, 'x']": ["[clouds] noise holds 'x'", "a list, each of them a number above 0"],
     "[clouds]\ncut = [0.05]": ["[clouds] cut holds 0.05", "a number of at least 0.1 and below 1"],
+    "[clouds]\ncut = [0.5, 0.2]": ["[clouds] cut is 0.2", "at least 0.21, where twice [operators] n_eigenpairs"],
     "[clouds]\nholes = [0]": ["[clouds] holes holds 0", "each of them a whole number of at least 1"],
     "[clouds]\nviews = [-0.1]": ["[clouds] views holds -0.1", "at least 0"],
     "[clouds]\nsubsampled = [1.5]": ["[clouds] subsampled holds 1.5", "above 0 and below 1"],

@@ -50,3 +50,10 @@ def test_validation_pairs_stay_the_same(meshes, small):
     sampler = PairSampler(TrainingSet.open(meshes, recipe), recipe)
     assert sampler.held_out() == sampler.held_out()
     assert len(sampler.held_out()) == 5
+
+
+def test_validation_is_drawn_apart_from_training(meshes, small):
+    recipe = small(validation={"pairs": 5})
+    sampler = PairSampler(TrainingSet.open(meshes, recipe), recipe)
+    trained = {pair.seed for step in range(5) for pair in sampler.of_step(step)}
+    assert trained.isdisjoint(pair.seed for pair in sampler.held_out())

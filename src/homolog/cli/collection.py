@@ -44,12 +44,6 @@ def collection(
     shapes: Annotated[
         list[Path], typer.Argument(metavar="SHAPES...", help="Meshes and point clouds.", show_default=False)
     ],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
-    ] = Path("collection"),
-    weights: Weights = None,
-    method: MethodOption = "auto",
     as_cloud: Annotated[
         Collected | None,
         typer.Option(
@@ -66,6 +60,12 @@ def collection(
         bool,
         typer.Option("--strict", help="Refuse shapes with anything to repair or to warn of.", rich_help_panel=INPUT),
     ] = False,
+    method: MethodOption = "auto",
+    weights: Weights = None,
+    output: Annotated[
+        Path,
+        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
+    ] = Path("collection"),
     scale: Annotated[
         bool,
         typer.Option("--scale", help="Remove size as well before the modes are computed.", rich_help_panel=OUTPUT),

@@ -45,7 +45,7 @@ def list_datasets() -> None:
       homolog data list | cut -f 1
     """
     rows = [_row(description) for description in homolog.datasets.builtin_descriptions()]
-    if not _is_terminal():
+    if not sys.stdout.isatty():
         typer.echo("\n".join("\t".join(row) for row in (_COLUMNS, *rows)))
         return
     from rich.console import Console
@@ -56,10 +56,6 @@ def list_datasets() -> None:
     for row in rows:
         table.add_row(*map(escape, row))
     Console().print(table)
-
-
-def _is_terminal() -> bool:
-    return sys.stdout.isatty()
 
 
 def _row(description: DatasetDescription) -> tuple[str, ...]:
@@ -90,6 +86,8 @@ def show(name: DatasetName) -> None:
 def _facts(described: DatasetDescription) -> list[tuple[str, str]]:
     truth = "" if described.truth in ("same-numbering", "none") else f", {described.truth_files}"
     kept = f"; test without {', '.join(described.left_out)}" if described.left_out else ""
+    counts = {"train": described.n_train, "test": described.n_test}
+    split = "".join(f", {name} {count:,}" for name, count in counts.items() if count)
     return [
         ("where to get it", described.source),
         ("terms", described.terms),
@@ -99,7 +97,7 @@ def _facts(described: DatasetDescription) -> list[tuple[str, str]]:
         ("up", f"+{described.up}"),
         ("unit", described.unit),
         ("ground truth", f"{described.truth}{truth}"),
-        ("split", f"{described.split}{_split(described)}"),
+        ("split", f"{described.split}{split}"),
         ("pairs", f"{described.pairs}{_number(described.n_pairs)}{kept}"),
         ("partial", ("pre-aligned" if described.pre_aligned else "yes") if described.partial else ""),
         ("notes", described.notes),
@@ -112,11 +110,6 @@ def _complete(described: DatasetDescription) -> str:
 
 def _number(count: int) -> str:
     return f", {count:,}" if count else ""
-
-
-def _split(described: DatasetDescription) -> str:
-    counts = {"train": described.n_train, "test": described.n_test}
-    return "".join(f", {split} {count:,}" for split, count in counts.items() if count)
 
 
 def check(

@@ -11,7 +11,7 @@ import typer
 import homolog
 from homolog.cli.options import OUTPUT, Quiet, build_matcher, check_folder
 from homolog.cli.progress import progress_bar
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 
 _DATA = Path(__file__).parents[1] / "demo_data"
 _SOURCE, _TARGET = "amber", "boris"
@@ -39,15 +39,15 @@ def demo(
     folder = homolog.datasets.ShapeFolder.open(_DATA)
     files = [_DATA / "off" / f"{name}.off" for name in (_SOURCE, _TARGET)]
     with progress_bar(quiet=quiet) as progress:
-        steps = Steps(listener=counted(progress))
-        found = build_matcher(None, "auto", "auto", no_cache=True).match(files[0], files[1], steps=steps)
-        paths = homolog.matching.write_folder(output, found, steps=steps)
+        timings = Timings(listener=counted(progress))
+        found = build_matcher(None, "auto", "auto", no_cache=True).match(files[0], files[1], timings=timings)
+        paths = homolog.matching.write_folder(output, found, timings=timings)
     source = folder.shape(_SOURCE)
     truth, asked = folder.template_correspondence(_SOURCE), folder.template_correspondence(_TARGET)
     errors = 100 * homolog.evaluation.geodesic_errors(source, truth, found.target_to_source[asked])
     sides = _same_side(source, truth, found.target_to_source[asked])
     if not quiet:
-        _show(found, errors, sides, steps, output, paths)
+        _show(found, errors, sides, timings, output, paths)
     if errors.mean() > _LARGEST_ERROR:
         typer.echo(f"The mean error is {errors.mean():.2f}, above {_LARGEST_ERROR:g}: something is wrong.", err=True)
         raise typer.Exit(1)
@@ -61,7 +61,7 @@ def _same_side(source: homolog.Shape, truth: np.ndarray, mapped: np.ndarray) -> 
 
 
 def _show(
-    found: homolog.Match, errors: np.ndarray, sides: float, steps: Steps, output: Path, paths: list[Path]
+    found: homolog.Match, errors: np.ndarray, sides: float, timings: Timings, output: Path, paths: list[Path]
 ) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -73,7 +73,7 @@ def _show(
     table.add_row("median, 95th percentile", f"{np.median(errors):.2f}, {np.percentile(errors, 95):.2f}")
     verdict = "right" if sides > 0.95 else "mixed up"
     table.add_row("left and right", f"{verdict}: {100 * sides:.1f} % of lateral points on their own side")
-    table.add_row("seconds, from reading to writing", f"{sum(step.seconds for step in steps.finished):.1f}")
+    table.add_row("seconds, from reading to writing", f"{sum(step.seconds for step in timings.finished):.1f}")
     console = Console()
     console.print(table)
     console.print(f"Look at it: homolog view {output} --html view.html", highlight=False, soft_wrap=True)

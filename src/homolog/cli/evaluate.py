@@ -54,18 +54,6 @@ def evaluate(
         typer.Argument(metavar="DATA", help="A dataset's folder, or one with off/ and corres/.", show_default=False),
     ],
     dataset: DatasetOption = None,
-    weights: Weights = None,
-    method: MethodOption = "auto",
-    adapt: Adapt = 0,
-    modality: Annotated[
-        Modalities | None,
-        typer.Option(
-            metavar="MODALITY",
-            help="What source and target are used as: mesh, cloud, mesh-to-cloud or cloud-to-mesh.",
-            show_default="mesh, or cloud for datasets of clouds",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
     split: Annotated[
         Split, typer.Option(help="Which shapes: by train.txt and test.txt, or by order of name.", rich_help_panel=INPUT)
     ] = "test",
@@ -84,11 +72,12 @@ def evaluate(
             rich_help_panel=INPUT,
         ),
     ] = None,
-    up: Annotated[
-        Up | None,
+    modality: Annotated[
+        Modalities | None,
         typer.Option(
-            help="The axis that points up in the files.",
-            show_default="as the dataset has it, or y",
+            metavar="MODALITY",
+            help="What source and target are used as: mesh, cloud, mesh-to-cloud or cloud-to-mesh.",
+            show_default="mesh, or cloud for datasets of clouds",
             rich_help_panel=INPUT,
         ),
     ] = None,
@@ -101,6 +90,17 @@ def evaluate(
             rich_help_panel=INPUT,
         ),
     ] = 0.0,
+    up: Annotated[
+        Up | None,
+        typer.Option(
+            help="The axis that points up in the files.",
+            show_default="as the dataset has it, or y",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    method: MethodOption = "auto",
+    weights: Weights = None,
+    adapt: Adapt = 0,
     partial: Annotated[
         bool | None,
         typer.Option(
@@ -214,7 +214,7 @@ def evaluate(
         report = {
             **evaluation.to_dict(),
             "data": str(folder.root),
-            "set": description.name or None,
+            "dataset": description.name or None,
             "up": folder.up,
             "protocol": asdict(protocol),
             "adapt": adapt,

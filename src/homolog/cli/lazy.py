@@ -34,39 +34,39 @@ def _without_types_of_flags(params: list[Any]) -> list[Any]:
 class _Commands(MutableMapping[str, Any]):
     """The commands of a group by name; each is imported when it is looked up."""
 
-    def __init__(self, places: dict[str, str]) -> None:
-        self._places, self._loaded = places, dict[str, Any]()
+    def __init__(self, targets: dict[str, str]) -> None:
+        self._targets, self._loaded = targets, dict[str, Any]()
 
     def __getitem__(self, name: str) -> Any:
         if name not in self._loaded:
-            module, _, function = self._places[name].partition(":")
+            module, _, function = self._targets[name].partition(":")
             self._loaded[name] = command_of(name, getattr(import_module(module), function))
         return self._loaded[name]
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._places)
+        return iter(self._targets)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._targets)
 
     def __setitem__(self, name: str, command: Any) -> None:
         self._loaded[name] = command
 
     def __delitem__(self, name: str) -> None:
-        del self._places[name]
+        del self._targets[name]
 
 
-def lazy_group(**places: str) -> type[TyperGroup]:
+def lazy_group(**targets: str) -> type[TyperGroup]:
     """The class of a group of commands.
 
     Args:
-        places: for each command, or group of commands, its ``module:name``.
+        targets: for each command, or group of commands, its ``module:name``.
     """
 
     class LazyGroup(TyperGroup):
         def __init__(self, **settings: Any) -> None:
             super().__init__(**{**settings, "commands": {}})
-            self.commands = _Commands(places)
+            self.commands = _Commands(targets)
 
         def list_commands(self, ctx: Any) -> list[str]:
             return list(self.commands)
@@ -77,11 +77,11 @@ def lazy_group(**places: str) -> type[TyperGroup]:
     return LazyGroup
 
 
-def lazy_typer(name: str, *, help: str, **places: str) -> typer.Typer:
+def lazy_typer(name: str, *, help: str, **targets: str) -> typer.Typer:
     """A group of commands below ``homolog``; see ``lazy_group``."""
     return typer.Typer(
         name=name,
-        cls=lazy_group(**places),
+        cls=lazy_group(**targets),
         callback=lambda: None,  # without commands or a callback it would be no group
         add_completion=False,
         no_args_is_help=True,

@@ -34,7 +34,7 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.core.choices import AsCloud, Side, Up
-from homolog.core.progress import Listener, Steps
+from homolog.core.progress import Listener, Timings
 
 if TYPE_CHECKING:
     from homolog.matching import Match, Matcher
@@ -128,10 +128,10 @@ def match(
         strict=strict,
     )
     with progress_bar(quiet=quiet, form=progress_form) as progress:
-        steps = Steps(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
+        timings = Timings(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
-        found = match_or_adapt(matcher, source, target, options, adapt, steps)
-        paths = homolog.matching.write_folder(output, found, steps=steps)
+        found = match_or_adapt(matcher, source, target, options, adapt, timings)
+        paths = homolog.matching.write_folder(output, found, timings=timings)
     if page is not None:
         homolog.viewing.write_page(page, homolog.viewing.scene_of(found))
         paths.append(page)
@@ -140,20 +140,20 @@ def match(
         homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
         paths.append(picture)
     if not quiet:
-        _summary(found, steps, paths, verbose=verbose)
+        _summary(found, timings, paths, verbose=verbose)
 
 
 def match_or_adapt(
-    matcher: Matcher, source: Path, target: Path, options: PairOptions, adapt: int, steps: Steps
+    matcher: Matcher, source: Path, target: Path, options: PairOptions, adapt: int, timings: Timings
 ) -> Match:
     """Match two files, after so many steps of test-time adaptation."""
     if not adapt:
-        return matcher.match(source, target, options, steps=steps)
-    pair, files = matcher.pair(source, target, options, steps=steps)
+        return matcher.match(source, target, options, timings=timings)
+    pair, files = matcher.pair(source, target, options, timings=timings)
     settings = homolog.training.AdaptationSettings(steps=adapt)
-    with steps.step("adapt"):
-        matcher, pair = homolog.training.adapt_to_pair(matcher, pair, settings, listener=steps.listener)
-    return homolog.matching.with_inputs(matcher.match_pair(pair, steps=steps), files, steps, adapt=adapt)
+    with timings.measure("adapt"):
+        matcher, pair = homolog.training.adapt_to_pair(matcher, pair, settings, listener=timings.listener)
+    return homolog.matching.with_inputs(matcher.match_pair(pair, timings=timings), files, timings, adapt=adapt)
 
 
 def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> Listener:
@@ -170,13 +170,13 @@ def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> L
     return listen
 
 
-def _summary(match: Match, steps: Steps, paths: list[Path], *, verbose: bool) -> None:
+def _summary(match: Match, timings: Timings, paths: list[Path], *, verbose: bool) -> None:
     for warning in match.warnings:
         say(f"Warning: {warning}")
     if verbose:
-        for step in steps.finished:
+        for step in timings.finished:
             say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")
-    seconds = sum(step.seconds for step in steps.finished)
+    seconds = sum(step.seconds for step in timings.finished)
     sides = "; ".join(f"{side} {_in_words(match.matched(side))}" for side in get_args(Side))
     say(f"Matched by {match.method} in {seconds:.1f} s (from reading to writing): {sides}.")
     for path in paths:

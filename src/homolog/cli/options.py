@@ -103,11 +103,14 @@ Json = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of all random choices.", min=0, rich_help_panel=OTHER)]
+Seed = Annotated[
+    int, typer.Option("--seed", metavar="N", help="Seed of all random choices.", min=0, rich_help_panel=OTHER)
+]
 Processes = Annotated[
     int,
     typer.Option(
         "--processes",
+        metavar="N",
         help="How many processes work at once.",
         min=1,
         show_default="one per core",
@@ -219,18 +222,18 @@ def check_folder(output: Path, *, inputs: Iterable[Path] = (), names: Iterable[s
 
     Before any work is done; nothing is made or changed.
     """
-    place = expanded(output)
-    nearest = next(path for path in (place, *place.absolute().parents) if path.exists())
+    folder = expanded(output)
+    nearest = next(path for path in (folder, *folder.absolute().parents) if path.exists())
     if not nearest.is_dir():
         raise ArgumentError(f"{output} cannot be made a folder, {nearest} is a file; give another -o")
     if not os.access(nearest, os.W_OK):
         raise ArgumentError(f"{output} cannot be written to: {nearest} is read-only; give another -o")
     given = {expanded(path).resolve() for path in inputs}
     for name in names:
-        if (place / name).resolve() in given:
-            raise ArgumentError(f"{place / name} is an input and would be replaced by the result; give another -o")
-        if (place / name).is_dir():
-            raise ArgumentError(f"{place / name} is a folder, where a result file belongs; give another -o")
+        if (folder / name).resolve() in given:
+            raise ArgumentError(f"{folder / name} is an input and would be replaced by the result; give another -o")
+        if (folder / name).is_dir():
+            raise ArgumentError(f"{folder / name} is a folder, where a result file belongs; give another -o")
 
 
 def check_file(output: Path) -> None:
@@ -249,14 +252,14 @@ def check_picture_file(output: Path | None, lines: int, width: int) -> None:
         raise ArgumentError(f"{option} is about a picture, but none is to be written; add --picture FILE.png")
 
 
-def _fault(place: Path) -> str:
-    """What is against writing a file to a place, if anything."""
-    if not place.parent.is_dir():
-        return f"the folder {place.parent} does not exist; create it first"
-    if not os.access(place.parent, os.W_OK | os.X_OK):
-        return f"{place.parent} is read-only; give a file in another folder"
+def _fault(file: Path) -> str:
+    """Why a file cannot be written, if so."""
+    if not file.parent.is_dir():
+        return f"the folder {file.parent} does not exist; create it first"
+    if not os.access(file.parent, os.W_OK | os.X_OK):
+        return f"{file.parent} is read-only; give a file in another folder"
     try:
-        return "" if stat.S_ISREG(place.stat().st_mode) else "it is no ordinary file; give a file name"
+        return "" if stat.S_ISREG(file.stat().st_mode) else "it is no ordinary file; give a file name"
     except FileNotFoundError:
         return ""
     except OSError as error:

@@ -46,11 +46,11 @@ def reconstruct(
 
     A cloud that does not close is one line on stderr; the others are still written, and the exit code is 2.
     """
-    places = _places(clouds, output)
-    check_folder(output, names=[place.name for place in places])
+    files = _mesh_files(clouds, output)
+    check_folder(output, names=[file.name for file in files])
     failed = False
     with progress_bar(quiet=quiet) as progress:
-        for done, (cloud, place) in enumerate(zip(clouds, places, strict=True)):
+        for done, (cloud, file) in enumerate(zip(clouds, files, strict=True)):
             progress(done, len(clouds), cloud.name)
             try:
                 found = homolog.volumes.reconstruct_surface(
@@ -61,20 +61,20 @@ def reconstruct(
                 say(f"Error: {error}")
                 continue
             expanded(output).mkdir(parents=True, exist_ok=True)
-            homolog.write_shape(place, found)
+            homolog.write_shape(file, found)
     if failed:
         raise typer.Exit(2)
     if not quiet:
         typer.echo(output)
 
 
-def _places(clouds: list[Path], output: Path) -> list[Path]:
+def _mesh_files(clouds: list[Path], output: Path) -> list[Path]:
     """Where each mesh goes; no two to one file, and none over a cloud."""
-    places = [output / f"{cloud.stem}.ply" for cloud in clouds]
+    files = [output / f"{cloud.stem}.ply" for cloud in clouds]
     given = {expanded(cloud).resolve() for cloud in clouds}
-    for number, place in enumerate(places):
-        if place in places[:number]:
-            raise ArgumentError(f"{clouds[number]} and another cloud would both give {place}; give them one at a time")
-        if expanded(place).resolve() in given:
-            raise ArgumentError(f"{place} is a cloud and would be replaced by its surface; give another -o")
-    return places
+    for number, file in enumerate(files):
+        if file in files[:number]:
+            raise ArgumentError(f"{clouds[number]} and another cloud would both give {file}; give them one at a time")
+        if expanded(file).resolve() in given:
+            raise ArgumentError(f"{file} is a cloud and would be replaced by its surface; give another -o")
+    return files

@@ -82,12 +82,15 @@ def serve(
     check_inputs(weights=weights)
     with needs_extra("homolog serve", "serve"):
         from homolog.serving.server import MatchServer
-    build_matcher(weights, method, device, no_cache=True)  # says now what would be wrong with each match
+    matcher = build_matcher(weights, method, device, no_cache=True)  # says now what would be wrong with each match
     command = homolog.serving.MatchCommand(_options(weights, method, device))
     limits = homolog.serving.Limits(
         max_mb=max_mb, jobs=jobs, queue=queue, per_address=per_address, minutes=minutes, memory_gb=memory_gb
     )
-    server = MatchServer(command, limits, host=host, port=port, names=name or (), made_with=_made_with(weights, method))
+    made_with = method
+    if weights is not None or homolog.matching.needs_features(matcher.settings):
+        made_with = f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"
+    server = MatchServer(command, limits, host=host, port=port, names=name or (), made_with=made_with)
     announce(server.address, open_browser=not no_open, quiet=quiet)
     with interrupt_ends(server.end):
         server.serve()
@@ -100,9 +103,3 @@ def _options(weights: str | None, method: str, device: str) -> tuple[str, ...]:
         return given
     place = weights if weights in pretrained_weights() else str(expanded(weights).resolve())
     return (*given, f"--weights={place}")
-
-
-def _made_with(weights: str | None, method: str) -> str:
-    if weights is None and not homolog.matching.needs_features(homolog.MatcherSettings(method=method)):
-        return method
-    return f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"

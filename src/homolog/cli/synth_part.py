@@ -9,6 +9,7 @@ import typer
 
 import homolog
 from homolog.cli.options import OUTPUT, Quiet, Seed, check_inputs
+from homolog.cli.progress import progress_bar
 from homolog.core.errors import ArgumentError
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder
 
@@ -52,24 +53,27 @@ def part(
 
     check_inputs(file)
     _check_folder(output)
-    repaired = homolog.repair(homolog.read_shape(file))
-    parts = _parts(repaired.shape, kind, seed)
-    place = made_folder(output)
+    with progress_bar(quiet=quiet) as progress:
+        progress(0, 2, "read and repair")
+        repaired = homolog.repair(homolog.read_shape(file))
+        progress(1, 2, kind)
+        parts = _parts(repaired.shape, kind, seed)
+    folder = made_folder(output)
     with all_or_nothing():
         for name, made in parts.items():
-            homolog.write_shape(place / f"{name}.ply", made.shape)
-            with atomic_path(place / f"{name}.npz") as temporary:
+            homolog.write_shape(folder / f"{name}.ply", made.shape)
+            with atomic_path(folder / f"{name}.npz") as temporary:
                 np.savez_compressed(temporary, allow_pickle=False, **_way_back(made, repaired))
     for name in _FILES:
-        if Path(name).stem not in parts:  # of another part that was made here before
-            (place / name).unlink(missing_ok=True)
+        if Path(name).stem not in parts:  # of a view that was made here before
+            (folder / name).unlink(missing_ok=True)
     if not quiet:
         typer.echo(output)
 
 
 def _check_folder(output: Path) -> None:
-    place = expanded(output)
-    if place.is_dir() and any(path.name not in _FILES for path in place.glob("[!.]*")):
+    folder = expanded(output)
+    if folder.is_dir() and any(path.name not in _FILES for path in folder.glob("[!.]*")):
         raise ArgumentError(f"{output} holds other things; give another folder with -o, a new or an empty one")
 
 

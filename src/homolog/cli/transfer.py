@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,9 +24,6 @@ _Files = list[Path] | None
 
 def transfer(
     result: ResultFolder,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files.", rich_help_panel=OUTPUT)
-    ] = Path("transfer"),
     texture: Annotated[
         bool, typer.Option("--texture", help="The texture of the source's file.", rich_help_panel=_WHAT)
     ] = False,
@@ -81,6 +78,9 @@ def transfer(
         System,
         typer.Option(help="The shapes' coordinate system, for landmark files that have one.", rich_help_panel=INPUT),
     ] = "LPS",
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files.", rich_help_panel=OUTPUT)
+    ] = Path("transfer"),
     texture_size: Annotated[
         int,
         typer.Option(metavar="TEXELS", help="Width of the new texture.", min=16, max=16384, rich_help_panel=OUTPUT),
@@ -98,7 +98,7 @@ def transfer(
     left out in .fcsv; in a skin such points move with the nearest point that has a counterpart.
 
     Examples:
-      homolog transfer result -o carried
+      homolog transfer result -o transferred
 
       homolog transfer result --checker
 
@@ -108,7 +108,8 @@ def transfer(
 
       homolog transfer result --reverse --texture --from scans/textured.obj
     """
-    kinds = _asked(texture=texture, colours=colours, skin=skin)
+    given: dict[Kind, bool] = {"texture": texture, "colours": colours, "skin": skin}
+    kinds = [kind for kind, asked in given.items() if asked]
     files = [*(array or []), *(labels or []), *(landmarks or [])]
     transfers = homolog.transfer
     transfers.check_output_names(files)
@@ -139,10 +140,6 @@ def transfer(
         written = delivery.write(output, {"result": str(result), "from": side, "versions": versions()})
     if not quiet:
         _tell(delivery, written)
-
-
-def _asked(**flags: bool) -> list[Kind]:
-    return [kind for kind in get_args(homolog.transfer.Kind) if flags[kind]]
 
 
 def _tell(delivery: Delivery, written: list[Path]) -> None:

@@ -22,7 +22,7 @@ from homolog.cli.options import (
     check_picture_file,
 )
 from homolog.cli.progress import progress_bar
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 
 if TYPE_CHECKING:
     from homolog.matching import Match
@@ -103,9 +103,9 @@ def _layers(result: Match, truth: tuple[Path, Path] | None, weights: str | None,
         layers.append(viewing.error_layer(*viewing.map_errors(result, known)))
     if weights is not None:
         with progress_bar(quiet=quiet) as progress:
-            steps = Steps(listener=counted(progress, _STEPS))
+            timings = Timings(listener=counted(progress, _STEPS))
             matcher = build_matcher(weights, "auto", "auto", no_cache=False)
-            layers.append(viewing.feature_layer(*viewing.pair_features(result, matcher, steps=steps)))
+            layers.append(viewing.feature_layer(*viewing.pair_features(result, matcher, timings=timings)))
     return layers
 
 

@@ -49,12 +49,12 @@ def surface(
 
       homolog volume surface femur.nii.gz -o femur.ply --points 20000
     """
-    volumes = homolog.volumes
     with progress_bar(quiet=quiet) as progress:
         progress(0, 2, "read")
-        found = volumes.read_mask(mask, label=label)
+        found = homolog.volumes.read_mask(mask, label=label)
         progress(1, 2, "surface")
-        homolog.write_shape(output, volumes.mask_surface(found, points=points or None, smoothing=smoothing))
+        made = homolog.volumes.mask_surface(found, points=points or None, smoothing=smoothing)
+        homolog.write_shape(output, made)
     if not quiet:
         typer.echo(output)
 
@@ -86,8 +86,11 @@ def slices(
 
       homolog volume slices lungs.mhd --label 3 --span 0 0.6 --points 3000 -o lower_lung.ply
     """
-    found = homolog.volumes.read_mask(mask, label=label)
-    cloud = homolog.volumes.slice_cloud(found, axis=axis, every=every, span=span, points=points or None, seed=seed)
-    homolog.write_shape(output, cloud)
+    with progress_bar(quiet=quiet) as progress:
+        progress(0, 2, "read")
+        found = homolog.volumes.read_mask(mask, label=label)
+        progress(1, 2, "slices")
+        cloud = homolog.volumes.slice_cloud(found, axis=axis, every=every, span=span, points=points or None, seed=seed)
+        homolog.write_shape(output, cloud)
     if not quiet:
         typer.echo(output)

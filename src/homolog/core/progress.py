@@ -24,8 +24,8 @@ no_progress: Progress = ignore
 
 
 @dataclass(frozen=True)
-class Step:
-    """One finished step.
+class Timing:
+    """Time and memory of one step.
 
     Args:
         name: what was done.
@@ -40,20 +40,20 @@ class Step:
 
 
 @dataclass
-class Steps:
-    """Collects steps as they finish; ``listener`` is told each step's name as it begins."""
+class Timings:
+    """Collects the timing of each step as it ends; ``listener`` is told each step's name as it begins."""
 
     listener: Listener | None = None
-    finished: list[Step] = field(default_factory=list)
+    finished: list[Timing] = field(default_factory=list)
 
     @contextmanager
-    def step(self, name: str) -> Iterator[None]:
+    def measure(self, name: str) -> Iterator[None]:
         """Measure a ``with`` block as one step."""
         if self.listener is not None:
             self.listener(name)
         began = time.perf_counter()
         yield
-        self.finished.append(Step(name, time.perf_counter() - began, peak_memory_mb()))
+        self.finished.append(Timing(name, time.perf_counter() - began, peak_memory_mb()))
 
 
 def peak_memory_mb() -> float:

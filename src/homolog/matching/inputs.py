@@ -9,7 +9,7 @@ from typing import Any
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.matching.result import Match
 from homolog.pairs import PairOptions, Side
 from homolog.shapes import Shape, as_shape, read_hashed_shape
@@ -33,14 +33,14 @@ def options_of(options: PairOptions | None, words: dict[str, Any]) -> PairOption
         raise TypeError(f"match() got an unexpected keyword argument {unknown!r}") from None
 
 
-def read_inputs(source: Any, target: Any, steps: Steps) -> tuple[tuple[Shape, Shape], dict[Side, dict[str, str]]]:
+def read_inputs(source: Any, target: Any, timings: Timings) -> tuple[tuple[Shape, Shape], dict[Side, dict[str, str]]]:
     """Both shapes, read where they are paths, and which files they came from."""
     shapes: list[Shape] = []
     files: dict[Side, dict[str, str]] = {"source": {}, "target": {}}
     given: dict[Side, Any] = {"source": source, "target": target}
     for side, shape in given.items():
         if isinstance(shape, str | PathLike):
-            with steps.step(f"read {side}"):
+            with timings.measure(f"read {side}"):
                 shape, digest = read_hashed_shape(Path(shape))
             files[side] = {"file": str(given[side]), "sha256": digest}
         shapes.append(_shape(side, shape))
@@ -54,9 +54,9 @@ def _shape(side: Side, given: Any) -> Shape:
         raise ArgumentError(f"{side}: {error}") from None
 
 
-def with_inputs(match: Match, files: dict[Side, dict[str, str]], steps: Steps, *, adapt: int = 0) -> Match:
+def with_inputs(match: Match, files: dict[Side, dict[str, str]], timings: Timings, *, adapt: int = 0) -> Match:
     """The match with the files that its shapes came from, and the seconds of its steps, in its report."""
     known = match.report["inputs"]
     inputs = {side: {**files[side], **known[side]} for side in files}
-    timed = [asdict(step) for step in steps.finished]
+    timed = [asdict(step) for step in timings.finished]
     return replace(match, report={**match.report, "inputs": inputs, "adapt": adapt, "steps": timed})

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError, ShapeError
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
 from homolog.geometry import OperatorCache, OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
@@ -145,7 +145,7 @@ class Matcher:
         options: PairOptions | None = None,
         *,
         features: tuple[ArrayLike, ArrayLike] | None = None,
-        steps: Steps | None = None,
+        timings: Timings | None = None,
         **words: Any,
     ) -> Match:
         """Find for every point of each shape its counterpart on the other.
@@ -155,16 +155,16 @@ class Matcher:
             target: another.
             options: what is known of the two.
             features: of the points of both as given (n, d), in place of the matcher's own.
-            steps: collects time and memory of the steps.
+            timings: collects time and memory of each step.
             **words: the fields of ``PairOptions``, such as ``partial="source"``, in place of ``options``.
 
         Raises:
             ArgumentError: if something given is not a shape, such a word, or a factor.
             ShapeError: if a shape cannot be used, or ``strict`` forbids it.
         """
-        steps = steps or Steps()
-        pair, files = self.pair(source, target, options, features=features, steps=steps, **words)
-        return with_inputs(self.match_pair(pair, steps=steps), files, steps)
+        timings = timings or Timings()
+        pair, files = self.pair(source, target, options, features=features, timings=timings, **words)
+        return with_inputs(self.match_pair(pair, timings=timings), files, timings)
 
     def pair(
         self,
@@ -173,16 +173,16 @@ class Matcher:
         options: PairOptions | None = None,
         *,
         features: tuple[ArrayLike, ArrayLike] | None = None,
-        steps: Steps | None = None,
+        timings: Timings | None = None,
         **words: Any,
     ) -> tuple[Pair, dict[Side, dict[str, str]]]:
         """Read and preprocess two shapes for each other; also which files they came from. See ``match``."""
-        steps = steps or Steps()
+        timings = timings or Timings()
         options = options_of(options, words)
         check_supported(self._method, options)
-        shapes, files = read_inputs(source, target, steps)
+        shapes, files = read_inputs(source, target, timings)
         pair = Pair.of(
-            *shapes, self.preprocess, options=options, settings=self._resolved, features=features, steps=steps
+            *shapes, self.preprocess, options=options, settings=self._resolved, features=features, timings=timings
         )
         return pair, files
 
@@ -200,13 +200,13 @@ class Matcher:
         maps = method(pair)
         return Match.of(pair, refine(pair, maps) if method.supports.refinement else maps, method=method.name)
 
-    def match_pair(self, pair: Pair, *, steps: Steps | None = None) -> Match:
+    def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result, their units and how they stand; see ``match``."""
-        steps = steps or Steps()
+        timings = timings or Timings()
         units = unit_warnings(pair)
-        with steps.step("map"), blaming(units):
+        with timings.measure("map"), blaming(units):
             match = self.find(pair)
-        with steps.step("check orientation"):
+        with timings.measure("check orientation"):
             turned = pair_orientation_warnings(pair, self.method_of(pair.source.modality, pair.target.modality).name)
             warnings = (*units, *turned, *low_confidence_warnings(match, self.settings.warnings))
         if pair.options.strict and warnings:

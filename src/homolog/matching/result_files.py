@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from homolog.core.errors import ArgumentError, DataError, bad_choice
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, write_json
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.matching.colours import matched_colours
 from homolog.pairs import SIDES, Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
@@ -34,7 +34,7 @@ _DIRECTIONS = ("target_to_source", "source_to_target")
 _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
 
 
-def write_folder(folder: str | Path, match: Match, *, steps: Steps | None = None) -> list[Path]:
+def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = None) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
     The shapes are as given, point by point, coloured so that the same colour means the same point; so that any program
@@ -45,7 +45,7 @@ def write_folder(folder: str | Path, match: Match, *, steps: Steps | None = None
     Args:
         folder: where to.
         match: what to write.
-        steps: what was done before; the report tells of these, and of the writing of the other files as one more.
+        timings: what was done before; the report tells of these, and of the writing of the other files as one more.
 
     Raises:
         ArgumentError: if the folder cannot be made or written to.
@@ -53,14 +53,14 @@ def write_folder(folder: str | Path, match: Match, *, steps: Steps | None = None
     folder = made_folder(folder)
     paths = [folder / name for name in RESULT_FILES]
     with all_or_nothing():
-        with (steps or Steps()).step("write"):
+        with (timings or Timings()).measure("write"):
             source_colours, target_colours = matched_colours(match)
             write_maps(paths[0], match)
             write_shape(paths[1], drawable(match.source), colours=source_colours)
             write_shape(paths[2], drawable(match.target), colours=target_colours)
         told: dict[str, Any] = {"method": match.method, "warnings": list(match.warnings)}
-        if steps is not None:
-            told["steps"] = [asdict(step) for step in steps.finished]
+        if timings is not None:
+            told["steps"] = [asdict(step) for step in timings.finished]
         write_json(paths[3], {**match.report, **told})
     return paths
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.choices import Side
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor
 from homolog.pairs.options import SIDES, PairOptions
 from homolog.pairs.preprocessing import PreprocessedShape, Preprocessor
@@ -67,7 +67,7 @@ class Pair:
         options: PairOptions | None = None,
         settings: MatcherSettings | None = None,
         features: tuple[ArrayLike, ArrayLike] | None = None,
-        steps: Steps | None = None,
+        timings: Timings | None = None,
     ) -> Pair:
         """Preprocess two shapes for each other: a partial one takes the scale of the full one, and comes second.
 
@@ -78,7 +78,7 @@ class Pair:
             options: what is known of the two.
             settings: how maps will be made.
             features: of the points of both shapes as given (n, d), in place of an extractor's.
-            steps: collects time and memory of the steps.
+            timings: collects time and memory of each step.
 
         Raises:
             ArgumentError: if something given is no shape.
@@ -101,7 +101,7 @@ class Pair:
                 centre=centre,
                 features=None if features is None else features[SIDES.index(side)],
                 strict=options.strict,
-                steps=steps,
+                timings=timings,
                 label=side,
             )
             full = found[side].operators

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError, ShapeError
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, check_features
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
@@ -106,7 +106,7 @@ class Preprocessor:
         centre: ArrayLike | None = None,
         features: ArrayLike | None = None,
         strict: bool = False,
-        steps: Steps | None = None,
+        timings: Timings | None = None,
         label: str = "shape",
     ) -> PreprocessedShape:
         """Repair a shape and compute its operators and features.
@@ -120,7 +120,7 @@ class Preprocessor:
                 its points.
             features: of each point of the shape as given (n, d), in place of the extractor's.
             strict: refuse a shape that needs repair.
-            steps: collects time and memory of the steps.
+            timings: collects time and memory of each step.
             label: what the steps call the shape.
 
         Raises:
@@ -128,15 +128,15 @@ class Preprocessor:
             ShapeError: if the shape cannot be used, or is refused.
         """
         check_kind(label, shape, Shape)
-        steps = steps or Steps()
-        with steps.step(f"repair {label}"):
+        timings = timings or Timings()
+        with timings.measure(f"repair {label}"):
             repaired, as_cloud = _repaired(stand_upright(shape, up), as_cloud=as_cloud)
             if strict:
                 _refuse_repairs(repaired)
-        with steps.step(f"operators of {label}"):
+        with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(torch.as_tensor(centre))
-        with steps.step(f"features of {label}"):
+        with timings.measure(f"features of {label}"):
             found = self.features(operators) if features is None else _of_points(features, shape, repaired, operators)
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())

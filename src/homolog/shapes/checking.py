@@ -77,6 +77,10 @@ class Report:
             values["extent"] = None
         return values | {"usable": self.usable}
 
+    def __repr__(self) -> str:
+        size = f"{self.n_points} points, {self.n_faces} faces"
+        return f"Report({self.name!r}: {self.modality}, {size}, {len(self.findings)} findings)"
+
     def __str__(self) -> str:
         faces = f", {self.n_faces} faces" if self.modality == "mesh" else ""
         head = f"{self.name}: {self.modality}, {self.n_points} points{faces}, extent {self.extent:.6g}"
@@ -115,7 +119,9 @@ def report_on(shape: Shape, cleaning: Cleaning) -> Report:
         described = topology(cleaning.faces, len(cleaning.points))
         areas, slivers = _areas(cleaning.points, cleaning.faces)
         area = float(areas.sum())
-        findings += _zero_area(area)
+        if area == 0:
+            action = "every face is a line; use the points alone, as a cloud"
+            findings.append(Finding("total area", 0, "unusable", action))
     findings += _repaired(cleaning)
     findings += _scale(cleaning.points, extent)
     if described is not None:
@@ -177,11 +183,6 @@ def _areas(
     areas = face_areas(points, faces)
     longest = np.max([np.sum((p - q) ** 2, axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0)
     return areas, areas <= _SLIVER * longest
-
-
-def _zero_area(area: float) -> Iterator[Finding]:
-    if area == 0:
-        yield Finding("total area", 0, "unusable", "every face is a line; use the points alone, as a cloud")
 
 
 def _repaired(cleaning: Cleaning) -> Iterator[Finding]:

@@ -89,10 +89,6 @@ def _polygons(faces: Any, name: str) -> tuple[Int[np.ndarray, " m"], Int[np.ndar
     return sizes, corners.astype(np.int64)
 
 
-def _is_pair(found: Any) -> bool:
-    return isinstance(found, tuple) and len(found) == 2 and np.ndim(_numpy(found[0])) == 2
-
-
 def _of_scene(found: Any) -> tuple[Any, Any]:
     """The meshes of a trimesh scene with their transforms, as one."""
     whole = found.to_geometry() if hasattr(found, "to_geometry") else found.dump(concatenate=True)
@@ -125,7 +121,10 @@ def _of_meshio(found: Any) -> tuple[Any, Any]:
 
 # How each library's shapes are told, and where they keep points and faces; the first that fits counts.
 _KINDS: tuple[tuple[Callable[[Any], bool], Callable[[Any], tuple[Any, Any]]], ...] = (
-    (_is_pair, lambda found: found),
+    (
+        lambda found: isinstance(found, tuple) and len(found) == 2 and np.ndim(_numpy(found[0])) == 2,
+        lambda found: found,
+    ),
     (lambda found: hasattr(found, "IsA"), _of_vtk),
     (lambda found: hasattr(found, "geometry") and hasattr(found, "graph"), _of_scene),
     (lambda found: hasattr(found, "vertlist"), lambda found: (found.vertlist, getattr(found, "facelist", None))),

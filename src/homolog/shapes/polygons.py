@@ -12,8 +12,6 @@ from homolog.shapes.topology import face_vectors
 
 # A triangle looks the other way where its normal opposes the polygon's by more than rounding.
 _ROUNDING = 1e-12
-# Of a quadrilateral, where the fan around the first corner is folded.
-_SECOND_FAN = np.array([[1, 2, 3], [1, 3, 0]])
 
 
 def triangulate(
@@ -22,9 +20,8 @@ def triangulate(
     """Split polygons into triangles over their own corners, in the order of the polygons.
 
     A polygon of k corners gives k - 2 triangles: the fan around its first corner where none of these is turned over, as
-    in every convex polygon, else the fan around the second corner of a quadrilateral, else the ears that are clipped in
-    the plane of the polygon (mapbox-earcut). Corners on a straight edge stay corners of triangles, so that neighbours
-    stay joined.
+    in every convex polygon, else the ears that are clipped in the plane of the polygon (mapbox-earcut). Every corner is
+    one of a triangle, so that neighbours stay joined.
 
     Args:
         points: what the corners index.
@@ -39,8 +36,8 @@ def triangulate(
     polygon = np.repeat(np.arange(len(sizes)), n_triangles)
     for one in _folded(points, corners[triangles], polygon, sizes).tolist():
         first, size = first_corner[one], sizes[one]
-        split = _SECOND_FAN if size == 4 else _ears(points[corners[first : first + size]])
-        triangles[first_triangle[one] : first_triangle[one] + size - 2] = first + split
+        ears = _ears(points[corners[first : first + size]])
+        triangles[first_triangle[one] : first_triangle[one] + size - 2] = first + ears
     return triangles
 
 
@@ -84,12 +81,8 @@ def _folded(
 
 def _ears(ring: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, "k-2 3"]:
     """The triangles of one polygon, as positions in it; the fan around its first corner where ears fail."""
-    flat = _in_own_plane(ring)
-    found = mapbox_earcut.triangulate_float64(flat, np.array([len(ring)], dtype=np.uint32))
+    found = mapbox_earcut.triangulate_float64(_in_own_plane(ring), np.array([len(ring)], dtype=np.uint32))
     triangles = np.asarray(found, dtype=np.int64).reshape(-1, 3)
-    a, b, c = flat[triangles].transpose(1, 0, 2)
-    if np.sum((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) < 0:
-        triangles = triangles[:, ::-1]
     triangles = np.concatenate([triangles, _flat_triangles(triangles, len(ring))])
     return triangles if len(triangles) == len(ring) - 2 else fans(np.array([len(ring)]))
 
@@ -104,7 +97,7 @@ def _in_own_plane(ring: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:
 
 
 def _flat_triangles(triangles: Int[np.ndarray, "t 3"], n_corners: int) -> Int[np.ndarray, "f 3"]:
-    """Triangles without area where ears have left out corners on a straight line, so that no gap opens.
+    """Triangles without area where ears have left out repeated corners, or ones on a line, so that no gap opens.
 
     The edges that have no partner among the ears and the polygon's outline run round what is left out.
     """

@@ -20,7 +20,7 @@ from homolog.core.arguments import check_kind
 from homolog.core.errors import HomologError, ShapeError, bad_choice
 from homolog.core.files import expanded, sha256
 from homolog.shapes.formats import formats, imports_of, readable_suffixes
-from homolog.shapes.formats.gltf import Pose, buffer_files
+from homolog.shapes.formats.gltf import Pose
 from homolog.shapes.formats.parsing import Arrays, UnreadableError, shorten
 from homolog.shapes.shape import FEWEST_POINTS, Shape, counts_from_one
 
@@ -112,10 +112,11 @@ def files_of_shape(path: str | Path) -> tuple[Path, ...]:
         ShapeError: if the file cannot be used.
     """
     file = _checked(path)
-    if file.suffix.lower() not in (".glb", ".gltf"):
+    form = formats().get(file.suffix.lower())
+    if form is None or form.files_beside is None:
         return (file,)
     with _in_one_line(path):
-        return (file, *buffer_files(file))
+        return (file, *form.files_beside(file))
 
 
 @contextmanager

@@ -31,6 +31,9 @@ class Repaired:
     kept: Int[np.ndarray, " n_clean"]
     clean_index: Int[np.ndarray, " n_original"]
 
+    def __repr__(self) -> str:
+        return f"Repaired({self.shape!r}, {len(self.kept)} of {len(self.clean_index)} points kept)"
+
     def to_original(
         self, values: Shaped[np.ndarray, "n_clean ..."], fill: Any = None
     ) -> Shaped[np.ndarray, "n_original ..."]:

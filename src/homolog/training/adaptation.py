@@ -1,4 +1,4 @@
-"""Adapting a network to the very pair that it is to match, by the losses that it was trained with."""
+"""Test-time adaptation: training a copy of a network on the pair that it is to match."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def adapt_to_pair(
 ) -> tuple[Matcher, Pair]:
     """Test-time adaptation: fine-tune a copy of a matcher's network on one pair, and compute the features anew.
 
-    A mesh also gives the cloud of its points, as in training; a cloud alone stands in for its mesh.
+    A mesh is also used as the cloud of its points, as in training. A cloud alone stands for its mesh.
 
     Args:
         matcher: with a network; stays as it is.
@@ -61,7 +61,7 @@ def adapt_to_pair(
         A matcher with the adapted network, and the pair with its features.
 
     Raises:
-        ArgumentError: if the matcher has no network, or one for shapes that do not fit the losses.
+        ArgumentError: if the matcher has no network, or the losses do not fit the shapes that it is for.
         TrainingError: if a loss is not finite.
     """
     extractor = pair.extractor
@@ -69,8 +69,8 @@ def adapt_to_pair(
         raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
     if settings.loss.weights["orthogonality"] and not extractor.info.near_isometric:
         raise ArgumentError(
-            f"the weights {extractor.info.name!r} are for shapes that keep no areas, but pairs are adapted to by "
-            "losses for those that do; leave --adapt out, or in Python give other losses"
+            f"the weights {extractor.info.name!r} are for shapes that are not near-isometric, but the losses of "
+            "adapting are for those that are; leave --adapt out, or in Python give other losses"
         )
     pair = align_partial(pair)
     loss = replace(settings.loss, map_eigenpairs=pair.map_size)

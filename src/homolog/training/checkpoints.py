@@ -49,7 +49,7 @@ def save_checkpoint(
         shapes: a digest of the shapes trained on.
         losses: of one's own, of which names and weights are noted.
     """
-    progress = {name: getattr(state, name) for name in ("step", "seconds", "best", "records", "begun_with")}
+    progress = {name: getattr(state, name) for name in ("step", "seconds", "best", "records", "started_from")}
     header = {
         "format": _FORMAT,
         "shapes": shapes,

@@ -1,4 +1,4 @@
-"""The clouds of a mesh that the network learns beside it."""
+"""The clouds of a mesh that the network is trained on beside it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Several processes: where one fails, all do and say the same, and all leave in good order."""
+"""Several processes: an error in one is raised in all, and their connections are closed at the end."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def is_started_by_another() -> bool:
 
 
 @contextmanager
-def leaving_together() -> Iterator[None]:
-    """Take apart what connects the processes when this block ends, however it does.
+def process_group() -> Iterator[None]:
+    """Close the connections between processes when this block ends, with an error or without.
 
-    Its threads would otherwise be at work while the interpreter is taken down around them, which may abort a process.
+    Their threads would otherwise still run while the interpreter shuts down, which may abort a process.
     """
     try:
         yield
@@ -30,11 +30,11 @@ def leaving_together() -> Iterator[None]:
 
 
 @contextmanager
-def failing_together() -> Iterator[None]:
-    """Raise in every process the error that any of them meets in this block, the lowest one's if several do.
+def shared_errors() -> Iterator[None]:
+    """Raise in every process the error that any of them raises in this block; of several, that of the lowest process.
 
-    Otherwise the others would wait for the failed one, and the first process, which speaks to the user, would know
-    nothing of its error. Where there is but one process nothing is changed.
+    Otherwise the others would wait for the failed one, and the first process, which reports to the user, would not
+    know of the error. With one process nothing is changed.
     """
     if not (processes.is_available() and processes.is_initialized()):
         yield

@@ -1,4 +1,4 @@
-"""Ctrl-C and polite kills, kept until a training has saved what it has."""
+"""Ctrl-C and SIGTERM, deferred until a training has saved a checkpoint."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class Interrupts:
 
 @contextmanager
 def deferred_interrupts() -> Iterator[Interrupts]:
-    """Keep a first Ctrl-C or SIGTERM until the block ends, and then let it do what it would have done.
+    """Defer a first Ctrl-C or SIGTERM until the block ends, and raise it then.
 
-    The block should look at the result every now and then, and end soon if it is true. A second signal acts at once.
-    In threads other than the main one, where Python delivers no signals, this does nothing.
+    The block should check the result regularly, and end soon if it is true. A second signal acts at once. Outside the
+    main thread, where Python delivers no signals, this does nothing.
     """
     interrupts = Interrupts()
     if threading.current_thread() is not threading.main_thread():

@@ -1,4 +1,4 @@
-"""The training itself: pairs in, gradients, steps, and now and then a look at how good it is."""
+"""The training loop: pairs, gradients, steps, validation and checkpoints."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from homolog.geometry import OperatorCache
 from homolog.matching import Matcher
 from homolog.pairs import Device, MatcherSettings, OperatorSource, choose_device
 from homolog.training.data import TrainingSet
-from homolog.training.distributed import failing_together, leaving_together
+from homolog.training.distributed import process_group, shared_errors
 from homolog.training.interrupts import Interrupts, deferred_interrupts
 from homolog.training.losses import TOTAL, Loss, losses_of
 from homolog.training.objective import pair_losses
@@ -117,12 +117,12 @@ def train(
             folder.make(resume=resume)
             until_the_end.enter_context(folder.held())
         fabric.launch()
-        until_the_end.enter_context(leaving_together())
+        until_the_end.enter_context(process_group())
         report = progress if progress is not None and fabric.is_global_zero else no_progress
         store = ShapeStore(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
-        with failing_together():
+        with shared_errors():
             state = folder.load(fabric.device, weights=weights)
-        with failing_together():
+        with shared_errors():
             store.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
         if state.step < recipe.training.steps:
             keep_freed_memory()
@@ -166,7 +166,7 @@ def _fabric(settings: TrainingSettings, device: Device, processes: int, machines
 
 
 class _Training:
-    """What one process does of a training."""
+    """The part of a training that one process does."""
 
     def __init__(
         self,
@@ -192,13 +192,13 @@ class _Training:
         pairs_of_steps = prefetched(self._load, steps, workers=self.recipe.data.workers)
         with contextlib.closing(self), contextlib.closing(pairs_of_steps):
             if self.log is not None:
-                if self.state.step == 0 and self.state.begun_with:
-                    self._save()  # gone on with from here, it need not be told again what it began with
+                if self.state.step == 0 and self.state.started_from:
+                    self._save()  # resumed from here, it knows what it started from
                 self._validate_if_due()  # an interrupt is saved at once, and may leave this undone
             for _ in steps:
                 stopped = self._step(pairs_of_steps, interrupts)
                 if self.log is not None:
-                    self._look_after(stopped)
+                    self._after_step(stopped)
                 if stopped:
                     break
 
@@ -215,7 +215,7 @@ class _Training:
 
     def _step(self, pairs_of_steps: Iterator[list[TrainingPair]], interrupts: Interrupts) -> bool:
         """Take one step; whether any process was interrupted."""
-        with failing_together():
+        with shared_errors():
             losses = self._gradients(next(pairs_of_steps))
         stopped = self._share(losses, bool(interrupts))
         norm = self.gradient.norm()
@@ -282,8 +282,8 @@ class _Training:
 
     # ---- between steps, in the first process
 
-    def _look_after(self, stopped: bool) -> None:
-        """Validate and save where that is due, and show how far it is."""
+    def _after_step(self, stopped: bool) -> None:
+        """Validate and save where that is due, and report progress."""
         self._count_time()
         step, steps = self.state.step, self.recipe.training.steps
         self.progress(step, steps, "training")
@@ -318,7 +318,7 @@ class _Training:
         self.saved = self.clock
 
     def _validate(self, *, scored: bool) -> None:
-        """Note how good the network is, and keep it if it is the best so far."""
+        """Record the validation losses and scores, and save the network if it is the best so far."""
         self.progress(self.state.step, self.recipe.training.steps, "validating")
         network = self.state.result()
         pairs, partial = self.loader.pairs(self.sampler.held_out()), self.recipe.partial is not None

@@ -1,4 +1,4 @@
-"""What one pair of shapes teaches the network, without any correspondence between them."""
+"""The losses of one pair of shapes, without any correspondence between them."""
 
 from __future__ import annotations
 

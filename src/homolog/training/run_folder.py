@@ -107,12 +107,12 @@ class RunFolder:
         self._export(state)
 
     def save_report(self, state: TrainingState, device: torch.device) -> None:
-        """Write what was done, for people to read."""
+        """Write the report."""
         report = {
             "recipe": asdict(self.recipe),
             "losses": {loss.name: loss.weight for loss in self.losses},
             "data": str(self.shapes.root),
-            "begun_with": state.begun_with,
+            "started_from": state.started_from,
             "shapes": len(self.shapes.used),
             "held_out": ["{} - {}".format(*pair) for pair in self.shapes.held_out],
             "device": str(device),
@@ -129,7 +129,7 @@ class RunFolder:
 
     @cached_property
     def _digest(self) -> str:
-        """Tells which shapes and pairs are trained on, by their names and contents."""
+        """A hash of the shapes and pairs that are trained on, by their names and contents."""
         contents = sha256(*(self.shapes.files[name] for name in self.shapes.used))
         described: Any = [self.shapes.names, self.shapes.pairs, self.shapes.held_out, contents]
         return hashlib.sha256(json.dumps(described).encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""All of a training that changes from step to step."""
+"""The state of a training, which checkpoints keep."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class TrainingState:
         seconds: of training, over all runs.
         best: the lowest validation loss, once there is one.
         records: what validations found, in order.
-        begun_with: name, licence and hash of the weights that it began with, if these were not random.
+        started_from: name, licence and hash of the weights that it started from, if these were not random.
     """
 
     network: DiffusionNet
@@ -47,7 +47,7 @@ class TrainingState:
     seconds: float = 0.0
     best: float | None = None
     records: list[Record] = field(default_factory=list)
-    begun_with: dict[str, str] | None = None
+    started_from: dict[str, str] | None = None
 
     @classmethod
     def new(
@@ -61,7 +61,7 @@ class TrainingState:
         if weights is not None:
             network, info = _pretrained(recipe, weights)
             state = cls.of(network.to(device).train(), recipe.optimiser)
-            state.begun_with = {"name": info.name, "licence": info.licence, "sha256": info.sha256}
+            state.started_from = {"name": info.name, "licence": info.licence, "sha256": info.sha256}
             return state
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)

@@ -1,4 +1,4 @@
-"""What one can watch while a training runs: TensorBoard's scalars, and the log line of the progress bar."""
+"""The curves of a training, for TensorBoard."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _STEPS_PER_POINT = 10
 
 
 class TrainingLog:
-    """Writes curves below a run's folder; one that is gone on with loses what a crash left behind its last checkpoint.
+    """Writes curves below a run's folder. On resuming, points after the last checkpoint are removed.
 
     Args:
         folder: of the run.
         terms: names of the losses.
-        step: from which on the curves are new.
+        step: after which points are removed.
     """
 
     def __init__(self, folder: Path, terms: Sequence[str], step: int) -> None:
@@ -30,7 +30,7 @@ class TrainingLog:
         self._count = 0
 
     def step(self, step: int, losses: Tensor, gradient_norm: Tensor, learning_rate: float) -> None:
-        """Note one step: losses (p, terms) of its pairs, the norm of their mean gradient, and the learning rate."""
+        """Add one step: losses (p, terms) of its pairs, the norm of their mean gradient, and the learning rate."""
         values = torch.cat([losses.mean(dim=0), gradient_norm[None]])
         self._sums = values if self._sums is None else self._sums + values
         self._count += 1

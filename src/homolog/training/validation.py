@@ -1,4 +1,4 @@
-"""How good a network is while it is trained: its own loss on pairs that it does not see, and the field's score."""
+"""Validation during a training: the losses of held-out pairs, and their geodesic errors."""
 
 from __future__ import annotations
 
@@ -64,9 +64,9 @@ def scores(
 
     Args:
         matcher: with the network to score.
-        folder: with ground truth; where that is not as it should be there are no scores, and the log says why.
+        folder: with ground truth; if that is faulty there are no scores, and the log says why.
         pairs: to match.
-        listed: where to write down which they are.
+        listed: file to write the pairs to.
         partial: of the recipe; the second shape of each pair is partial then.
     """
     with atomic_path(listed) as temporary:

@@ -24,7 +24,7 @@ class Transfer:
     Points without a counterpart get NaN, the label ``no_counterpart_label``, or grey.
 
     Args:
-        result: what ``read_result`` gives; ``result.inverse()`` transfers the other way.
+        result: the match; ``result.inverse()`` transfers the other way.
         source: the source as ``read_shape`` reads it, where faces must be counted as in its file; by default the
             result's own.
 

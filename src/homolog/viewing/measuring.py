@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from homolog.core.progress import Steps
+from homolog.core.progress import Timings
 from homolog.datasets import Truth
 from homolog.evaluation import geodesic_errors
 from homolog.matching import Match, Matcher
@@ -83,7 +83,7 @@ def _diagonal(points: Float[np.ndarray, "n 3"]) -> float:
 
 
 def pair_features(
-    result: Match, matcher: Matcher, *, steps: Steps | None = None
+    result: Match, matcher: Matcher, *, timings: Timings | None = None
 ) -> tuple[Float[np.ndarray, "n_source d"], Float[np.ndarray, "n_target d"]]:
     """The features of a match's shapes, computed with the options in its report; NaN for points that repair left out.
 
@@ -92,7 +92,7 @@ def pair_features(
     """
     given = result.report.get("options", {})
     options = {field.name: given[field.name] for field in fields(PairOptions) if field.name in given}
-    pair, _ = matcher.pair(result.source, result.target, **{**options, "strict": False}, steps=steps)
+    pair, _ = matcher.pair(result.source, result.target, **{**options, "strict": False}, timings=timings)
     source, target = (
         shape.repaired.to_original(shape.needed_features().float().cpu().numpy())
         for shape in (pair.source, pair.target)

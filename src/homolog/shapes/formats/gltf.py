@@ -151,8 +151,10 @@ class Gltf:
 
     def shown(self) -> list[int]:
         """The nodes of the scene that viewers show, depth first; all nodes of a file without scenes."""
-        scenes = self.header.get("scenes")
-        roots = scenes[self.header.get("scene", 0)].get("nodes", []) if scenes else self._roots()
+        if scenes := self.header.get("scenes"):
+            roots = scenes[self.header.get("scene", 0)].get("nodes", [])
+        else:
+            roots = [number for number in range(len(self.nodes)) if number not in self.parents]
         found, waiting = list[int](), list(reversed(roots))
         while waiting:
             found.append(waiting.pop())
@@ -160,9 +162,6 @@ class Gltf:
                 raise UnreadableError("its nodes make no tree; export it again")
             waiting += reversed(self.nodes[found[-1]].get("children", []))
         return found
-
-    def _roots(self) -> list[int]:
-        return [number for number in range(len(self.nodes)) if number not in self.parents]
 
     def check_compression(self) -> None:
         """Refuse a file whose numbers, or some of them, exist in compressed form alone."""

@@ -33,6 +33,7 @@ class Format:
             mostly hold something else.
         write_colours: writes a shape and the colours of its points, if it can hold these.
         read_rest: reads skinned meshes at rest, where ``read`` poses them.
+        files_beside: the other files that a file's shape is read from, in order.
     """
 
     suffix: str
@@ -44,6 +45,7 @@ class Format:
     in_folders: Literal["mesh", "cloud", "nothing"] = "mesh"
     write_colours: Callable[[Path, Shape, Any], None] | None = None
     read_rest: Callable[[Path], Any] | None = None
+    files_beside: Callable[[Path], tuple[Path, ...]] | None = None
 
 
 _FORMATS: dict[str, Format] = {}
