@@ -42,7 +42,17 @@ if TYPE_CHECKING:
     from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches
     from homolog.matching import Match, Matcher, match
     from homolog.pairs import MatcherSettings, PairOptions
-    from homolog.shapes import Report, Shape, check, read_shape, repair, stand_upright, write_shape
+    from homolog.shapes import (
+        Report,
+        Shape,
+        as_shape,
+        check,
+        demo_shapes,
+        read_shape,
+        repair,
+        stand_upright,
+        write_shape,
+    )
 
 __all__ = [
     "HomologError",
@@ -54,8 +64,10 @@ __all__ = [
     "PairOptions",
     "Report",
     "Shape",
+    "as_shape",
     "check",
     "compute_operators",
+    "demo_shapes",
     "functional_map",
     "get_working_memory",
     "load_weights",
