@@ -107,8 +107,10 @@ def _parameters(checkpoint: Any) -> dict[str, Tensor]:
     for container in _CONTAINERS:
         if isinstance(found, Mapping) and container in found:
             found = found[container]
-    named = {re.sub(r"^(module\.)?(feature_extractor\.)?", "", name): tensor for name, tensor in found.items()}
-    return {name: tensor for name, tensor in named.items() if isinstance(tensor, Tensor)}
+    named = {name.removeprefix("module."): tensor for name, tensor in found.items() if isinstance(tensor, Tensor)}
+    # What else a model is made of lies beside its features.
+    prefix = "feature_extractor." if any(name.startswith("feature_extractor.") for name in named) else ""
+    return {name.removeprefix(prefix): tensor for name, tensor in named.items() if name.startswith(prefix)}
 
 
 def _renamed(name: str, layout: _Layout) -> str:
