@@ -46,7 +46,7 @@ def mesh_laplacian(
         ArgumentError: if ``kind`` is neither.
         ShapeError: if they are no mesh, or the triangles are too degenerate for a Laplacian.
     """
-    mesh = Shape(points, faces, name="the mesh")
+    mesh = Shape(points, faces, name="the mesh", allow_broken=True)
     require_usable(mesh, fewest=3)
     if kind == "robust":
         with _degenerate_if_refused():
