@@ -88,7 +88,7 @@ def evaluate(
         ArgumentError: if more pairs are to be drawn than there are, or a map does not fit its shapes.
         DataError: if the ground truth does not fit the shapes, or not one of its points is matched.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> from homolog.datasets import ShapeFolder
         >>> from homolog.evaluation import Protocol, evaluate

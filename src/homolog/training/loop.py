@@ -94,7 +94,7 @@ def train(
         WeightsError: if there are no such weights, or they are of another network than the recipe's.
         MissingExtraError: without the packages of the extra ``train``.
 
-    Example:
+    Examples:
         With a loss of one's own beside the recipe's, a function of some of the ``QUANTITIES`` of a pair:
 
         >>> from homolog.training import Loss, read_recipe, train
