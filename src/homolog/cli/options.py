@@ -51,6 +51,7 @@ MethodOption = Annotated[
         "--method",
         metavar="METHOD",
         callback=_checked_method,
+        autocompletion=lambda: list(method_names()),
         help="functional-map: functional maps, for two meshes. nearest-features: the most similar features, for clouds "
         "and for shapes that stretch. registration: fits the source to the target, for shapes in the same pose, such "
         "as organs; needs no weights. axiomatic: wave kernel signatures; needs no weights. auto: functional-map for "

@@ -337,6 +337,17 @@ def partner(name: str, full: Iterable[str]) -> str:
     return max(found, key=len)
 
 
+def demo_folder() -> ShapeFolder:
+    """The two demo bodies with their ground truth.
+
+    Examples:
+        >>> from homolog.datasets import demo_folder
+        >>> demo_folder().names
+        ('amber', 'boris')
+    """
+    return ShapeFolder.open(Path(__file__).parents[1] / "demo_data")
+
+
 def class_of(name: str) -> str:
     """The class of a shape: its name without the last number.
 

@@ -90,10 +90,10 @@ def evaluate(
 
     Examples:
         >>> import homolog
-        >>> from homolog.datasets import ShapeFolder
+        >>> from homolog.datasets import demo_folder
         >>> from homolog.evaluation import Protocol, evaluate
-        >>> folder = ShapeFolder.open(homolog.demo_folder())
-        >>> evaluation = evaluate(homolog.Matcher.from_weights(), folder, Protocol(split="all", n_pairs=1))
+        >>> protocol = Protocol(split="all", n_pairs=1)
+        >>> evaluation = evaluate(homolog.Matcher.from_weights(), demo_folder(), protocol)
         >>> evaluation.to_dict()["mean_geodesic_error"] < 5
         True
     """

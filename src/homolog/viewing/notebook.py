@@ -31,7 +31,10 @@ def plot(scene: Scene, path: str | Path | None = None, *, width: int = 1000, lin
         MissingExtraError: without the extra ``picture``.
 
     Examples:
-        >>> image = plot(scene_of(result), "match.png", lines=20)
+        >>> import homolog
+        >>> from homolog.viewing import plot, scene_of
+        >>> match = homolog.match(*homolog.demo_shapes(), method="axiomatic")
+        >>> image = plot(scene_of(match), "match.png", lines=20)
         >>> image.size
         (1000, 500)
     """

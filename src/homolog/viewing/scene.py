@@ -76,7 +76,9 @@ def scene_of(result: Match, layers: Sequence[Layer] = ()) -> Scene:
         layers: further ones to choose from.
 
     Examples:
-        >>> scene = scene_of(Match.load("result"))
+        >>> import homolog
+        >>> from homolog.viewing import scene_of, write_page
+        >>> scene = scene_of(homolog.match(*homolog.demo_shapes(), method="axiomatic"))
         >>> write_page("result.html", scene)
     """
     options = result.report.get("options", {})
