@@ -25,11 +25,14 @@ if TYPE_CHECKING:
     from homolog import geometry as geometry
     from homolog import maps as maps
     from homolog import matching as matching
+    from homolog import methods as methods
+    from homolog import pairs as pairs
     from homolog import serving as serving
     from homolog import shape_models as shape_models
     from homolog import shapes as shapes
     from homolog import statistics as statistics
     from homolog import synthesis as synthesis
+    from homolog import testing as testing
     from homolog import training as training
     from homolog import transfer as transfer
     from homolog import viewing as viewing
@@ -128,6 +131,7 @@ _PACKAGES = (
     "shapes",
     "statistics",
     "synthesis",
+    "testing",
     "training",
     "transfer",
     "viewing",

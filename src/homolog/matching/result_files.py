@@ -60,7 +60,7 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
             write_shape(paths[2], drawable(match.target), colours=target_colours)
         told: dict[str, Any] = {"method": match.method, "warnings": list(match.warnings)}
         if timings is not None:
-            told["steps"] = [asdict(step) for step in timings.finished]
+            told["timings"] = [asdict(timing) for timing in timings.finished]
         write_json(paths[3], {**match.report, **told})
     return paths
 

@@ -1,6 +1,6 @@
 """Ways to find point maps; each is one module of this package, or of a package that offers it.
 
-A name is imported when it is first used: names of methods are known without PyTorch.
+A name is imported when it is first used: the names of methods are known without PyTorch.
 """
 
 from typing import TYPE_CHECKING

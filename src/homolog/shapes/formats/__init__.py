@@ -36,6 +36,7 @@ registry.add(
 
 __all__ = [
     "Format",
+    "add",
     "folder_suffixes",
     "formats",
     "imports_of",
