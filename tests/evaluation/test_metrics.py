@@ -67,7 +67,7 @@ def test_the_diameter_is_nearly_the_largest_of_all_distances(make):
         for _ in range(10):
             stretched = Shape(shape.points * rng.uniform(0.3, 3, 3), shape.faces)
             moved = make.relabelled(stretched, rng.permutation(shape.n_points))  # whichever point comes first
-            assert 0.97 * all_pairs(moved) <= geodesic_diameter(moved) <= (1 + 1e-9) * all_pairs(moved)
+            assert 0.94 * all_pairs(moved) <= geodesic_diameter(moved) <= (1 + 1e-9) * all_pairs(moved)
 
 
 def test_the_diameter_is_that_of_the_body_not_of_small_components(make):

@@ -116,8 +116,8 @@ def geodesic_errors(
 def geodesic_diameter(shape: Shape) -> float:
     """The largest distance along a mesh's edges between two of its points, in units of sqrt(area), or a little less.
 
-    Distances are measured from points that lie apart: each is the farthest one from those before it (Gonzalez, 1985). Of
-    a mesh in pieces it is the diameter of the one with the most points.
+    Distances are measured from points that lie apart: each is the farthest one from those before it (Gonzalez, 1985).
+    Of a mesh in pieces it is the diameter of the one with the most points.
 
     Raises:
         DataError: if the shape has no faces.
