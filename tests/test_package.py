@@ -46,7 +46,6 @@ FLOORS = CORE | {
     "pairs": GROUND | {"shapes", "geometry", "maps", "features"},
     "methods": GROUND | {"shapes", "geometry", "maps", "features", "pairs"},
     "matching": GROUND | BENEATH_MATCHING,
-    "testing": GROUND | BENEATH_MATCHING | {"matching"},
     "transfer": GROUND | {"shapes", "geometry", "maps", "pairs", "matching"},
     "datasets": GROUND | {"shapes"},
     "volumes": GROUND | {"shapes"},
@@ -76,7 +75,7 @@ FLOORS = CORE | {
         "statistics",
     },
 }
-# The one way up, taken when it is asked for: a match shows itself, and what shows it stands above it.
+# The one way up: a match shows itself, by what stands above it; imported in the methods that do so.
 UPWARD = {"matching/result.py": {"viewing"}}
 HEAVY = [
     "pyvista",
@@ -136,6 +135,17 @@ def test_imports_point_downward(path):
     assert not beyond, f"{path} must not import {sorted(beyond)}"
 
 
+@pytest.mark.parametrize("path", UPWARD)
+def test_what_points_upward_is_imported_within_functions(path):
+    above = {f"homolog.{part}" for part in UPWARD[path]}
+    tree = parsed(ROOT / path)
+    eager = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = {node.module for node in eager if isinstance(node, ast.ImportFrom)}
+    names |= {f"homolog.{alias.name}" for node in eager if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert not above & names
+    assert above <= {f"homolog.{part}" for part in imported_parts(ROOT / path)}
+
+
 def test_floors_have_an_order():
     """The table itself must not allow a circle."""
     left = dict(FLOORS)
@@ -159,21 +169,16 @@ def test_exports():
         assert name in homolog.__all__
 
 
-def _name_of(path):
-    """The dotted name of a package."""
-    return ".".join(("homolog", *path.relative_to(ROOT).parts[:-1]))
-
-
 @pytest.mark.parametrize("path", [path for path in MODULES if path.name == "__init__.py"], ids=part_of)
 def test_packages_export_what_they_import(path):
     """``__all__`` names exactly what a package takes from its modules."""
-    tree = parsed(path)
+    tree, package = parsed(path), ".".join(("homolog", *path.relative_to(ROOT).parts[:-1]))
     # Some import their public names for type checkers only, and find them when they are used.
     deferred = [node for block in tree.body if isinstance(block, ast.If) for node in block.body]
     imported = {
         alias.asname or alias.name
         for node in deferred or tree.body
-        if isinstance(node, ast.ImportFrom) and node.module not in ("homolog", _name_of(path))
+        if isinstance(node, ast.ImportFrom) and node.module not in ("homolog", package)
         for alias in node.names
     }
     listed = [
@@ -187,9 +192,9 @@ def test_packages_export_what_they_import(path):
 @pytest.mark.parametrize("path", [path for path in MODULES if path.name == "__init__.py"], ids=part_of)
 def test_lazy_packages_say_where_each_name_is_from(path):
     """The table that is used agrees with what type checkers see."""
-    package = importlib.import_module(_name_of(path))
+    package = importlib.import_module(".".join(("homolog", *path.relative_to(ROOT).parts[:-1])))
     if hasattr(package, "_MODULES"):
-        assert sorted(package._MODULES) == sorted(package.__all__)
+        assert set(package._MODULES) == set(package.__all__)
         for name, module in package._MODULES.items():
             found = importlib.import_module(f"{package.__name__}.{module}")
             assert getattr(package, name) is getattr(found, name)

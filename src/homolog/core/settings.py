@@ -68,7 +68,7 @@ class Settings:
     Raises:
         ArgumentError: if a value is not as annotated, or ``check`` refuses it.
 
-    Example:
+    Examples:
         >>> from dataclasses import dataclass
         >>> @dataclass(frozen=True, kw_only=True)
         ... class Sampling(Settings):

@@ -51,7 +51,7 @@ class Matcher:
     Raises:
         ArgumentError: if something given is of another kind, or the method needs features and there are none.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> source, target = homolog.demo_shapes()
         >>> matcher = homolog.Matcher.from_weights("people")
@@ -248,7 +248,7 @@ def match(
         ArgumentError: if something given is of another kind.
         ShapeError: if a shape cannot be read or used.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> source, target = homolog.demo_shapes()
         >>> match = homolog.match(source, target)

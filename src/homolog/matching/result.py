@@ -47,7 +47,7 @@ class Match:
     Raises:
         ArgumentError: if an array is not of the length that its shape asks for, or an index is that of no point.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> source, target = homolog.demo_shapes()
         >>> match = homolog.match(source, target, method="axiomatic")

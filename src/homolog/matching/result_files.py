@@ -173,7 +173,7 @@ def read_point_map(
     Raises:
         DataError: if it cannot be read as such, or holds no whole numbers.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.matching import read_point_map
         >>> np.savetxt("map.vts", [3, 1, 2], fmt="%d")

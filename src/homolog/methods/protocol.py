@@ -62,7 +62,7 @@ class FunctionMethod:
         supports: what it can do, and what it needs.
         features: makes the features that it compares from the settings, where it brings its own.
 
-    Example:
+    Examples:
         >>> from homolog.maps import nearest_neighbour
         >>> from homolog.methods import FunctionMethod, Supports
         >>> from homolog.pairs import PointMaps

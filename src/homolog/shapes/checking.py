@@ -99,7 +99,7 @@ def check(shape: Shape) -> Report:
     Raises:
         ArgumentError: if it is no ``Shape`` at all.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> body, _ = homolog.shapes.demo_shapes()
         >>> report = homolog.check(body)

@@ -30,7 +30,7 @@ def plot(scene: Scene, path: str | Path | None = None, *, width: int = 1000, lin
         ArgumentError: as ``write_picture`` does.
         MissingExtraError: without the extra ``picture``.
 
-    Example:
+    Examples:
         >>> image = plot(scene_of(result), "match.png", lines=20)
         >>> image.size
         (1000, 500)

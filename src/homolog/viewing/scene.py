@@ -75,7 +75,7 @@ def scene_of(result: Match, layers: Sequence[Layer] = ()) -> Scene:
         result: the match.
         layers: further ones to choose from.
 
-    Example:
+    Examples:
         >>> scene = scene_of(Match.load("result"))
         >>> write_page("result.html", scene)
     """

@@ -36,7 +36,6 @@ registry.add(
 
 __all__ = [
     "Format",
-    "add",
     "folder_suffixes",
     "formats",
     "imports_of",
