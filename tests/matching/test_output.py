@@ -154,9 +154,9 @@ def test_writing_is_a_step_of_the_report(shapes, found, tmp_path):
     paths = write_folder(tmp_path, found, timings=timings)
     report = json.loads(paths[3].read_text())
     assert report["answer"] == 42
-    assert [step["name"] for step in report["steps"]] == heard == ["map", "write"]
-    assert report["steps"] == [asdict(step) for step in timings.finished]
-    assert report["steps"][1]["seconds"] > 0
+    assert [step["name"] for step in report["timings"]] == heard == ["map", "write"]
+    assert report["timings"] == [asdict(step) for step in timings.finished]
+    assert report["timings"][1]["seconds"] > 0
 
 
 def broken(shape):
