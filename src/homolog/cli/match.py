@@ -59,9 +59,6 @@ def match(
     target_up: Annotated[
         Up | None, typer.Option(help="The axis that points up in the target, if it differs.", rich_help_panel=INPUT)
     ] = None,
-    least_confidence: Annotated[
-        float, typer.Option(help="Points matched with less confidence get -1.", min=0, max=1, rich_help_panel=OUTPUT)
-    ] = 0.0,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
     ] = False,
@@ -128,7 +125,6 @@ def match(
         pre_aligned=pre_aligned,
         source_up=source_up or up,
         target_up=target_up or up,
-        least_confidence=least_confidence,
         strict=strict,
     )
     with progress_bar(quiet=quiet, form=progress_form) as progress:

@@ -120,9 +120,6 @@ class Match:
             quality=figures,
         )
         match = match if x is pair.source else match.inverse()
-        for name, trust in (("source_to_target", "source_confidence"), ("target_to_source", "target_confidence")):
-            kept = getattr(match, trust) >= pair.options.least_confidence
-            match = replace(match, **{name: np.where(kept, getattr(match, name), -1)})
         return replace(match, report=_report(pair, match))
 
     def inverse(self) -> Match:

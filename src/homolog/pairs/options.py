@@ -25,7 +25,6 @@ class PairOptions:
         pre_aligned: the partial shape is already aligned with the full one; otherwise its pose does not count.
         source_up: which axis of the source points up.
         target_up: which axis of the target.
-        least_confidence: points matched with less confidence get -1.
         strict: fail if a shape needs repair or a warning would be issued.
 
     Raises:
@@ -43,7 +42,6 @@ class PairOptions:
     pre_aligned: bool = False
     source_up: Up = "y"
     target_up: Up = "y"
-    least_confidence: float = 0.0
     strict: bool = False
 
     def __post_init__(self) -> None:
