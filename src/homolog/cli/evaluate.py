@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -175,13 +175,7 @@ def evaluate(
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_json(json)
-    for file in (csv, plot):
-        if file is not None:
-            check_file(file)
-    if maps is not None and (weights is not None or adapt):
-        raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
-    check_inputs(weights=weights)
+    _check(json, (csv, plot), maps, weights, adapt)
     known = homolog.datasets
     description = known.DatasetDescription() if dataset is None else known.read_description(dataset)
     partial = description.partial if partial is None else partial
@@ -210,23 +204,35 @@ def evaluate(
         write_csv(csv, evaluation.rows())
     if plot is not None:
         homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
-    if json is not None:
-        report = {
-            **evaluation.to_dict(),
-            "data": str(folder.root),
-            "dataset": description.name or None,
-            "up": folder.up,
-            "protocol": asdict(protocol),
-            "adapt": adapt,
-            **({"maps": str(maps)} if matcher is None else matcher.describe()),
-            "command": ["homolog", *sys.argv[1:]],
-            "versions": versions(),
-        }
-        write_figures(json, report)
+    made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **matcher.describe()}
+    write_figures(json, {**evaluation.to_dict(), **_setup(folder, protocol), **made_by})
     if not quiet and not on_stdout(json):
         from rich.console import Console
 
         Console().print(_table(evaluation, folder, protocol))
+
+
+def _check(json: Path | None, files: Iterable[Path | None], maps: Path | None, weights: str | None, adapt: int) -> None:
+    """Refuse outputs that cannot be written, and inputs that are not there, before PyTorch is loaded."""
+    check_json(json)
+    for file in files:
+        if file is not None:
+            check_file(file)
+    if maps is not None and (weights is not None or adapt):
+        raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
+    check_inputs(weights=weights)
+
+
+def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:
+    """What was evaluated, and how, for JSON."""
+    return {
+        "data": str(folder.root),
+        "dataset": folder.description.name or None,
+        "up": folder.up,
+        "protocol": asdict(protocol),
+        "command": ["homolog", *sys.argv[1:]],
+        "versions": versions(),
+    }
 
 
 def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:
