@@ -175,7 +175,10 @@ def evaluate(
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    _check(json, (csv, plot), maps, weights, adapt)
+    _check(json, (csv, plot), [path for path in (data, maps, pairs) if path is not None])
+    if maps is not None and (weights is not None or adapt):
+        raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
+    check_inputs(weights=weights)
     known = homolog.datasets
     description = known.DatasetDescription() if dataset is None else known.read_description(dataset)
     partial = description.partial if partial is None else partial
@@ -212,15 +215,12 @@ def evaluate(
         Console().print(_table(evaluation, folder, protocol))
 
 
-def _check(json: Path | None, files: Iterable[Path | None], maps: Path | None, weights: str | None, adapt: int) -> None:
-    """Refuse outputs that cannot be written, and inputs that are not there, before PyTorch is loaded."""
-    check_json(json)
+def _check(json: Path | None, files: Iterable[Path | None], inputs: list[Path]) -> None:
+    """Refuse outputs that cannot be written, or would replace an input, before PyTorch is loaded."""
+    check_json(json, inputs=inputs)
     for file in files:
         if file is not None:
-            check_file(file)
-    if maps is not None and (weights is not None or adapt):
-        raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
-    check_inputs(weights=weights)
+            check_file(file, inputs=inputs)
 
 
 def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:
