@@ -16,7 +16,7 @@ from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Respon
 from starlette.routing import Route
 
 from homolog.core.errors import HomologError
-from homolog.pairs import Side
+from homolog.pairs import SIDES, Side
 from homolog.serving.command import PAGE, MatchRequest
 from homolog.serving.execution import ARCHIVE
 from homolog.serving.guard import MATCH_PAGE_POLICY, HostNames
@@ -82,7 +82,7 @@ class _Endpoints:
 
     async def receive(self, request: Request) -> Response:
         job, side = self._job(request), request.path_params["side"]
-        if side not in ("source", "target"):
+        if side not in SIDES:
             raise RefusedError(404, "a match has a source and a target")
         name, size = request.query_params.get("name", ""), request.headers.get("content-length", "")
         declared = int(size) if size.isdecimal() else None

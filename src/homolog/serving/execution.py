@@ -8,13 +8,12 @@ from collections import deque
 from pathlib import Path
 
 from homolog.matching import RESULT_FILES
-from homolog.pairs import Side
+from homolog.pairs import SIDES, Side
 from homolog.serving.command import PAGE, MatchCommand, public_error, read_message
 from homolog.serving.job import Job
 from homolog.serving.limits import Limits
 from homolog.serving.process import LimitExceededError, run_limited
 from homolog.serving.upload import RefusedError
-from homolog.viewing import SIDES
 
 _log = logging.getLogger(__name__)
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import anyio
 
-from homolog.pairs import Side
+from homolog.pairs import SIDES, Side
 from homolog.serving.command import MatchRequest
 from homolog.serving.limits import Limits
 from homolog.serving.upload import RefusedError, Upload
@@ -50,7 +50,7 @@ class Job:
         self._followers = 0
         self._events: list[JobEvent] = []
         self._changed = anyio.Event()
-        for name in ("source", "target", "result", "temporary"):
+        for name in (*SIDES, "result", "temporary"):
             (folder / name).mkdir(parents=True)
 
     @property

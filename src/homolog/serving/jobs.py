@@ -14,13 +14,13 @@ from anyio import to_thread
 from anyio.abc import TaskGroup
 
 from homolog.core.files import read_json
+from homolog.pairs import SIDES
 from homolog.serving.addresses import client_network
 from homolog.serving.command import MatchCommand, MatchRequest
 from homolog.serving.execution import UNKNOWN_ERROR, pack_result, run_match
 from homolog.serving.job import Job
 from homolog.serving.limits import Limits
 from homolog.serving.upload import RefusedError
-from homolog.viewing import SIDES
 
 _log = logging.getLogger(__name__)
 

@@ -1,5 +1,6 @@
 """A match to look at: as one self-contained page, as a picture, and in notebooks; contact sheets of many shapes."""
 
+from homolog.pairs import SIDES
 from homolog.viewing.colours import Ramp, principal_colours
 from homolog.viewing.contact_sheet import MOST_TILES, Tile, contact_sheet
 from homolog.viewing.layers import Layer, confidence_layer, error_layer, feature_layer, matched_layer
@@ -9,7 +10,7 @@ from homolog.viewing.notebook import notebook_html, plot
 from homolog.viewing.page import page_of, page_style, write_page
 from homolog.viewing.picture import check_picture, picture_of, write_picture
 from homolog.viewing.png import write_png
-from homolog.viewing.scene import SIDES, Body, Scene, scene_of
+from homolog.viewing.scene import Body, Scene, scene_of
 
 __all__ = [
     "MOST_TILES",

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from homolog.core.errors import MissingExtraError, needs_extra
+from homolog.pairs import SIDES
 from homolog.viewing.picture import picture_of, write_picture
-from homolog.viewing.scene import SIDES, Scene
+from homolog.viewing.scene import Scene
 
 if TYPE_CHECKING:
     from PIL.Image import Image

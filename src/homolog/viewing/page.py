@@ -14,10 +14,10 @@ import numpy as np
 from jaxtyping import Shaped
 
 from homolog.core.files import atomic_path
-from homolog.pairs import Side
+from homolog.pairs import SIDES, Side
 from homolog.viewing.decimation import Decimated, decimate
 from homolog.viewing.layers import Layer
-from homolog.viewing.scene import SIDES, Scene, typical_spacing
+from homolog.viewing.scene import Scene, typical_spacing
 
 # Of each shape; browsers draw so many smoothly, and the page stays below some 15 MB.
 _MOST_POINTS, _MOST_FACES = 100_000, 220_000

@@ -10,9 +10,10 @@ from jaxtyping import Float, Int, UInt8
 from homolog.core.arguments import is_number
 from homolog.core.choices import PICTURE_WIDTHS, Side
 from homolog.core.errors import ArgumentError, bad_value, needs_extra
+from homolog.pairs import SIDES
 from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
 from homolog.viewing.png import write_png
-from homolog.viewing.scene import SIDES, Body, Scene
+from homolog.viewing.scene import Body, Scene
 
 # Of the picture's height: left free on all sides, and between the shapes.
 _MARGIN, _GAP = 0.04, 0.06

@@ -11,11 +11,9 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from homolog.matching import Match, matched_name
-from homolog.pairs import Side
+from homolog.pairs import SIDES, Side
 from homolog.shapes import stand_upright
 from homolog.viewing.layers import Layer, confidence_layer, matched_layer
-
-SIDES: tuple[Side, Side] = ("source", "target")
 
 # Shapes whose sizes differ by more are likely to be in different units, and are drawn equally large.
 _COMPARABLE = 3.0
