@@ -208,11 +208,12 @@ def evaluate(
     if plot is not None:
         homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
     made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **matcher.describe()}
-    write_figures(json, {**evaluation.to_dict(), **_setup(folder, protocol), **made_by})
+    figures = evaluation.to_dict()
+    write_figures(json, {**figures, **_setup(folder, protocol), **made_by})
     if not quiet and not on_stdout(json):
         from rich.console import Console
 
-        Console().print(_table(evaluation, folder, protocol))
+        Console().print(_table(evaluation, figures, _title(folder, protocol)))
 
 
 def _check(json: Path | None, files: Iterable[Path | None], inputs: list[Path]) -> None:
@@ -249,11 +250,10 @@ def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:
     return match
 
 
-def _table(evaluation: Evaluation, folder: ShapeFolder, protocol: Protocol) -> Table:
+def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     from rich.table import Table
 
-    found = evaluation.to_dict()
-    table = Table(title=_title(folder, protocol), show_header=False, title_justify="left")
+    table = Table(title=title, show_header=False, title_justify="left")
     kind = evaluation.error_kind
     unit = "x100" if evaluation.euclidean_unit is None else f"in {evaluation.euclidean_unit}"
     table.add_row(f"mean {kind} error {unit}", f"{found[f'mean_{kind}_error']:.2f}")

@@ -132,13 +132,14 @@ def match(
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         found = match_or_adapt(matcher, source, target, options, adapt, timings)
         paths = homolog.matching.write_folder(output, found, timings=timings)
-    if page is not None:
-        homolog.viewing.write_page(page, homolog.viewing.scene_of(found))
-        paths.append(page)
-    if picture is not None:
+    if page is not None or picture is not None:
         scene = homolog.viewing.scene_of(found)
-        homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
-        paths.append(picture)
+        if page is not None:
+            homolog.viewing.write_page(page, scene)
+            paths.append(page)
+        if picture is not None:
+            homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
+            paths.append(picture)
     if not quiet:
         _summary(found, timings, paths, verbose=verbose)
 

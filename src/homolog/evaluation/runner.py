@@ -105,7 +105,7 @@ def evaluate(
     if matcher is None and match is None:
         raise ArgumentError("matcher is None, but maps must come from a matcher or from match; give one of them")
     run = _Run(folder, protocol, pairs, metrics or {}, progress or ignore)
-    source: _Source = _ByFunction(run, match) if match is not None else _ByMatcher(run, matcher, match_pair)
+    source = _ByFunction(run, match) if match is not None else _ByMatcher(run, matcher, match_pair)
     return run.evaluation(source)
 
 
@@ -127,13 +127,12 @@ class _Run:
         self.ground_truth = folder.ground_truth(self.shapes.__getitem__)
         own_clouds = protocol.is_cloud("target")  # full shapes, which lead the pairs, have none
         self.clouds = {name: folder.cloud(name) for name in names if own_clouds and folder.has_cloud(name)}
-        for pair in pairs:
-            self.truth(pair)  # what is wrong with any is said before anything is computed
+        self.truths = [self._truth(pair) for pair in pairs]  # a fault of any is said before anything is computed
         self.euclidean = folder.description.holds == "clouds"  # without a surface that distances could run along
         self.total = self.done = 0
         self.seconds = {"preprocess": 0.0, "match": 0.0, "measure": 0.0}
 
-    def evaluation(self, source: _Source) -> Evaluation:
+    def evaluation(self, source: _ByFunction | _ByMatcher) -> Evaluation:
         self.total += len(self.pairs)
         matches = [source.match(pair) for pair in self.pairs]
         with self.timed("measure"):
@@ -147,7 +146,7 @@ class _Run:
         unit = (self.folder.description.unit or "units of the files") if self.euclidean else None
         return Evaluation(tuple(scored), source.method, seconds, unit)
 
-    def truth(self, pair: PairOfNames) -> Truth:
+    def _truth(self, pair: PairOfNames) -> Truth:
         """Points of source and target that are known to correspond."""
         cloud = self.clouds.get(pair[1])
         return self.ground_truth.between(*pair) if cloud is None else self.ground_truth.of_cloud(*pair, cloud)
@@ -186,17 +185,16 @@ class _Run:
         by_source: dict[str, list[int]] = defaultdict(list)
         for number, pair in enumerate(self.pairs):
             by_source[pair[0]].append(number)
-        truths = [self.truth(pair) for pair in self.pairs]
-        mapped = [match.target_to_source[truth.target] for match, truth in zip(matches, truths, strict=True)]
+        mapped = [match.target_to_source[truth.target] for match, truth in zip(matches, self.truths, strict=True)]
         errors: dict[int, Float[np.ndarray, " p"]] = {}
         for source, numbers in by_source.items():
             starts, ends = (
-                np.concatenate([found[n] for n in numbers]) for found in ([t.source for t in truths], mapped)
+                np.concatenate([found[n] for n in numbers]) for found in ([t.source for t in self.truths], mapped)
             )
             cuts = np.cumsum([len(mapped[number]) for number in numbers])[:-1]
             errors |= dict(zip(numbers, np.split(self._errors(self.shapes[source], starts, ends), cuts), strict=True))
         for number, pair in enumerate(self.pairs):
-            yield self._pair(pair, matches[number], truths[number], mapped[number], errors[number])
+            yield self._pair(pair, matches[number], self.truths[number], mapped[number], errors[number])
 
     def _pair(
         self,
@@ -238,16 +236,7 @@ class _Run:
         return geodesic_diameter(shape)
 
 
-class _Source:
-    """Where the maps of an evaluation come from."""
-
-    method: str
-
-    def match(self, pair: PairOfNames) -> Match:
-        raise NotImplementedError
-
-
-class _ByFunction(_Source):
+class _ByFunction:
     """Maps by a method of one's own, which is given the shapes that are scored."""
 
     def __init__(self, run: _Run, match: MatchShapes) -> None:
@@ -278,7 +267,7 @@ class _ByFunction(_Source):
         return Match(source, target, nowhere, back, method=self.method)
 
 
-class _ByMatcher(_Source):
+class _ByMatcher:
     """Maps by a matcher; a shape is preprocessed when it is first needed, and let go of when it is needed no more."""
 
     def __init__(self, run: _Run, matcher: Matcher | None, match_pair: Callable[[Pair], Match] | None) -> None:
