@@ -18,7 +18,7 @@ GROUP = "homolog.methods"
 AUTO = "auto"
 """Stands for the method that suits the shapes and their features."""
 
-_NOT_METHODS = ("protocol", "registry", "descriptors")
+_NOT_METHODS = ("protocol", "registry")
 
 
 def method_names() -> tuple[str, ...]:
