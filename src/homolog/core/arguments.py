@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -10,6 +10,8 @@ from homolog.core.errors import ArgumentError, bad_value
 
 if TYPE_CHECKING:  # reading a shape does without torch, which takes long to load
     from torch import Tensor
+
+S = TypeVar("S")
 
 # For each class, by name, what to give and how to get it. The classes are defined on floors above this one.
 _WAYS_TO = {
@@ -35,6 +37,14 @@ def check_kind(name: str, found: object, *kinds: type) -> None:
         kind = type(found).__name__
         given = "None" if found is None else f"{'an' if kind[0] in 'aeiouAEIOU' else 'a'} {kind}"
         raise ArgumentError(f"{name} is {given}, but must be {_WAYS_TO[kinds[0].__name__]}")
+
+
+def given_or_default(name: str, given: S | None, kind: type[S]) -> S:
+    """Settings as they were given, or the default ones; anything else is refused, see ``check_kind``."""
+    if given is None:
+        return kind()
+    check_kind(name, given, kind)
+    return given
 
 
 def is_number(value: Any) -> bool:

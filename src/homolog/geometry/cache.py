@@ -9,7 +9,6 @@ import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from types import NoneType
 from typing import Literal
 
 import numpy as np
@@ -17,7 +16,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from homolog.core.arguments import check_kind
+from homolog.core.arguments import check_kind, given_or_default
 from homolog.core.caches import SUFFIX, CacheFolder
 from homolog.core.errors import ArgumentError
 from homolog.core.files import atomic_path
@@ -74,8 +73,7 @@ class OperatorCache(CacheFolder):
             scale: the length of one normalised unit in the file's units.
         """
         check_kind("shape", shape, Shape)
-        check_kind("settings", settings, OperatorSettings, NoneType)
-        settings = settings or OperatorSettings()
+        settings = given_or_default("settings", settings, OperatorSettings)
         path = self.folder / (self._key(shape, settings, scale) + SUFFIX)
         cached = _read(path)
         if cached is not None:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from types import NoneType
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +16,7 @@ from annotated_types import Ge
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from homolog.core.arguments import check_kind
+from homolog.core.arguments import given_or_default
 from homolog.core.errors import ShapeError
 from homolog.core.settings import Count, Settings
 from homolog.geometry.basis import Basis
@@ -225,8 +224,7 @@ def compute_operators(
         ``OperatorCache`` keeps them on disk.
     """
     require_usable(shape)
-    check_kind("settings", settings, OperatorSettings, NoneType)
-    settings = settings or OperatorSettings()
+    settings = given_or_default("settings", settings, OperatorSettings)
     neighbours = nearest_neighbours(shape.points, settings.n_neighbours) if shape.faces is None else None
     main = main_points(shape, neighbours)
     component = main_component(shape, main)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import NoneType
 from typing import Annotated
 
 import numpy as np
@@ -15,7 +14,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_indices, check_kind
+from homolog.core.arguments import check_indices, given_or_default
 from homolog.core.arrays import takes_arrays
 from homolog.core.settings import Count, Positive, Settings
 from homolog.geometry import Operators
@@ -89,8 +88,7 @@ def confidence(
     See Also:
         ``cycle_error``, ``dirichlet_energy`` and ``flipped_triangles`` for figures of a whole map.
     """
-    check_kind("settings", settings, ConfidenceSettings, NoneType)
-    settings = settings or ConfidenceSettings()
+    settings = given_or_default("settings", settings, ConfidenceSettings)
     home = cycle_error(points_y, y_to_x, x_to_y)
     positions = points_y.cpu().numpy()
     _, indices = KDTree(positions).query(positions, k=min(settings.n_neighbours + 1, len(positions)))
@@ -161,8 +159,7 @@ def overlap(
         >>> bool(overlap(sphere, sphere, torch.zeros(sphere.n_points, dtype=torch.int64)).all())
         False
     """
-    check_kind("settings", settings, ConfidenceSettings, NoneType)
-    settings = settings or ConfidenceSettings()
+    settings = given_or_default("settings", settings, ConfidenceSettings)
     return coverage_density(full, partial.mass, partial_to_full, settings=settings) >= settings.overlap_threshold
 
 
@@ -200,11 +197,11 @@ def coverage_density(
         >>> bool(((density - 1).abs() < 1e-4).all())
         True
     """
-    check_kind("settings", settings, ConfidenceSettings, NoneType)
+    settings = given_or_default("settings", settings, ConfidenceSettings)
     check_indices("partial_to_full", partial_to_full, len(full.mass))
     own = full.mass.double().cpu().numpy()
     pushed = np.bincount(partial_to_full.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))
-    width = (settings or ConfidenceSettings()).smoothing * np.sqrt(own.sum() / len(own))
+    width = settings.smoothing * np.sqrt(own.sum() / len(own))
     laplacian = full.laplacian.cpu()
     sparse = csc_matrix(
         (laplacian.values().double().numpy(), laplacian.col_indices().numpy(), laplacian.crow_indices().numpy()),

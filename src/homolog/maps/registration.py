@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from types import NoneType
 from typing import Annotated
 
 import numpy as np
@@ -15,7 +14,7 @@ from jaxtyping import Float
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_kind
+from homolog.core.arguments import given_or_default
 from homolog.core.arrays import takes_arrays
 from homolog.core.settings import Count, Settings, Share
 
@@ -95,8 +94,7 @@ def registered_positions(
     See Also:
         ``nearest_neighbour`` turns the positions into point maps.
     """
-    check_kind("settings", settings, RegistrationSettings, NoneType)
-    settings = settings or RegistrationSettings()
+    settings = given_or_default("settings", settings, RegistrationSettings)
     x, y = (points.detach().double().cpu().numpy() for points in (points_x, points_y))
     on_y, on_x = _registered(x, y, settings), _registered(y, x, settings)
     met = (on_y + _carried_back(x, on_x, y)) / 2, (on_x + _carried_back(y, on_y, x)) / 2

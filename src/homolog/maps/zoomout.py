@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from types import NoneType
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.core.arguments import check_finite, check_indices, check_kind
+from homolog.core.arguments import check_finite, check_indices, given_or_default
 from homolog.core.arrays import takes_arrays
 from homolog.core.settings import Count, Positive, Settings
 from homolog.maps.nearest import nearest_neighbour
@@ -112,8 +111,7 @@ def zoomout(
     check_indices("x_to_y", x_to_y, len(eigenvectors_y))
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
-    check_kind("settings", settings, RefinementSettings, NoneType)
-    settings = settings or RefinementSettings()
+    settings = given_or_default("settings", settings, RefinementSettings)
     x, y = _Guided(eigenvectors_x, features_x, settings), _Guided(eigenvectors_y, features_y, settings)
     largest = min(eigenvectors_x.shape[1], eigenvectors_y.shape[1])
     rows_x, rows_y = x.samples, y.samples
@@ -184,8 +182,7 @@ def zoomout_partial(
     check_indices("y_to_x", y_to_x, len(eigenvectors_x))
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
-    check_kind("settings", settings, RefinementSettings, NoneType)
-    settings = settings or RefinementSettings()
+    settings = given_or_default("settings", settings, RefinementSettings)
     x, y = _Guided(eigenvectors_x, features_x, settings), _Guided(eigenvectors_y, features_y, settings)
     rows = y.samples
     y_to_x = y_to_x[rows]

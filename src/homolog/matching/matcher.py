@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from numpy.typing import ArrayLike
 
-from homolog.core.arguments import check_kind
+from homolog.core.arguments import check_kind, given_or_default
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.progress import Timings
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
@@ -69,15 +69,14 @@ class Matcher:
         device: Device | torch.device = "auto",
         operators: OperatorSource = compute_operators,
     ) -> None:
-        for name, value, kind in (("info", info, FeatureInfo), ("settings", settings, MatcherSettings)):
-            if value is not None:
-                check_kind(name, value, kind)
+        if info is not None:
+            check_kind("info", info, FeatureInfo)
         if not callable(operators):
             raise ArgumentError(
                 f"operators is {type(operators).__name__}, but must be a function like homolog.compute_operators, "
                 "such as an OperatorCache's operators"
             )
-        self.settings = settings or MatcherSettings()
+        self.settings = given_or_default("settings", settings, MatcherSettings)
         self.device = choose_device(device)
         given = None if features is None else as_extractor(features, info)
         self._method = chosen_method(self.settings, given)
