@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import threading
 from importlib.metadata import EntryPoint
 
 import numpy as np
@@ -157,6 +158,33 @@ def test_a_method_by_function(blobs, expected):
     assert np.mean(found.target_to_source == expected[1]) > 0.99
     assert found.method == found.report["method"] == found.report["settings"]["method"] == "nearest-points"
     assert matcher.describe()["settings"]["method"] == "nearest-points"
+
+
+def test_a_method_is_told_by_its_name_and_never_copied(blobs):
+    class Locked:
+        name, supports = METHOD.name, METHOD.supports
+
+        def __init__(self):
+            self.lock = threading.Lock()  # which nothing can copy
+
+        def __call__(self, pair):
+            with self.lock:
+                return METHOD(pair)
+
+    matcher = Matcher(settings=MatcherSettings(method=Locked()), device="cpu")
+    report = matcher.match(blobs.source, blobs.target).report
+    assert report["settings"] == matcher.describe()["settings"]
+    assert report["settings"]["method"] == METHOD.name
+
+
+def test_a_function_as_method_has_one_name_everywhere(blobs, build):
+    def by_rank(pair):
+        return METHOD(pair)
+
+    matcher = build(by_rank)
+    found = matcher.match(blobs.source, blobs.target)
+    told = found.report["settings"]["method"], matcher.describe()["settings"]["method"]
+    assert {found.method, *told} == {"by_rank"}
 
 
 def test_a_method_by_function_saves_its_report(blobs, tmp_path):

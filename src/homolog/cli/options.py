@@ -172,14 +172,12 @@ NoCache = Annotated[
 def build_matcher(weights: str | None, method: str, device: Device, *, no_cache: bool) -> Matcher:
     """The matcher that the shared options ask for; some methods need no weights."""
     from homolog.geometry import OperatorCache, compute_operators
-    from homolog.matching import Matcher, needs_features
+    from homolog.matching import Matcher, features_of_weights
     from homolog.pairs import MatcherSettings
 
     operators = compute_operators if no_cache else OperatorCache.default().operators
     settings = MatcherSettings(method=method)
-    if weights is None and not needs_features(settings):
-        return Matcher(settings=settings, device=device, operators=operators)
-    return Matcher.from_weights(weights or DEFAULT_WEIGHTS, settings=settings, device=device, operators=operators)
+    return Matcher(features_of_weights(weights, settings), settings=settings, device=device, operators=operators)
 
 
 def check_inputs(*shapes: Path, weights: str | None = None) -> None:

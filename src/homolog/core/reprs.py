@@ -1,4 +1,4 @@
-"""What objects look like in a console: one line, never whole arrays."""
+"""What objects look like in a console, one line and never whole arrays, and what functions are called."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from typing import Any
 
 # Arrays of at most so many numbers are written out, such as positions and centres.
 _FEW = 4
+
+
+def function_name(function: Any) -> str:
+    """What a function is called, or the class of an object that is called like one."""
+    return str(getattr(function, "__name__", type(function).__name__))
 
 
 def short_repr(self: Any) -> str:

@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.progress import Progress, ignore
+from homolog.core.reprs import function_name
 from homolog.datasets import Pair as PairOfNames
 from homolog.datasets import ShapeFolder, Truth, drawn_pairs
 from homolog.evaluation.metrics import Detection, geodesic_diameter, geodesic_errors
@@ -241,7 +242,7 @@ class _ByFunction:
 
     def __init__(self, run: _Run, match: MatchShapes) -> None:
         self.run, self.function = run, match
-        self.method = getattr(match, "__name__", type(match).__name__)
+        self.method = function_name(match)
 
     def match(self, pair: PairOfNames) -> Match:
         run = self.run

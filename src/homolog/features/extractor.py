@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from homolog.core.errors import ArgumentError
+from homolog.core.reprs import function_name
 from homolog.features.diffusion_net import DiffusionNet
 from homolog.features.info import FeatureInfo
 from homolog.geometry import Basis, Operators
@@ -167,7 +168,7 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
     if isinstance(features, FeatureExtractor):
         return features
     if callable(features):
-        name = getattr(features, "__name__", type(features).__name__)
+        name = function_name(features)
         return FunctionFeatures(features, info or FeatureInfo(name=name, input="operators", upright=False))
     raise ArgumentError(
         f"features is a {type(features).__name__}, but must be a feature extractor, a network or a function of "

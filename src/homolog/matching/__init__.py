@@ -1,7 +1,7 @@
 """From two shapes to a match: the road (``Matcher``), its stages, and the result (``Match``)."""
 
 from homolog.matching.alignment import Alignment, align_partial, best_alignment
-from homolog.matching.choice import method_name, needs_features
+from homolog.matching.choice import features_of_weights, needs_features
 from homolog.matching.colours import matched_colours, position_colours
 from homolog.matching.in_one_call import match
 from homolog.matching.inputs import with_inputs
@@ -23,11 +23,11 @@ __all__ = [
     "align_partial",
     "best_alignment",
     "check_point_map",
+    "features_of_weights",
     "low_confidence_warnings",
     "match",
     "matched_colours",
     "matched_name",
-    "method_name",
     "needs_features",
     "position_colours",
     "read_point_map",

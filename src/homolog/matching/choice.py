@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 from typing import Any
 
 import torch
 
 from homolog.core.errors import ArgumentError
-from homolog.features import FeatureExtractor, on_device
+from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, load_weights, on_device
 from homolog.methods import AUTO, as_method, find_method
 from homolog.pairs import MatcherSettings, Method
 from homolog.shapes import Modality
@@ -31,29 +32,32 @@ def extractor_for(
     method: Method, given: FeatureExtractor | None, settings: MatcherSettings, device: torch.device
 ) -> FeatureExtractor | None:
     """The features that the method compares."""
-    own = getattr(method, "features", None)
-    if own is not None or not method.supports.needs_features:
+    if not _compares_given_features(method):
         if given is not None:
             _log.warning(
                 "The %s method does not use weights; the given ones, %s, are left aside.", method.name, given.info.name
             )
+        own = getattr(method, "features", None)
         return None if own is None else own(settings)
     if given is None:
         raise ArgumentError(f"method {method.name!r} needs weights; give some, or use 'axiomatic' or 'registration'")
     return on_device(given, device)
 
 
-def method_name(settings: MatcherSettings) -> str:
-    """What the method is called that settings ask for."""
-    return settings.method if isinstance(settings.method, str) else _named(settings.method).name
-
-
 def needs_features(settings: MatcherSettings) -> bool:
     """Whether the method compares features that it does not bring itself."""
-    if settings.method == AUTO:
-        return True
-    method = _named(settings.method)
+    return settings.method == AUTO or _compares_given_features(_named(settings.method))
+
+
+def _compares_given_features(method: Method) -> bool:
     return method.supports.needs_features and getattr(method, "features", None) is None
+
+
+def features_of_weights(weights: str | Path | None, settings: MatcherSettings) -> FeatureExtractor | None:
+    """The features of the weights that were given; by default of those for people, where the method needs any."""
+    if weights is None and not needs_features(settings):
+        return None
+    return load_weights(weights or DEFAULT_WEIGHTS)
 
 
 def method_between(

@@ -8,9 +8,9 @@ from typing import Any
 
 import torch
 
-from homolog.features import DEFAULT_WEIGHTS, FeatureInfo, load_weights
+from homolog.features import FeatureInfo
 from homolog.geometry import OperatorCache
-from homolog.matching.choice import needs_features
+from homolog.matching.choice import features_of_weights
 from homolog.matching.matcher import Matcher
 from homolog.matching.result import Match
 from homolog.methods import AUTO
@@ -60,7 +60,6 @@ def match(
     elif features is not None:
         extractor = features
     else:
-        needs = method == AUTO or (method != "axiomatic" and needs_features(settings))
-        extractor = load_weights(weights or DEFAULT_WEIGHTS) if needs or weights is not None else None
+        extractor = features_of_weights(weights, settings)
     matcher = Matcher(extractor, settings=settings, device=device, operators=OperatorCache.default().operators)
     return matcher.match(source, target, features=arrays, **options)

@@ -15,7 +15,7 @@ from homolog.core.progress import Timings
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
-from homolog.matching.choice import chosen_method, extractor_for, method_between, method_name
+from homolog.matching.choice import chosen_method, extractor_for, method_between
 from homolog.matching.inputs import options_of, read_inputs, with_inputs
 from homolog.matching.orientation import pair_orientation_warnings
 from homolog.matching.refinement import refine
@@ -122,13 +122,8 @@ class Matcher:
 
     def describe(self) -> dict[str, Any]:
         """Features, settings and device, for reports."""
-        settings = {**asdict(self.settings), "method": method_name(self.settings)}
         info = None if self.extractor is None else asdict(self.extractor.info)
-        return {
-            "features": info,
-            "settings": {**settings, "operators": asdict(self.preprocess.settings)},
-            "device": str(self.device),
-        }
+        return {"features": info, "settings": self._resolved.to_dict(), "device": str(self.device)}
 
     def match(
         self,

@@ -341,7 +341,6 @@ def _composed(
 def _report(pair: Pair, match: Match) -> dict[str, Any]:
     """What is known of a match, for JSON."""
     info = None if pair.extractor is None else asdict(pair.extractor.info)
-    settings = {**asdict(pair.settings), "method": str(getattr(pair.settings.method, "name", pair.settings.method))}
     inputs = {
         side: {"name": shape.name, **shape.to_dict(), "points_left_out": shape.n_left_out}
         for side, shape in zip(SIDES, (pair.source, pair.target), strict=True)
@@ -353,7 +352,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "quality": None if match.quality is None else match.quality.to_dict(),
         "options": asdict(pair.options),
         "features": info,
-        "settings": settings,
+        "settings": pair.settings.to_dict(),
         "device": str(pair.source.operators.points.device),
         "matched": {f"{side}_{name}": n for side in SIDES for name, n in described.matched(side).items()},
         "versions": versions(),

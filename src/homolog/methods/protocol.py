@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from homolog.core.errors import ArgumentError
+from homolog.core.reprs import function_name
 from homolog.features import FeatureExtractor
 from homolog.pairs import MatcherSettings, Method, Pair, PointMaps, Supports
 
@@ -50,7 +51,7 @@ def as_method(given: Any) -> Method:
     if isinstance(given, Method):
         return given
     if callable(given):
-        return FunctionMethod(getattr(given, "__name__", type(given).__name__), given)
+        return FunctionMethod(function_name(given), given)
     raise ArgumentError(
         f"method is a {type(given).__name__}, but must be the name of a method, or a function of a homolog.pairs.Pair"
     )

@@ -13,7 +13,7 @@ from torch import Tensor
 from homolog.core.arguments import check_kind
 from homolog.core.choices import Side
 from homolog.core.progress import Timings
-from homolog.features import FeatureExtractor
+from homolog.features import FeatureExtractor, FeatureInfo
 from homolog.pairs.method import Method, check_supported
 from homolog.pairs.options import SIDES, PairOptions
 from homolog.pairs.preprocessing import PreprocessedShape, Preprocessor
@@ -145,9 +145,14 @@ class Pair:
         return self.source.modality == self.target.modality == "mesh"
 
     @property
+    def info(self) -> FeatureInfo:
+        """What the features expect; where there are none, what is usual."""
+        return FeatureInfo() if self.extractor is None else self.extractor.info
+
+    @property
     def near_isometric(self) -> bool:
         """Whether the features are of surfaces that bend without stretching much."""
-        return self.extractor is None or self.extractor.info.near_isometric
+        return self.info.near_isometric
 
     @property
     def map_size(self) -> int:
@@ -161,8 +166,7 @@ class Pair:
     @property
     def temperature(self) -> float:
         """Of the soft map between the features."""
-        trained = 0.1 if self.extractor is None else self.extractor.info.temperature
-        return self.settings.soft_map.temperature or trained
+        return self.settings.soft_map.temperature or self.info.temperature
 
     def with_y(self, y: PreprocessedShape) -> Pair:
         """The same with y in another pose or scale."""

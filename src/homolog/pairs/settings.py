@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, get_args
 
 import torch
@@ -11,6 +11,7 @@ import torch
 from homolog.core.arguments import is_count, is_real
 from homolog.core.choices import Device
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.reprs import function_name
 from homolog.geometry import OperatorSettings
 from homolog.maps import ConfidenceSettings, RefinementSettings, RegistrationSettings
 
@@ -186,6 +187,12 @@ class MatcherSettings:
             value = getattr(self, name)
             if not (isinstance(value, kind) or (optional and value is None)):
                 raise bad_value(name, value, f"{kind.__name__}{', or None' if optional else ''}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of them for JSON; a method of one's own by its name."""
+        named = isinstance(self.method, str)
+        name = self.method if named else getattr(self.method, "name", function_name(self.method))
+        return asdict(replace(self, method=name))
 
 
 _PARTS: tuple[tuple[str, type, bool], ...] = (
