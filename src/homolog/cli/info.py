@@ -47,6 +47,7 @@ def info(
         failed |= not report.usable
         entries.append({"file": str(file), "format": _format(file), **report.to_dict()})
         if not on_stdout(json):
+            typer.echo(file)  # not in the table, which breaks a long path over lines
             Console().print(_table(file, report))
     write_figures(json, entries)
     if failed:
@@ -61,7 +62,7 @@ def _table(file: Path, report: homolog.Report) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=escape(str(file)), show_header=False, title_justify="left", title_style="bold")
+    table = Table(show_header=False)
     for label, value in _rows(file, report):
         table.add_row(label, escape(value))
     styles = {"note": "", "repaired": "yellow", "unusable": "bold red"}
