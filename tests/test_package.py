@@ -77,8 +77,6 @@ FLOORS = CORE | {
         "statistics",
     },
 }
-# The one way up: a match shows itself, by what stands above it; imported in the methods that do so.
-UPWARD = {"matching/result.py": {"viewing"}}
 HEAVY = [
     "pyvista",
     "vtkmodules",
@@ -133,19 +131,8 @@ def imported_parts(path):
 def test_imports_point_downward(path):
     part = part_of(path)
     assert part in FLOORS, f"say in FLOORS what {part} may import"
-    beyond = set(imported_parts(path)) - FLOORS[part] - {part} - UPWARD.get(path.relative_to(ROOT).as_posix(), set())
+    beyond = set(imported_parts(path)) - FLOORS[part] - {part}
     assert not beyond, f"{path} must not import {sorted(beyond)}"
-
-
-@pytest.mark.parametrize("path", UPWARD)
-def test_what_points_upward_is_imported_within_functions(path):
-    above = {f"homolog.{part}" for part in UPWARD[path]}
-    tree = parsed(ROOT / path)
-    eager = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
-    names = {node.module for node in eager if isinstance(node, ast.ImportFrom)}
-    names |= {f"homolog.{alias.name}" for node in eager if isinstance(node, ast.ImportFrom) for alias in node.names}
-    assert not above & names
-    assert above <= {f"homolog.{part}" for part in imported_parts(ROOT / path)}
 
 
 def test_floors_have_an_order():

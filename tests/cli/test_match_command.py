@@ -606,3 +606,14 @@ def test_cache_is_used_and_can_be_left_alone(homolog, files, tmp_path, monkeypat
     for name, array in first.items():
         np.testing.assert_array_equal(second[name], array)
         np.testing.assert_array_equal(third[name], array)
+
+
+@pytest.mark.parametrize("option", ["--html", "--picture"])
+def test_no_output_replaces_an_input(homolog, files, tmp_path, option):
+    """By the file's identity, links included."""
+    link = tmp_path / ("link.png" if option == "--picture" else "link.html")
+    link.symlink_to(files.mesh)
+    before = files.mesh.read_bytes()
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", option, link)
+    assert ended.is_one_line_of_complaint() and "is an input and would be replaced" in ended.err
+    assert files.mesh.read_bytes() == before and not (tmp_path / "out").exists()

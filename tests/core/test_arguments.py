@@ -76,7 +76,7 @@ def test_what_is_no_shape_is_refused_with_the_way_to_one(use: Callable[[Any], An
         ("path", "int", lambda: write_shape(3, SHAPE)),  # type: ignore[arg-type]
         ("pair", "Shape", lambda: Matcher().find(SHAPE)),  # type: ignore[arg-type]
         ("options", "str", lambda: Matcher().match(SHAPE, SHAPE, "partial")),  # type: ignore[arg-type]
-        ("source", "str", lambda: Pair.of(X, SHAPE, Preprocessor())),
+        ("source", "str", lambda: Pair.of(X, SHAPE, Preprocessor(), Matcher().method_of)),
     ],
 )
 def test_an_argument_of_another_kind_is_named_with_what_it_is(name: str, found: str, call: Call) -> None:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 from homolog.core.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from homolog.methods.protocol import FunctionMethod, Method, Supports, as_method
+    from homolog.methods.protocol import FunctionMethod, as_method
     from homolog.methods.registry import AUTO, GROUP, find_method, method_names
+    from homolog.pairs import Method, Supports
 
 __all__ = ["AUTO", "GROUP", "FunctionMethod", "Method", "Supports", "as_method", "find_method", "method_names"]
 
