@@ -336,6 +336,15 @@ def test_info(homolog, files):
         assert words in ended.out
 
 
+def test_info_names_files_in_full(homolog, files, tmp_path):
+    """Paths longer than the table is wide."""
+    deep = [tmp_path / ("deep" * 20) / name for name in ("[red]one.off", "two.off")]
+    deep[0].parent.mkdir(parents=True)
+    for file in deep:
+        shutil.copy(files.mesh, file)
+    assert [line for line in homolog("info", *deep).out.splitlines() if ".off" in line] == list(map(str, deep))
+
+
 def test_info_as_json(homolog, files, tmp_path):
     ended = homolog("info", "--json", "-", files.mesh, tmp_path / "gone.ply", files.dirty)
     assert ended.code == 2

@@ -135,6 +135,7 @@ def check(
     with progress_bar(quiet=quiet) as progress:
         report = homolog.datasets.check_dataset(folder, described, progress=progress)
     if not quiet and report.n_shapes:
+        typer.echo(_verdict(report, described))  # not in the table, which breaks a long path over lines
         Console().print(_summary(report, described))
     for finding in report.findings:
         stderr_console().print(f"[bold red]Error:[/] {escape(finding)}", soft_wrap=True)
@@ -142,14 +143,16 @@ def check(
         raise typer.Exit(2)
 
 
-def _summary(report: DatasetReport, described: DatasetDescription) -> Table:
-    from rich.markup import escape
-    from rich.table import Table
-
+def _verdict(report: DatasetReport, described: DatasetDescription) -> str:
     n = len(report.findings)
     verdict = f"{n} finding{'s' if n > 1 else ''}" if n else "nothing is missing or wrong"
-    title = f"{described.name} at {report.root}: {verdict}"
-    table = Table("", "", title=escape(title), show_header=False, title_justify="left", title_style="bold")
+    return f"{described.name} at {report.root}: {verdict}"
+
+
+def _summary(report: DatasetReport, described: DatasetDescription) -> Table:
+    from rich.table import Table
+
+    table = Table("", "", show_header=False)
     table.columns[1].overflow = "fold"  # a checksum that is cut short is none
     for label, value in _counts(report, described):
         if value:

@@ -47,9 +47,8 @@ def info(
         failed |= not report.usable
         entries.append({"file": str(file), "format": _format(file), **report.to_dict()})
         if not on_stdout(json):
-            console = Console()
-            console.print(escape(str(file)), style="bold", soft_wrap=True, highlight=False)  # never wrapped or cut
-            console.print(_table(file, report))
+            typer.echo(file)  # not in the table, which breaks a long path over lines
+            Console().print(_table(file, report))
     write_figures(json, entries)
     if failed:
         raise typer.Exit(2)
