@@ -213,18 +213,15 @@ class ShapeFolder:
         return self.root / f"{split}.txt"
 
     def _split_names(self, split: Split) -> tuple[str, ...]:
-        rule = self.description.split
+        rule, listed = self.description.split, self._list(split)
         if rule in ("train", "test", "either"):
             return self.names if rule in (split, "either") else ()
-        if rule == "listed" or (rule == "found" and self._list(split).is_file()):
-            return self._listed_names(self._list(split))
+        if rule == "listed" or (rule == "found" and listed.is_file()):
+            return self._known(_listed_words(listed), listed)
         if rule == "found" and (self.root / self.description.pairs_file).is_file():
             return self.names if split == "test" else ()
         n_test = self.description.n_test if rule == "last" else _TEST_SHAPES
         return self.names[-n_test:] if split == "test" else self.names[:-n_test]
-
-    def _listed_names(self, listed: Path) -> tuple[str, ...]:
-        return self._known(_listed_words(listed), listed)
 
     def _pairs_of(self, names: tuple[str, ...]) -> Iterable[Pair]:
         rule, listed = self.description.pairs, self.root / self.description.pairs_file

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 if TYPE_CHECKING:
     from homolog.matching.result import Match
@@ -23,7 +23,8 @@ def matched_colours(match: Match) -> tuple[UInt8[np.ndarray, "n_source 3"], UInt
     has_match[match.target_to_source[match.target_to_source >= 0]] = True
     by_position = position_colours(match.source.points, spanned_by=has_match)
     source_colours = np.where(has_match[:, None], by_position, _grey())
-    return source_colours, _carried(by_position, match.target_to_source)
+    back = match.target_to_source
+    return source_colours, np.where(back[:, None] >= 0, by_position[back], _grey())
 
 
 def position_colours(
@@ -43,12 +44,6 @@ def position_colours(
     share = (points[finite] - low) / np.where(high > low, high - low, 1.0)
     colours[finite] = np.round(40 + 215 * share.clip(0, 1))
     return colours
-
-
-def _carried(
-    colours: UInt8[np.ndarray, "n_source 3"], target_to_source: Int[np.ndarray, " n_target"]
-) -> UInt8[np.ndarray, "n_target 3"]:
-    return np.where(target_to_source[:, None] >= 0, colours[target_to_source], _grey())
 
 
 def _grey() -> UInt8[np.ndarray, " 3"]:
