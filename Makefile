@@ -10,7 +10,7 @@ help:
 	@echo "make demo    set up, and match the two shapes that ship with the project"
 	@echo "make test    set up, and run the quick tests (under 5 minutes on two cores)"
 	@echo "make test-all  run those and the long ones: processes, pages, browser (under 20 minutes)"
-	@echo "make lint    set up, and run the linter and the type checker"
+	@echo "make lint    set up, and run the linter and the type checker; prints the code's shape"
 	@echo "make docs    set up, and build the site into build/site"
 	@echo "make gallery make the pictures of the site anew (some 5 minutes; needs Chromium)"
 	@echo "make bench   set up, and time every step in yardsticks (about 20 minutes)"
@@ -44,6 +44,7 @@ lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	@$(BIN)/python tools/code_shape.py
 
 # The theme's word on what will follow it is no warning of this site.
 docs: $(VENV)/installed-dev

@@ -181,8 +181,8 @@ def network_pass(name: str, n_points: int) -> Callable[[], object]:
 
 def training_shape(shape: Shape, n_samples: int) -> TrainingShape:
     """A mesh and its own points as a cloud, at so many samples of them."""
-    length = unit_frame(shape).scale
-    bases = [compute_operators(each, scale=length).basis for each in (shape, shape.as_cloud())]
+    scale = unit_frame(shape).scale
+    bases = [compute_operators(each, scale=scale).basis for each in (shape, shape.as_cloud())]
     if n_samples < shape.n_points:
         kept = torch.from_numpy(farthest_points(bases[0].points.numpy(), n_samples, seed=0))
         bases = [basis.sampled(kept) for basis in bases]

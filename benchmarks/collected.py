@@ -1,19 +1,19 @@
-"""How near to the truth a collection has placed its template's points, and what that does to its shape model.
+"""How far a collection's registered points are from the truth, and what that does to its shape model.
 
     homolog collection FAUST_r/off/tr_reg_080.off FAUST_r/off/tr_reg_0[89]?.off -o people
     python benchmarks/collected.py FAUST_r people
 
-Where a set's truth is its numbering, collect shapes whose points are shuffled, which this writes first::
+Where a dataset's ground truth is its numbering, register shapes whose points are shuffled, which this writes first::
 
     python benchmarks/collected.py LUNGS lungs_shuffled --dataset lungs --shuffle
     homolog collection lungs_shuffled/LLL-case0576.xyz lungs_shuffled/*.xyz -o lungs
     python benchmarks/collected.py LUNGS lungs --dataset lungs
     python benchmarks/collected.py LUNGS lungs --dataset lungs --nearest     # instead of the collection's own points
 
-Distances are straight, between a placed point and where it truly belongs. Both ends of a truth of common points are
+Distances are Euclidean, between a registered point and its true position. Both ends of a template correspondence are
 vertices, so that some half of the distance between these stays in every error. Edges are those of the template, where
-it has faces: their lengths on a shape as placed, over where they truly belong. Models are made of the points whose
-place is known on all shapes.
+it has faces: their lengths between registered points, over those between true positions. Models are made of the points
+whose true position is known on all shapes.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ _MODES = (1, 5, 10)
 
 @dataclass(frozen=True)
 class Collected:
-    """Where points were placed on shapes, and where they truly belong (NaN where that is not known)."""
+    """The template's points as registered to shapes, and their true positions (NaN where these are not known)."""
 
     base: str
     template: Shape
     names: list[str]
     shapes: list[Shape]
-    placed: Float[np.ndarray, "s n 3"]
+    registered: Float[np.ndarray, "s n 3"]
     true: Float[np.ndarray, "s n 3"]
 
     @property
@@ -56,7 +56,7 @@ class Collected:
 
 
 def read(folder: ShapeFolder, root: Path, *, nearest: bool) -> Collected:
-    """Read a collection, or place the points of its template on its shapes by their middles and nearest points."""
+    """Read a collection, or register its template to its shapes by nearest points after centring."""
     report = json.loads((root / "report.json").read_text(encoding="utf-8"))
     base, names = Path(report["inputs"]["template"]).stem, report["shapes"]
     template, shapes = folder.shape(base), [folder.shape(name) for name in names]
@@ -66,12 +66,13 @@ def read(folder: ShapeFolder, root: Path, *, nearest: bool) -> Collected:
     for row, name in enumerate(names):
         known = truth.between(base, name)
         true[row, known.source] = by_name[name].points[known.target]
-    placed = np.stack([by_nearest(template, shape) for shape in shapes]) if nearest else np.load(root / "points.npy")
-    return Collected(base, template, names, shapes, placed, true)
+    by_points = [by_nearest(template, shape) for shape in shapes] if nearest else None
+    registered = np.load(root / "points.npy") if by_points is None else np.stack(by_points)
+    return Collected(base, template, names, shapes, registered, true)
 
 
 def by_nearest(template: Shape, shape: Shape) -> Float[np.ndarray, "n 3"]:
-    """The template's points on a shape by nearest points both ways, with both middles in one place."""
+    """The template registered to a shape by nearest points both ways, after centring."""
     points, others = (one.points - one.points.mean(axis=0) for one in (template, shape))
     forth, back = KDTree(others).query(points)[1], KDTree(points).query(others)[1]
     found = Match(template, shape, forth, back)
@@ -90,7 +91,7 @@ def lengths(points: Float[np.ndarray, "s n 3"], edges: Int[np.ndarray, "e 2"]) -
 
 def tell_errors(found: Collected, unit: str) -> None:
     """Distances from the truth, in the files' unit and in shares of the shapes' sizes; edges; flipped triangles."""
-    away = np.linalg.norm(found.placed - found.true, axis=2)
+    away = np.linalg.norm(found.registered - found.true, axis=2)
     sizes = np.sqrt([surface_area(shape) for shape in found.shapes])[:, None]
     own = [row for row, name in enumerate(found.names) if name == found.base]
     others = np.delete(np.arange(len(found.names)), own)
@@ -104,7 +105,7 @@ def tell_errors(found: Collected, unit: str) -> None:
     if found.template.faces is None:
         return
     edges = edges_of(found.template.faces)
-    now, own_lengths = lengths(found.placed[others], edges), lengths(found.template.points[None], edges)
+    now, own_lengths = lengths(found.registered[others], edges), lengths(found.template.points[None], edges)
     with np.errstate(divide="ignore", invalid="ignore"):
         for name, ratio in (("truth", now / lengths(found.true[others], edges)), ("template", now / own_lengths)):
             low, middle, high = np.nanpercentile(np.where(np.isfinite(ratio), ratio, np.nan), [5, 50, 95])
@@ -140,11 +141,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data")
     parser.add_argument("collection", type=Path)
-    parser.add_argument("--dataset", dest="name", help="one's own without")
-    parser.add_argument("--shuffle", action="store_true", help="write the set's shapes, as they are to be matched")
+    parser.add_argument("--dataset", metavar="NAME", help="by default a folder of your own")
+    parser.add_argument("--shuffle", action="store_true", help="write the dataset's shapes, as they are to be matched")
     parser.add_argument("--nearest", action="store_true", help="score nearest points instead")
     given = parser.parse_args()
-    folder = ShapeFolder.open(given.data, *([given.name] if given.name else []))
+    folder = ShapeFolder.open(given.data, *([given.dataset] if given.dataset else []))
     if given.shuffle:
         given.collection.mkdir(parents=True, exist_ok=True)
         for name in folder.names:
@@ -154,8 +155,8 @@ def main() -> None:
     tell_errors(found, folder.description.unit or "the files' unit")
     if not given.nearest:
         tell_flips(given.collection, found.base)
-    tell_model("model of the placed points", found.placed[:, found.known])
-    tell_model("model of their true places", found.true[:, found.known])
+    tell_model("model of the registered points", found.registered[:, found.known])
+    tell_model("model of their true positions", found.true[:, found.known])
 
 
 if __name__ == "__main__":

@@ -1,14 +1,14 @@
-"""How smooth maps between surfaces compare with the point maps that they are made of, where the truth is known.
+"""How smooth maps between surfaces compare with the point maps that they are made of, where the ground truth is known.
 
-Run from the root of the checkout, with an unpacked set of meshes::
+Run from the root of the checkout, with an unpacked dataset of meshes::
 
     python benchmarks/surface_maps.py FAUST_r --weights weights.safetensors --first 80 --n-pairs 8
 
-Without weights the axiomatic method is used, as for ``src/homolog/demo_data``. Errors are straight distances between
-where a common point lies on the target and where it is taken to, in hundredths of the square root of the target's area.
-Both ends of the truth are vertices, so that no map comes below some half of the distance between these. A triangle is
-flipped where its normal turns from the target's surface below it; it lies well where the common points among its
-corners are off by less than 3. Edges' lengths are relative to before, over the median of these ratios.
+Without weights the axiomatic method is used, as for ``src/homolog/demo_data``. Errors are Euclidean distances between a
+template point on the target and its mapped position, in hundredths of the square root of the target's area. Both ends
+of the truth are vertices, so that no map comes below some half of the distance between these. A triangle is flipped
+where its normal turns from the target's surface below it; it is accurate where the template points among its corners
+are off by less than 3. Edges' lengths are relative to before, over the median of these ratios.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from homolog.matching import Matcher
 from homolog.shapes import Shape
 from homolog.transfer import SurfaceProjector, surface_map
 
-_WELL = 3.0
-_NAMES = ("mean error", "median", "95th percentile", "% flipped", "% flipped, lying well", "edges, 5 %", "edges, 95 %")
+_ACCURATE = 3.0
+_NAMES = ("mean error", "median", "95th percentile", "% flipped", "% flipped, accurate", "edges, 5 %", "edges, 95 %")
 
 
 def figures(
@@ -37,16 +37,16 @@ def figures(
     normals: Float[np.ndarray, "n 3"],
     errors: Float[np.ndarray, " n"],
 ) -> list[float]:
-    """What is told of a map: errors (NaN where the truth is not known), flipped triangles and lengths of edges."""
+    """The figures of a map: errors (NaN where the truth is not known), flipped triangles and lengths of edges."""
     assert shape.faces is not None
     faces, known = shape.faces, errors[np.isfinite(errors)]
     below = unit(normals[faces].mean(axis=1))
     flipped = np.einsum("mk,mk->m", Surface(images, faces).face_normals, below) <= 0
-    well = np.nan_to_num(errors)[faces].max(axis=1) < _WELL
+    accurate = np.nan_to_num(errors)[faces].max(axis=1) < _ACCURATE
     lengths = [np.linalg.norm(p[faces] - p[faces[:, [1, 2, 0]]], axis=2).ravel() for p in (images, shape.points)]
     low, middle, high = np.percentile(lengths[0] / lengths[1], [5, 50, 95])
     errors_told = [known.mean(), np.median(known), np.percentile(known, 95)]
-    return [*errors_told, 100 * flipped.mean(), 100 * flipped[well].mean(), low / middle, high / middle]
+    return [*errors_told, 100 * flipped.mean(), 100 * flipped[accurate].mean(), low / middle, high / middle]
 
 
 def compared(
@@ -76,7 +76,7 @@ def main() -> None:
     """Compare pair by pair."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data")
-    parser.add_argument("--weights", help="the axiomatic method without")
+    parser.add_argument("--weights", help="by default the axiomatic method")
     parser.add_argument("--first", type=int, help="take so many shapes, in the order of their names")
     parser.add_argument("--n-pairs", type=int, default=8)
     given = parser.parse_args()

@@ -1,10 +1,10 @@
-"""How well points without a counterpart are found where the map is the true one: what a better map could reach.
+"""How well points without a counterpart are found from the true map: the bound for any map.
 
-Run from the root of the checkout, with the unpacked set::
+Run from the root of the checkout, with the unpacked dataset::
 
     python benchmarks/true_coverage.py SHREC16 --dataset shrec16_cuts --every 10
 
-``homolog evaluate`` gives the same figures for the maps that are found.
+``homolog evaluate`` gives the same figures for computed maps.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ from homolog.matching import Matcher
 
 
 def detection(matcher: Matcher, folder: ShapeFolder, truth: GroundTruth, source: str, target: str) -> Detection:
-    """Counts of the points of a complete shape that a part lacks, by the true map and in truth."""
+    """Points of a full shape without a counterpart on a partial one: by the true map, and in truth."""
     known = truth.counterparts(source, target)
     if known is None:
-        raise SystemExit(f"{folder.description.name} has no truth of this kind; take shrec16_cuts or shrec16_holes")
-    whole = matcher.preprocess.operators(folder.shape(source))
-    part = matcher.preprocess.operators(folder.shape(target), scale=whole.scale)
-    found = overlap(whole, part, torch.from_numpy(truth.between(source, target).source)).numpy()
+        raise SystemExit(
+            f"{folder.description.name} has no ground truth of this kind; take shrec16_cuts or shrec16_holes"
+        )
+    full = matcher.preprocess.operators(folder.shape(source))
+    partial = matcher.preprocess.operators(folder.shape(target), scale=full.scale)
+    found = overlap(full, partial, torch.from_numpy(truth.between(source, target).source)).numpy()
     return Detection.of(~found[known.points], ~known.present)
 
 
@@ -38,7 +40,7 @@ def main() -> None:
     parser.add_argument("--dataset", default="shrec16_cuts")
     parser.add_argument("--every", type=int, default=1, help="take every so many-th of the pairs")
     given = parser.parse_args()
-    folder = ShapeFolder.open(given.data, given.set)
+    folder = ShapeFolder.open(given.data, given.dataset)
     truth, matcher = folder.ground_truth(), Matcher(operators=OperatorCache.default().operators)
     scores = [detection(matcher, folder, truth, *pair) for pair in folder.pairs("test")[:: given.every]]
     print(sum(scores[1:], scores[0]).to_dict())

@@ -1,4 +1,4 @@
-"""Make two shapes like those that ship with Homolog, and their ground truth.
+"""Make two shapes like the demo bodies of the package, and their ground truth.
 
 Run from the root of the checkout::
 

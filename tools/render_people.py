@@ -1,4 +1,4 @@
-"""Render bodies of a set as one contact sheet, each coloured by its places on the common template.
+"""Render synthetic people as one contact sheet, coloured by position on the common template.
 
 Run from the root of the checkout::
 
@@ -24,17 +24,17 @@ _HALF_HEIGHT = 1.2
 
 
 def colours(folder: ShapeFolder, name: str) -> np.ndarray:
-    """Red, green and blue of each vertex: where it lies on the template, so that the same colour is the same point."""
+    """Red, green and blue of each vertex: its position on the template, so that the same colour is the same point."""
     rest = read_shape(folder.root / "template" / "template.off")
-    places = np.load(folder.root / "places" / f"{name}.npz", allow_pickle=False)
+    barycentric = np.load(folder.root / "places" / f"{name}.npz", allow_pickle=False)
     assert rest.faces is not None
-    at = np.einsum("vck,vc->vk", rest.points[rest.faces[places["triangles"]]], places["weights"])
+    at = np.einsum("vck,vc->vk", rest.points[rest.faces[barycentric["triangles"]]], barycentric["weights"])
     low, high = rest.points.min(axis=0), rest.points.max(axis=0)
     return np.asarray((50 + 200 * (at - low) / (high - low)).astype(np.uint8))
 
 
 def render(folder: ShapeFolder, picture: Path, columns: int, count: int) -> None:
-    """Draw the first bodies of a set in rows, a little from the side."""
+    """Draw the first bodies in rows, a little from the side."""
     names = folder.names[:count]
     rows = -(-len(names) // columns)
     size = [columns * _WIDTH, rows * _HEIGHT]

@@ -1,4 +1,4 @@
-"""Render the checkerboard that ``homolog transfer --checker`` carried, source and target side by side, as one PNG.
+"""Render the checkerboard that ``homolog transfer --checker`` transferred, source and target side by side, as one PNG.
 
 Run from the root of the checkout::
 

@@ -93,7 +93,7 @@ def _facts(described: DatasetDescription) -> list[tuple[str, str]]:
         ("terms", described.terms),
         ("citation", described.citation),
         (described.holds, f"{described.shapes}{_number(described.expected_shapes)}"),
-        ("full shapes", _complete(described)),
+        ("full shapes", described.full and f"{described.full}{_number(len(described.expected_full_names))}"),
         ("up", f"+{described.up}"),
         ("unit", described.unit),
         ("ground truth", f"{described.truth}{truth}"),
@@ -102,10 +102,6 @@ def _facts(described: DatasetDescription) -> list[tuple[str, str]]:
         ("partial", ("pre-aligned" if described.pre_aligned else "yes") if described.partial else ""),
         ("notes", described.notes),
     ]
-
-
-def _complete(described: DatasetDescription) -> str:
-    return described.full and f"{described.full}{_number(len(described.expected_full_names))}"
 
 
 def _number(count: int) -> str:

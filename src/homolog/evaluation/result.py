@@ -108,7 +108,9 @@ class Evaluation:
         errors, matched, kind = self.errors, self.matched, self.error_kind
         confidences = np.concatenate([pair.confidences for pair in self.pairs])
         share = least_confident_share(errors[matched], confidences[matched])
-        missing, metrics = self.missing, self._metrics()
+        names = sorted({name for pair in self.pairs for name in pair.metrics})
+        metrics = {name: float(np.mean([pair.metrics[name] for pair in self.pairs])) for name in names}
+        missing = self.missing
         return {
             f"mean_{kind}_error": self.shown(errors.mean()),
             f"median_{kind}_error": self.shown(np.median(errors)),
@@ -138,10 +140,6 @@ class Evaluation:
         quality = [None if figures is None else getattr(figures, name) for name in MEASURES]
         error = self.shown(pair.errors.mean()) if len(pair.errors) else None
         return [*pair.pair, len(pair.errors), int((~pair.matched).sum()), error, *quality, pair.doubtful]
-
-    def _metrics(self) -> dict[str, float]:
-        names = sorted({name for pair in self.pairs for name in pair.metrics})
-        return {name: float(np.mean([pair.metrics[name] for pair in self.pairs])) for name in names}
 
     def _curve(self, errors: Float[np.ndarray, " p"]) -> dict[str, Any]:
         thresholds, shares = pck_curve(errors)

@@ -89,7 +89,7 @@ def worst_first(outcomes: Sequence[Outcome]) -> list[Outcome]:
 
     Shapes are ordered by the mean of their ranks in confidence, Dirichlet energy and unevenness of edge lengths, and
     equal ones by the given order. Each of the three orders shapes about as their true errors do, and none is best
-    everywhere (``docs/results.md``); the share of flipped triangles does not. New here.
+    everywhere (``docs/logbook.md``); the share of flipped triangles does not. New here.
     """
     failed = [outcome for outcome in outcomes if outcome.figures is None]
     registered = [outcome for outcome in outcomes if outcome.figures is not None]
