@@ -87,7 +87,7 @@ def test_two_users_and_a_hostile_one(serve, user, blobs, demo_folder, demo, tmp_
         got, result = download(page, tmp_path / name)
         assert got == name
         if page is ann:  # the truth is known
-            near = np.linalg.norm(demo.amber.points[result.found.target_to_source[demo.boris_points]]
+            near = np.linalg.norm(demo.amber.points[result.target_to_source[demo.boris_points]]
                                   - demo.amber.points[demo.amber_points], axis=1)  # fmt: skip
             assert np.median(near) < 0.05 * np.ptp(demo.amber.points[:, 1])
         else:

@@ -16,8 +16,8 @@ from jaxtyping import Float, Int
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.progress import Progress, ignore
-from homolog.datasets import Counterparts, ShapeFolder, Truth, drawn_pairs
 from homolog.datasets import Pair as PairOfNames
+from homolog.datasets import ShapeFolder, Truth, drawn_pairs
 from homolog.evaluation.metrics import Detection, geodesic_diameter, geodesic_errors
 from homolog.evaluation.protocol import Protocol
 from homolog.evaluation.result import Evaluation, PairErrors
@@ -213,7 +213,7 @@ class _Run:
             errors=errors,
             matched=mapped >= 0,
             confidences=match.target_confidence[truth.target],
-            missing=None if known is None else _missing(match, known),
+            missing=None if known is None else Detection.of(match.source_to_target[known.points] < 0, ~known.present),
             quality=match.quality,
             doubtful=match.quality is not None and bool(low_confidence_warnings(match)),
             metrics={name: float(metric(scored)) for name, metric in self.metrics.items()},
@@ -326,8 +326,3 @@ class _ByMatcher(_Source):
         frame = run.frame(scaled_by)
         centre = frame.centre if run.protocol.pre_aligned else None
         return self.matcher.preprocess(shape, as_cloud=cloud, scale=frame.scale, centre=centre)
-
-
-def _missing(match: Match, known: Counterparts) -> Detection:
-    """How well a match tells which of these points of the full shape the partial one lacks."""
-    return Detection.of(match.source_to_target[known.points] < 0, ~known.present)

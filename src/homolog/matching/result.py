@@ -21,7 +21,7 @@ from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import confidence, overlap
 from homolog.matching import result_files
 from homolog.matching.quality import MapQuality, quality
-from homolog.pairs import SIDES, Pair, PointMaps, PreprocessedShape, Side
+from homolog.pairs import SIDES, Pair, PointMaps, Side
 from homolog.shapes import Shape, repair
 
 if TYPE_CHECKING:
@@ -342,7 +342,10 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
     """What is known of a match, for JSON."""
     info = None if pair.extractor is None else asdict(pair.extractor.info)
     settings = {**asdict(pair.settings), "method": str(getattr(pair.settings.method, "name", pair.settings.method))}
-    inputs = {side: _input(shape) for side, shape in zip(SIDES, (pair.source, pair.target), strict=True)}
+    inputs = {
+        side: {"name": shape.name, **shape.to_dict(), "points_left_out": shape.n_left_out}
+        for side, shape in zip(SIDES, (pair.source, pair.target), strict=True)
+    }
     described = replace(match, report={"inputs": inputs})
     return {
         "inputs": inputs,
@@ -355,7 +358,3 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "matched": {f"{side}_{name}": n for side in SIDES for name, n in described.matched(side).items()},
         "versions": versions(),
     }
-
-
-def _input(shape: PreprocessedShape) -> dict[str, Any]:
-    return {"name": shape.name, **shape.to_dict(), "points_left_out": shape.n_left_out}
