@@ -51,14 +51,16 @@ async def run_limited(
     """
     # With limits of the system's, where there are any.
     wrapper = [] if sys.platform == "win32" else [sys.executable, "-I", str(_LIMITED), str(limits.memory_bytes)]
-    process = await anyio.open_process(
-        [*wrapper, *command],
-        cwd=folder,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    # Whole, even if cancelled meanwhile: else what the program has started by then would live on.
+    with anyio.CancelScope(shield=True):
+        process = await anyio.open_process(
+            [*wrapper, *command],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            start_new_session=True,
+        )
     try:
         with anyio.move_on_after(limits.seconds):
             return await _wait_for(process, limits, on_line)
