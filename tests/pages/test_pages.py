@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [
     ROOT / "README.md",
-    *(DOCS / f"{name}.md" for name in ("index", "matching", "extending")),
+    *(DOCS / f"{name}.md" for name in ("index", "matching", "extending", "serving")),
     *sorted((DOCS / "tutorials").glob("*.md")),
 ]
 SHELLS = ("sh", "bash", "console", "shell")
