@@ -25,11 +25,14 @@ if TYPE_CHECKING:
     from homolog import geometry as geometry
     from homolog import maps as maps
     from homolog import matching as matching
+    from homolog import methods as methods
+    from homolog import pairs as pairs
     from homolog import serving as serving
     from homolog import shape_models as shape_models
     from homolog import shapes as shapes
     from homolog import statistics as statistics
     from homolog import synthesis as synthesis
+    from homolog import testing as testing
     from homolog import training as training
     from homolog import transfer as transfer
     from homolog import viewing as viewing
@@ -42,7 +45,17 @@ if TYPE_CHECKING:
     from homolog.maps import functional_map, point_map_from_functional_map, resolvent_mask, sinkhorn_matches
     from homolog.matching import Match, Matcher, match
     from homolog.pairs import MatcherSettings, PairOptions
-    from homolog.shapes import Report, Shape, check, read_shape, repair, stand_upright, write_shape
+    from homolog.shapes import (
+        Report,
+        Shape,
+        as_shape,
+        check,
+        demo_shapes,
+        read_shape,
+        repair,
+        stand_upright,
+        write_shape,
+    )
 
 __all__ = [
     "HomologError",
@@ -54,8 +67,10 @@ __all__ = [
     "PairOptions",
     "Report",
     "Shape",
+    "as_shape",
     "check",
     "compute_operators",
+    "demo_shapes",
     "functional_map",
     "get_working_memory",
     "load_weights",
@@ -116,6 +131,7 @@ _PACKAGES = (
     "shapes",
     "statistics",
     "synthesis",
+    "testing",
     "training",
     "transfer",
     "viewing",

@@ -453,7 +453,6 @@ def test_out_is_a_file(homolog, files, tmp_path, monkeypatch, below):
         ["mach"],
         ["match"],
         ["match", "a.off"],
-        ["match", "a.off", "b.off", "--method", "feature"],
         ["match", "a.off", "b.off", "--as-cloud", "all"],
         ["match", "a.off", "b.off", "--partial", "both"],
         ["match", "a.off", "b.off", "--device", "tpu"],
@@ -471,6 +470,15 @@ def test_unknown_words(homolog, tmp_path, monkeypatch, arguments):
     assert "Traceback" not in ended.err
     assert ended.out == ""
     assert list(tmp_path.iterdir()) == []
+
+
+def test_unknown_methods(homolog, files, tmp_path):
+    """Those of installed packages are methods too, so that the error names all there are."""
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--method", "nearest-feature")
+    assert ended.is_one_line_of_complaint()
+    assert "--method is 'nearest-feature', but must be one of auto, axiomatic, functional-map" in ended.err
+    assert "did you mean 'nearest-features'?" in ended.err
+    assert not (tmp_path / "out").exists()
 
 
 def too_large(*args, **kwargs):
@@ -598,3 +606,14 @@ def test_cache_is_used_and_can_be_left_alone(homolog, files, tmp_path, monkeypat
     for name, array in first.items():
         np.testing.assert_array_equal(second[name], array)
         np.testing.assert_array_equal(third[name], array)
+
+
+@pytest.mark.parametrize("option", ["--html", "--picture"])
+def test_no_output_replaces_an_input(homolog, files, tmp_path, option):
+    """By the file's identity, links included."""
+    link = tmp_path / ("link.png" if option == "--picture" else "link.html")
+    link.symlink_to(files.mesh)
+    before = files.mesh.read_bytes()
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", option, link)
+    assert ended.is_one_line_of_complaint() and "is an input and would be replaced" in ended.err
+    assert files.mesh.read_bytes() == before and not (tmp_path / "out").exists()

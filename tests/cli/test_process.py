@@ -35,14 +35,14 @@ main()
 # A command that stops while operators are computed.
 STUCK_EARLY = """
 import time
-from homolog.matching import Matcher
+from homolog.pairs import Preprocessor
 
 def forever(*args, **kwargs):
     print("working", flush=True)
     while True:
         time.sleep(0.1)
 
-Matcher.operators = forever
+Preprocessor.operators = forever
 from homolog.cli.main import main
 main()
 """

@@ -23,7 +23,7 @@ from homolog.maps import (
     sinkhorn_matches,
 )
 from homolog.matching import Match, Matcher
-from homolog.pairs import choose_device
+from homolog.pairs import Pair, Preprocessor, choose_device
 from homolog.shapes import Shape, check, read_shape, repair, write_shape
 
 Call = Callable[[], Any]
@@ -65,7 +65,7 @@ def test_what_is_no_shape_is_refused_with_the_way_to_one(use: Callable[[Any], An
 @pytest.mark.parametrize(
     ("name", "found", "call"),
     [
-        ("network", "str", lambda: Matcher(X)),
+        ("features", "str", lambda: Matcher(X)),
         ("info", "dict", lambda: Matcher(info={})),  # type: ignore[arg-type]
         ("settings", "dict", lambda: Matcher(settings={})),  # type: ignore[arg-type]
         ("settings", "str", lambda: Matcher(settings="axiomatic")),  # type: ignore[arg-type]
@@ -74,9 +74,9 @@ def test_what_is_no_shape_is_refused_with_the_way_to_one(use: Callable[[Any], An
         ("weights", "None", lambda: load_weights(None)),  # type: ignore[arg-type]
         ("path", "None", lambda: read_shape(None)),  # type: ignore[arg-type]
         ("path", "int", lambda: write_shape(3, SHAPE)),  # type: ignore[arg-type]
-        ("source", "Shape", lambda: Matcher().functional_maps(SHAPE, SHAPE)),  # type: ignore[arg-type]
-        ("source", "Shape", lambda: Matcher().point_maps(SHAPE, SHAPE)),  # type: ignore[arg-type]
-        ("source", "Shape", lambda: Matcher().orientation_warnings(SHAPE, SHAPE)),  # type: ignore[arg-type]
+        ("pair", "Shape", lambda: Matcher().find(SHAPE)),  # type: ignore[arg-type]
+        ("options", "str", lambda: Matcher().match(SHAPE, SHAPE, "partial")),  # type: ignore[arg-type]
+        ("source", "str", lambda: Pair.of(X, SHAPE, Preprocessor(), Matcher().method_of)),
     ],
 )
 def test_an_argument_of_another_kind_is_named_with_what_it_is(name: str, found: str, call: Call) -> None:
@@ -176,14 +176,12 @@ def test_a_length_that_is_no_number_is_refused() -> None:
     assert "scale is 'x'" in refusal(lambda: unit_frame(Shape(POINTS), scale=X))
 
 
-def test_a_correspondence_of_other_shapes_is_not_written(tmp_path: Path) -> None:
+def test_maps_of_other_shapes_are_no_match() -> None:
     few, many = Shape(POINTS[:10]), Shape(POINTS)
     ten, thirty = np.zeros(10, dtype=np.int64), np.zeros(30, dtype=np.int64)
-    found = Match(ten, thirty, ten.astype(float), thirty.astype(float), "nearest-features")
-    message = refusal(lambda: write_result(tmp_path / "out", many, many, found, {}))
-    assert message == "source has 30 points, but the correspondence is of 10"
-    assert "target has 10 points" in refusal(lambda: write_result(tmp_path / "out", few, few, found, {}))
-    assert not (tmp_path / "out").exists()
+    message = refusal(lambda: Match(many, many, ten, thirty))
+    assert message.startswith("source_to_target has shape (10,), but must have one entry per point")
+    assert "target_to_source has shape (30,)" in refusal(lambda: Match(few, few, ten, thirty))
 
 
 def test_the_package_itself_offers_what_the_messages_name() -> None:

@@ -32,7 +32,7 @@ def many(root, n):
     return ShapeFolder.open(root)
 
 
-def test_names_shapes_and_common_points(folder):
+def test_names_shapes_and_template_points(folder):
     found = ShapeFolder.open(str(folder))
     assert found.names == ("a", "b", "c", "d")
     assert found.root == folder
@@ -123,7 +123,7 @@ def message(call):
     return str(caught.value)
 
 
-def test_parts_lack_some_common_points(folder):
+def test_parts_lack_some_template_points(folder):
     (folder / "corres" / "a.vts").write_text("5\n-1\n7\n")
     assert ShapeFolder.open(folder).template_correspondence("a").tolist() == [4, -1, 6]
 

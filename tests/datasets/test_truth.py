@@ -218,7 +218,7 @@ def test_pairs_of_a_shape_that_is_left_out(maps_set):
 # ---- template correspondence
 
 
-def test_common_points_that_either_lacks_are_not_asked_for(tmp_path, make):
+def test_template_points_that_either_lacks_are_not_asked_for(tmp_path, make):
     (tmp_path / "off").mkdir()
     (tmp_path / "corres").mkdir()
     for name, lines in (("a", "5 6 -1 8 9"), ("b", "1 -1 3 4 2")):

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.sparse.csgraph import dijkstra
 
-from homolog.evaluation import PCK_THRESHOLD, area_under_pck, least_confident_share, pck_curve
+from homolog.evaluation import PCK_THRESHOLD, area_under_pck, geodesic_diameter, least_confident_share, pck_curve
+from homolog.geometry import edge_graph
+from homolog.shapes import Shape, face_areas
 
 
 @pytest.fixture
@@ -50,3 +53,27 @@ def test_least_confident_share():
     assert least_confident_share(errors, -confidences) == 0
     assert least_confident_share(errors, confidences, fraction=1.0) == 1
     assert np.isnan(least_confident_share(np.zeros(10), confidences))
+
+
+def all_pairs(shape):
+    """The largest finite distance along edges between two points, over the root of the area."""
+    distances = dijkstra(edge_graph(shape.points, shape.faces))
+    return distances[np.isfinite(distances)].max() / np.sqrt(face_areas(shape.points, shape.faces).sum())
+
+
+def test_the_diameter_is_nearly_the_largest_of_all_distances(make):
+    rng = np.random.default_rng(0)
+    for shape in (make.sphere(2), make.grid(12), make.blob(2)):
+        for _ in range(10):
+            stretched = Shape(shape.points * rng.uniform(0.3, 3, 3), shape.faces)
+            moved = make.relabelled(stretched, rng.permutation(shape.n_points))  # whichever point comes first
+            assert 0.94 * all_pairs(moved) <= geodesic_diameter(moved) <= (1 + 1e-9) * all_pairs(moved)
+
+
+def test_the_diameter_is_that_of_the_body_not_of_small_components(make):
+    body = make.blob(2)
+    for first in (False, True):
+        littered = make.littered(body, 40, first=first)
+        area = [face_areas(shape.points, shape.faces).sum() for shape in (body, littered)]
+        expected = geodesic_diameter(body) * np.sqrt(area[0] / area[1])
+        assert geodesic_diameter(littered) == pytest.approx(expected, rel=0.03)

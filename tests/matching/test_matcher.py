@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from homolog.core import pretrained as pretrained_module
 from homolog.core.errors import ArgumentError, HomologError, ShapeError, WeightsError
 from homolog.core.progress import Timings
 from homolog.features import FeatureInfo
-from homolog.features import weights as weights_module
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.maps import normalised, sinkhorn_matches
 from homolog.matching import MapQuality, Match, Matcher, Quality, low_confidence_warnings
@@ -389,7 +389,7 @@ def test_weights_that_are_not_there():
 def test_weights_by_name(weights, tmp_path, monkeypatch):
     """As the command line finds them."""
     (tmp_path / "blobs.safetensors").write_bytes(weights.read_bytes())
-    monkeypatch.setattr(weights_module, "_PRETRAINED", tmp_path)
+    monkeypatch.setattr(pretrained_module, "_FOLDER", tmp_path)
     assert Matcher.from_weights("blobs", device="cpu").extractor.info.name == "blobs"
     with pytest.raises(
         WeightsError, match=r"no weights 'people'; give the path of a file, or one of the pretrained ones: blobs"

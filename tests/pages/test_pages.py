@@ -29,7 +29,11 @@ from homolog.shapes import Shape, write_shape
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", DOCS / "index.md", *sorted((DOCS / "tutorials").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    *(DOCS / f"{name}.md" for name in ("index", "matching", "extending")),
+    *sorted((DOCS / "tutorials").glob("*.md")),
+]
 SHELLS = ("sh", "bash", "console", "shell")
 HERE = Path(__file__).parent
 # What blocks call beside homolog; what would set up whole environments is only looked at.
@@ -163,7 +167,7 @@ def give_blobs(folder, make):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_blocks_run(page, programs, make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    if page.name == "README.md":
+    if page.name in ("README.md", "matching.md"):
         give_for_readme(tmp_path, make)
     Reader(programs).read(page)
 

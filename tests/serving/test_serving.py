@@ -99,7 +99,7 @@ def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
     assert (got / "view.html").read_bytes() == page
     result = Match.load(got)
     order = result.source.points[:, 0].argsort()
-    assert np.mean(result.found.target_to_source == order) > 0.9
+    assert np.mean(result.target_to_source == order) > 0.9
     assert result.report["inputs"]["source"]["file"] == str(Path("source", "one.off"))
     # What the page has, the server forgets; and it has written nothing anywhere else.
     assert user.ask("DELETE", path)[0] == 204

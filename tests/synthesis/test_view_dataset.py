@@ -102,7 +102,7 @@ def test_views_lead_to_the_shape_that_they_are_paired_with(written, make):
             assert maps[f"{kind}_to_full"].tolist() == expected.tolist()
 
 
-def test_common_points_of_views(written):
+def test_template_points_of_views(written):
     folder = ShapeFolder.open(written)
     for entry in manifest(written)["views"]:
         own, seen = folder.template_correspondence(entry["viewed"]), folder.template_correspondence(entry["name"])

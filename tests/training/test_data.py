@@ -201,7 +201,7 @@ def test_what_is_wrong_is_said(meshes, parts, tmp_path, small):
         with pytest.raises(DataError, match=words):
             TrainingSet.open(root, small(**changes))
     (parts / "cuts" / "lone.off").write_bytes((parts / "null" / "cat.off").read_bytes())
-    with pytest.raises(DataError, match="lone: no complete shape"):
+    with pytest.raises(DataError, match="lone: no full shape"):
         TrainingSet.open(parts, small(partial={}))
     (parts / "cuts" / "cat.off").write_bytes((parts / "null" / "cat.off").read_bytes())
     with pytest.raises(DataError, match="have one name"):

@@ -188,7 +188,7 @@ def test_parts_are_scored_as_parts(meshes, small, tmp_path, monkeypatch, pre_ali
 def test_training_can_begin_with_weights(trained, meshes, small, tmp_path):
     """Where it begins is where the other training ended, however it is interrupted; then it moves on."""
     recipe, run, _, _ = trained
-    begun, _ = load_weights(run / "weights.safetensors")
+    begun = load_weights(run / "weights.safetensors").network
     fresh = loop.train(recipe, meshes, tmp_path / "fresh", device="cpu")
     untrained = small(training={"steps": 1}, optimiser={"learning_rate": 1e-12}, network={"dropout": 0.2})
     state = loop.train(untrained, meshes, tmp_path / "one", device="cpu", weights=run / "weights.safetensors")
@@ -198,7 +198,7 @@ def test_training_can_begin_with_weights(trained, meshes, small, tmp_path):
         state = loop.train(recipe, meshes, tmp_path / name, device="cpu", weights=run / "weights.safetensors")
     assert alike(tmp_path / "a", tmp_path / "b") and not alike(tmp_path / "a", tmp_path / "fresh")
     assert fresh.step == state.step == 6
-    info = load_weights(run / "weights.safetensors")[1]
+    info = load_weights(run / "weights.safetensors").info
     report = json.loads((tmp_path / "a" / "report.json").read_text())
     assert report["started_from"] == {"name": "small", "licence": "CC0-1.0", "sha256": info.sha256}
     assert json.loads((tmp_path / "fresh" / "report.json").read_text())["started_from"] is None

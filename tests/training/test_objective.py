@@ -12,7 +12,7 @@ from torch import Tensor
 
 from homolog.core.errors import ArgumentError
 from homolog.features import DiffusionNet, NetworkSettings, load_weights
-from homolog.features.weights import _own_name
+from homolog.features.published import LAYOUTS
 from homolog.geometry import Basis, OperatorSettings, compute_operators
 from homolog.maps import functional_map, registered_positions, resolvent_mask
 from homolog.shapes import Shape
@@ -387,7 +387,7 @@ def test_gradients_of_a_pair_are_those_of_the_published_code(published, faust) -
     names = [name for name in faust if name.startswith("grad:")]
     assert len(names) == 16
     for name in names:
-        found, expected = parameters[_own_name(name.removeprefix("grad:"))].grad.numpy(), faust[name]
+        found, expected = parameters[LAYOUTS[0].own_name(name.removeprefix("grad:"))].grad.numpy(), faust[name]
         assert np.linalg.norm(found - expected) < 1e-2 * np.linalg.norm(expected), name
 
 

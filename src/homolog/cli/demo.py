@@ -13,7 +13,6 @@ from homolog.cli.options import OUTPUT, Quiet, build_matcher, check_folder
 from homolog.cli.progress import progress_bar
 from homolog.core.progress import Timings
 
-_DATA = Path(__file__).parents[1] / "demo_data"
 _SOURCE, _TARGET = "amber", "boris"
 _LARGEST_ERROR = 5.0
 # Points this far from the middle, as a share of the body's width, are clearly left or right.
@@ -36,8 +35,8 @@ def demo(
     from homolog.cli.match import counted
 
     check_folder(output, names=homolog.matching.RESULT_FILES)
-    folder = homolog.datasets.ShapeFolder.open(_DATA)
-    files = [_DATA / "off" / f"{name}.off" for name in (_SOURCE, _TARGET)]
+    folder = homolog.datasets.demo_folder()
+    files = [folder.file(name) for name in (_SOURCE, _TARGET)]
     with progress_bar(quiet=quiet) as progress:
         timings = Timings(listener=counted(progress))
         found = build_matcher(None, "auto", "auto", no_cache=True).match(files[0], files[1], timings=timings)

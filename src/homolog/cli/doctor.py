@@ -20,6 +20,8 @@ _EXTRAS = {
     "transfer": ("pillow", "xatlas"),
     "volumes": ("SimpleITK", "scikit-image", "fast-simplification"),
     "picture": ("pillow",),
+    "plot": ("matplotlib",),
+    "geodesics": ("potpourri3d",),
     "serve": ("anyio", "filelock", "starlette", "uvicorn"),
     "collection": ("h5py", "matplotlib", "pillow"),
     "docs": ("mkdocs-material", "mkdocstrings"),

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -175,10 +175,7 @@ def evaluate(
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_json(json)
-    for file in (csv, plot):
-        if file is not None:
-            check_file(file)
+    _check(json, (csv, plot), [path for path in (data, maps, pairs) if path is not None])
     if maps is not None and (weights is not None or adapt):
         raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
     check_inputs(weights=weights)
@@ -210,23 +207,32 @@ def evaluate(
         write_csv(csv, evaluation.rows())
     if plot is not None:
         homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
-    if json is not None:
-        report = {
-            **evaluation.to_dict(),
-            "data": str(folder.root),
-            "dataset": description.name or None,
-            "up": folder.up,
-            "protocol": asdict(protocol),
-            "adapt": adapt,
-            **({"maps": str(maps)} if matcher is None else matcher.describe()),
-            "command": ["homolog", *sys.argv[1:]],
-            "versions": versions(),
-        }
-        write_figures(json, report)
+    made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **matcher.describe()}
+    write_figures(json, {**evaluation.to_dict(), **_setup(folder, protocol), **made_by})
     if not quiet and not on_stdout(json):
         from rich.console import Console
 
         Console().print(_table(evaluation, folder, protocol))
+
+
+def _check(json: Path | None, files: Iterable[Path | None], inputs: list[Path]) -> None:
+    """Refuse outputs that cannot be written, or would replace an input, before PyTorch is loaded."""
+    check_json(json, inputs=inputs)
+    for file in files:
+        if file is not None:
+            check_file(file, inputs=inputs)
+
+
+def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:
+    """What was evaluated, and how, for JSON."""
+    return {
+        "data": str(folder.root),
+        "dataset": folder.description.name or None,
+        "up": folder.up,
+        "protocol": asdict(protocol),
+        "command": ["homolog", *sys.argv[1:]],
+        "versions": versions(),
+    }
 
 
 def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:

@@ -34,7 +34,7 @@ def info(
     from rich.console import Console
     from rich.markup import escape
 
-    check_json(json)
+    check_json(json, inputs=files)
     entries, failed = list[dict[str, Any]](), False
     for file in files:
         try:
@@ -47,7 +47,9 @@ def info(
         failed |= not report.usable
         entries.append({"file": str(file), "format": _format(file), **report.to_dict()})
         if not on_stdout(json):
-            Console().print(_table(file, report))
+            console = Console()
+            console.print(escape(str(file)), style="bold", soft_wrap=True, highlight=False)  # never wrapped or cut
+            console.print(_table(file, report))
     write_figures(json, entries)
     if failed:
         raise typer.Exit(2)
@@ -61,7 +63,7 @@ def _table(file: Path, report: homolog.Report) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=escape(str(file)), show_header=False, title_justify="left", title_style="bold")
+    table = Table(show_header=False)
     for label, value in _rows(file, report):
         table.add_row(label, escape(value))
     styles = {"note": "", "repaired": "yellow", "unusable": "bold red"}

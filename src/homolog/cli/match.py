@@ -116,8 +116,8 @@ def match(
     check_inputs(source, target, weights=weights)
     check_folder(output, inputs=(source, target), names=homolog.matching.RESULT_FILES)
     if page is not None:
-        check_file(page)
-    check_picture_file(picture, lines, picture_width)
+        check_file(page, inputs=(source, target))
+    check_picture_file(picture, lines, picture_width, inputs=(source, target))
     options = homolog.PairOptions(
         as_cloud=as_cloud,
         partial=partial,

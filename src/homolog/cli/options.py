@@ -16,7 +16,7 @@ import homolog
 from homolog.cli.lazy import OTHER
 from homolog.core.choices import PICTURE_WIDTHS, Device
 from homolog.core.errors import ArgumentError, bad_choice
-from homolog.core.files import expanded, write_json
+from homolog.core.files import expanded, refuse_overwriting_inputs, write_json
 from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
 from homolog.methods import method_names
 
@@ -51,6 +51,7 @@ MethodOption = Annotated[
         "--method",
         metavar="METHOD",
         callback=_checked_method,
+        autocompletion=lambda: list(method_names()),
         help="functional-map: functional maps, for two meshes. nearest-features: the most similar features, for clouds "
         "and for shapes that stretch. registration: fits the source to the target, for shapes in the same pose, such "
         "as organs; needs no weights. axiomatic: wave kernel signatures; needs no weights. auto: functional-map for "
@@ -190,10 +191,10 @@ def check_inputs(*shapes: Path, weights: str | None = None) -> None:
         homolog.shapes.check_suffix(file)
 
 
-def check_json(output: Path | None) -> None:
-    """Refuse a JSON file that cannot be written."""
+def check_json(output: Path | None, *, inputs: Iterable[Path] = ()) -> None:
+    """Refuse a JSON file that cannot be written, or would replace an input."""
     if output is not None and not on_stdout(output):
-        check_file(output)
+        check_file(output, inputs=inputs)
 
 
 def on_stdout(output: Path | None) -> bool:
@@ -228,24 +229,27 @@ def check_folder(output: Path, *, inputs: Iterable[Path] = (), names: Iterable[s
         raise ArgumentError(f"{output} cannot be made a folder, {nearest} is a file; give another -o")
     if not os.access(nearest, os.W_OK):
         raise ArgumentError(f"{output} cannot be written to: {nearest} is read-only; give another -o")
-    given = {expanded(path).resolve() for path in inputs}
+    names = list(names)
+    refuse_overwriting_inputs([folder / name for name in names], inputs)
     for name in names:
-        if (folder / name).resolve() in given:
-            raise ArgumentError(f"{folder / name} is an input and would be replaced by the result; give another -o")
         if (folder / name).is_dir():
             raise ArgumentError(f"{folder / name} is a folder, where a result file belongs; give another -o")
 
 
-def check_file(output: Path) -> None:
-    """Refuse a result file that cannot be written, before any work is done for it; nothing is made or changed."""
+def check_file(output: Path, *, inputs: Iterable[Path] = ()) -> None:
+    """Refuse a result file that cannot be written, or would replace an input, before any work is done for it.
+
+    Nothing is made or changed.
+    """
+    refuse_overwriting_inputs([output], inputs)
     if fault := _fault(expanded(output).resolve()):
         raise ArgumentError(f"{output} cannot be written: {fault}")
 
 
-def check_picture_file(output: Path | None, lines: int, width: int) -> None:
+def check_picture_file(output: Path | None, lines: int, width: int, *, inputs: Iterable[Path] = ()) -> None:
     """Refuse a picture that cannot be written, or what says how to draw one that is not wanted, before any work."""
     if output is not None:
-        check_file(output)
+        check_file(output, inputs=inputs)
         homolog.viewing.check_picture(output)
     elif lines or width != PICTURE_WIDTH:
         option = "--lines" if lines else "--picture-width"

@@ -66,7 +66,7 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
     Raises:
         ArgumentError: naming the first such output.
 
-    Example:
+    Examples:
         >>> refuse_overwriting_inputs(["map.npz"], ["source.ply", "target.ply"])
     """
     read = [path for path in map(expanded, inputs) if path.exists()]

@@ -20,9 +20,6 @@ def ignore(*_: object) -> None:
     """A callback that does nothing: the default for progress and results that nobody listens to."""
 
 
-no_progress: Progress = ignore
-
-
 @dataclass(frozen=True)
 class Timing:
     """Time and memory of one step.

@@ -22,7 +22,6 @@ from typing import (
     get_type_hints,
 )
 
-import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
@@ -68,7 +67,7 @@ class Settings:
     Raises:
         ArgumentError: if a value is not as annotated, or ``check`` refuses it.
 
-    Example:
+    Examples:
         >>> from dataclasses import dataclass
         >>> @dataclass(frozen=True, kw_only=True)
         ... class Sampling(Settings):
@@ -214,6 +213,6 @@ def _table_of(settings: type) -> TypeAdapter[dict[str, Any]]:
 
 
 def _tuples(value: Any) -> Any:
-    if isinstance(value, np.generic):  # numpy's numbers count as Python's
+    if type(value).__module__ == "numpy" and hasattr(value, "item"):  # numpy's numbers count as Python's
         return value.item()
     return tuple(map(_tuples, value)) if isinstance(value, list) else value

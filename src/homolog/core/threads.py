@@ -16,7 +16,7 @@ def tune_threads() -> None:
     the speed on an idle one. ``THP_MEM_ALLOC_ENABLE=1``: PyTorch takes memory in large pages where the system has them,
     as fresh memory costs as much as the matrix product that fills it.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> homolog.tune_threads()
         >>> import torch

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from homolog.datasets.checking import DatasetReport, check_dataset, counted
     from homolog.datasets.description import DatasetDescription, builtin_descriptions, read_description
     from homolog.datasets.files import mesh_files
-    from homolog.datasets.folder import Pair, ShapeFolder, drawn_pairs, partner
+    from homolog.datasets.folder import Pair, ShapeFolder, demo_folder, drawn_pairs, partner
     from homolog.datasets.truth import Counterparts, GroundTruth, Truth, read_truth
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "builtin_descriptions",
     "check_dataset",
     "counted",
+    "demo_folder",
     "drawn_pairs",
     "mesh_files",
     "partner",
@@ -47,6 +48,7 @@ _MODULES = {
     "builtin_descriptions": "description",
     "check_dataset": "checking",
     "counted": "checking",
+    "demo_folder": "folder",
     "drawn_pairs": "folder",
     "mesh_files": "files",
     "partner": "folder",

@@ -56,7 +56,7 @@ def check_dataset(
         description: of the dataset.
         progress: called with the number of files that were read, their total and the current file.
 
-    Example:
+    Examples:
         >>> check_dataset("FAUST_r", read_description("faust_r")).findings  # doctest: +SKIP
         []
     """
@@ -290,7 +290,7 @@ def _range(counts: Sequence[int]) -> tuple[int, int] | None:
 def counted(counts: tuple[int, int] | None) -> str:
     """Format a range of counts; empty if there is none.
 
-    Example:
+    Examples:
         >>> counted((1000, 5000)), counted((20, 20))
         ('1,000 to 5,000', '20')
     """

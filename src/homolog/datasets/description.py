@@ -192,7 +192,7 @@ def read_description(given: str | Path) -> DatasetDescription:
     Raises:
         ArgumentError: if there is neither, or the file is not valid; one line with file and key.
 
-    Example:
+    Examples:
         >>> read_description("faust_r").expected_shapes
         100
     """

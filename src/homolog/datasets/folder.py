@@ -45,7 +45,7 @@ class ShapeFolder:
         full: the names of the full shapes, where these are separate files.
         seed: of the permutation of the rows of files, where the description demands one.
 
-    Example:
+    Examples:
         >>> folder = ShapeFolder.open("FAUST_r", "faust_r")  # doctest: +SKIP
         >>> folder.split("test"), folder.pairs("test")  # doctest: +SKIP
         >>> folder.shape("tr_reg_080"), folder.template_correspondence("tr_reg_080")  # doctest: +SKIP
@@ -305,7 +305,7 @@ def _listed_pairs(path: Path, separator: str) -> tuple[Pair, ...]:
 def path_of(root: Path, pattern: str, name: str) -> Path:
     """The file of a shape by its name and a pattern with one star.
 
-    Example:
+    Examples:
         >>> path_of(Path("data"), "off/*.off", "cat1").as_posix()
         'data/off/cat1.off'
     """
@@ -327,7 +327,7 @@ def partner(name: str, full: Iterable[str]) -> str:
     Raises:
         DataError: if there is none.
 
-    Example:
+    Examples:
         >>> partner("cuts_cat_shape_1", ["cat", "dog"])
         'cat'
     """
@@ -337,10 +337,21 @@ def partner(name: str, full: Iterable[str]) -> str:
     return max(found, key=len)
 
 
+def demo_folder() -> ShapeFolder:
+    """The two demo bodies with their ground truth.
+
+    Examples:
+        >>> from homolog.datasets import demo_folder
+        >>> demo_folder().names
+        ('amber', 'boris')
+    """
+    return ShapeFolder.open(Path(__file__).parents[1] / "demo_data")
+
+
 def class_of(name: str) -> str:
     """The class of a shape: its name without the last number.
 
-    Example:
+    Examples:
         >>> class_of("cat10")
         'cat'
     """
@@ -356,7 +367,7 @@ def drawn_pairs(pairs: Iterable[Pair], count: int, *, seed: int) -> tuple[Pair, 
     Raises:
         ArgumentError: if there are fewer pairs.
 
-    Example:
+    Examples:
         >>> drawn_pairs([("a", "b"), ("b", "a"), ("a", "a")], 1, seed=0)
         (('b', 'a'),)
     """

@@ -29,7 +29,7 @@ class MapsFolder:
     Raises:
         DataError: if there is no such folder.
 
-    Example:
+    Examples:
         >>> from homolog.evaluation import MapsFolder
         >>> MapsFolder(".").file("tr_reg_080", "tr_reg_091") is None
         True

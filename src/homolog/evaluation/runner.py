@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from homolog.core.errors import ArgumentError, DataError
-from homolog.core.progress import Progress, no_progress
+from homolog.core.progress import Progress, ignore
 from homolog.datasets import Counterparts, ShapeFolder, Truth, drawn_pairs
 from homolog.datasets import Pair as PairOfNames
 from homolog.evaluation.metrics import Detection, geodesic_diameter, geodesic_errors
@@ -88,12 +88,12 @@ def evaluate(
         ArgumentError: if more pairs are to be drawn than there are, or a map does not fit its shapes.
         DataError: if the ground truth does not fit the shapes, or not one of its points is matched.
 
-    Example:
+    Examples:
         >>> import homolog
-        >>> from homolog.datasets import ShapeFolder
+        >>> from homolog.datasets import demo_folder
         >>> from homolog.evaluation import Protocol, evaluate
-        >>> folder = ShapeFolder.open(homolog.demo_folder())
-        >>> evaluation = evaluate(homolog.Matcher.from_weights(), folder, Protocol(split="all", n_pairs=1))
+        >>> protocol = Protocol(split="all", n_pairs=1)
+        >>> evaluation = evaluate(homolog.Matcher.from_weights(), demo_folder(), protocol)
         >>> evaluation.to_dict()["mean_geodesic_error"] < 5
         True
     """
@@ -104,7 +104,7 @@ def evaluate(
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
     if matcher is None and match is None:
         raise ArgumentError("matcher is None, but maps must come from a matcher or from match; give one of them")
-    run = _Run(folder, protocol, pairs, metrics or {}, progress or no_progress)
+    run = _Run(folder, protocol, pairs, metrics or {}, progress or ignore)
     source: _Source = _ByFunction(run, match) if match is not None else _ByMatcher(run, matcher, match_pair)
     return run.evaluation(source)
 

@@ -50,7 +50,7 @@ class NetworkFeatures:
         network: the network.
         info: what its weights expect.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> extractor = homolog.load_weights("people")
         >>> extractor.info.name, extractor.network.settings.out_channels
@@ -153,7 +153,7 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
     Raises:
         ArgumentError: if it is nothing of the kind.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> from homolog.maps import heat_kernel_signature, wave_kernel_signature
         >>> from homolog.features import as_extractor

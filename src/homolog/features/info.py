@@ -38,7 +38,7 @@ class FeatureInfo:
     Raises:
         ArgumentError: if one of them is of another kind or size.
 
-    Example:
+    Examples:
         >>> from homolog.features import FeatureInfo
         >>> FeatureInfo(name="mine", upright=False).near_isometric
         True

@@ -1,7 +1,7 @@
 """Weights that other projects released, by the layout of their checkpoints.
 
 A layout is known by the names of its tensors. A checkpoint is read for its tensors alone and cannot run code. Another
-layout is another entry of ``_LAYOUTS``.
+layout is another entry of ``LAYOUTS``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _WKS_TEMPERATURE = 0.07
 
 
 @dataclass(frozen=True)
-class _Layout:
+class Layout:
     """How a project names the tensors of a DiffusionNet.
 
     Args:
@@ -43,6 +43,12 @@ class _Layout:
     names: tuple[tuple[str, str], ...]
     gradient_product: GradientProduct
 
+    def own_name(self, name: str) -> str:
+        """What Homolog calls a tensor of the layout."""
+        for theirs, ours in self.names:
+            name = re.sub(theirs, ours, name)
+        return name
+
 
 _BLOCK_NAMES = (
     (r"\.diffusion\.diffusion_time$", ".times"),
@@ -50,16 +56,16 @@ _BLOCK_NAMES = (
     (r"\.gradient_features\.A_im\.", ".imaginary."),
     (r"\.mlp\.miniMLP_linear_00(\d)\.", r".perceptron.\1."),
 )
-_LAYOUTS = (
+LAYOUTS = (
     # Cao and Bernard, "Self-supervised learning for multimodal non-rigid 3D shape matching", CVPR 2023, and
     # Cao, Roetzer and Bernard, "Unsupervised learning of robust spectral shape matching", SIGGRAPH 2023.
-    _Layout(
+    Layout(
         "first_linear.weight",
         ((r"^first_linear\.", "first."), (r"^last_linear\.", "last."), *_BLOCK_NAMES),
         "published",
     ),
     # Sharp et al., "DiffusionNet", ACM TOG 2022, and what builds on its code.
-    _Layout(
+    Layout(
         "first_lin.weight",
         (
             (r"^first_lin\.", "first."),
@@ -84,13 +90,13 @@ def read_published(path: Path) -> tuple[NetworkSettings, FeatureInfo, dict[str, 
     except UnpicklingError:
         raise ValueError("it holds something other than numbers, or is damaged") from None
     given = _parameters(checkpoint)
-    layout = next((layout for layout in _LAYOUTS if layout.first in given), None)
+    layout = next((layout for layout in LAYOUTS if layout.first in given), None)
     if layout is None:
         raise WeightsError(
-            f"{path} has no tensor {' or '.join(layout.first for layout in _LAYOUTS)}; known are checkpoints of "
+            f"{path} has no tensor {' or '.join(layout.first for layout in LAYOUTS)}; known are checkpoints of "
             "DiffusionNets by the paper's authors and by those of DiffusionNet"
         )
-    tensors = {_renamed(name, layout): tensor for name, tensor in given.items()}
+    tensors = {layout.own_name(name): tensor for name, tensor in given.items()}
     settings = NetworkSettings(
         in_channels=tensors["first.weight"].shape[1],
         out_channels=tensors["last.weight"].shape[0],
@@ -107,14 +113,10 @@ def _parameters(checkpoint: Any) -> dict[str, Tensor]:
     for container in _CONTAINERS:
         if isinstance(found, Mapping) and container in found:
             found = found[container]
-    named = {re.sub(r"^(module\.)?(feature_extractor\.)?", "", name): tensor for name, tensor in found.items()}
-    return {name: tensor for name, tensor in named.items() if isinstance(tensor, Tensor)}
-
-
-def _renamed(name: str, layout: _Layout) -> str:
-    for theirs, ours in layout.names:
-        name = re.sub(theirs, ours, name)
-    return name
+    named = {name.removeprefix("module."): tensor for name, tensor in found.items() if isinstance(tensor, Tensor)}
+    # What else a model is made of lies beside its features.
+    prefix = "feature_extractor." if any(name.startswith("feature_extractor.") for name in named) else ""
+    return {name.removeprefix(prefix): tensor for name, tensor in named.items() if name.startswith(prefix)}
 
 
 def _info(path: Path, settings: NetworkSettings) -> FeatureInfo:

@@ -42,9 +42,10 @@ def save_weights(path: str | Path, network: DiffusionNet, info: FeatureInfo) -> 
 
 
 def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
-    """Read a network in evaluation mode from a safetensors file of ours or a ``.pth`` of the paper's authors.
+    """Read a network in evaluation mode from a safetensors file of ours, or from a ``.pth`` of another project.
 
-    Neither can run code: a ``.pth`` is read for its tensors alone.
+    Neither can run code: a ``.pth`` is read for its tensors alone. The layouts that are known are those of the paper's
+    authors (CVPR 2023, and their later networks on wave kernel signatures) and of DiffusionNet's.
 
     Args:
         weights: the file, or the name of weights that ship with the package.
@@ -52,6 +53,11 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     Raises:
         ArgumentError: if ``weights`` is neither.
         WeightsError: if the file is missing, damaged, or not the weights of such a network.
+
+    Examples:
+        >>> import homolog
+        >>> homolog.load_weights("people").info.licence
+        'CC0-1.0'
     """
     check_kind("weights", weights, PathLike, str)
     path = weights_file(weights)

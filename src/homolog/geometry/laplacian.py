@@ -60,7 +60,7 @@ def mesh_laplacian(
     See Also:
         ``compute_operators`` for all of a shape's operators.
     """
-    mesh = Shape(points, faces, name="the mesh")
+    mesh = Shape(points, faces, name="the mesh", allow_broken=True)
     require_usable(mesh, fewest=3)
     if kind == "robust":
         with _degenerate_if_refused():

@@ -63,7 +63,7 @@ def heat_kernel_signature(
     Sun, Ovsjanikov and Guibas, "A concise and provably informative multi-scale signature based on heat diffusion",
     SGP 2009; with the times of Sharp et al., "DiffusionNet", ACM TOG 2022.
 
-    Example:
+    Examples:
         >>> import torch
         >>> from homolog.maps import heat_kernel_signature
         >>> heat_kernel_signature(torch.tensor([0.0, 1.0]), torch.ones(5, 2), n_times=3).shape

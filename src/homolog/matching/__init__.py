@@ -3,8 +3,9 @@
 from homolog.matching.alignment import Alignment, align_partial, best_alignment
 from homolog.matching.choice import method_name, needs_features
 from homolog.matching.colours import matched_colours, position_colours
+from homolog.matching.in_one_call import match
 from homolog.matching.inputs import with_inputs
-from homolog.matching.matcher import Matcher, match
+from homolog.matching.matcher import Matcher
 from homolog.matching.quality import MEASURES, MapQuality, Quality
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_point_map

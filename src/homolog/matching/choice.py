@@ -9,8 +9,9 @@ import torch
 
 from homolog.core.errors import ArgumentError
 from homolog.features import FeatureExtractor, on_device
-from homolog.methods import AUTO, Method, as_method, find_method
-from homolog.pairs import MatcherSettings, PairOptions
+from homolog.methods import AUTO, as_method, find_method
+from homolog.pairs import MatcherSettings, Method
+from homolog.shapes import Modality
 
 _log = logging.getLogger(__name__)
 
@@ -55,14 +56,15 @@ def needs_features(settings: MatcherSettings) -> bool:
     return method.supports.needs_features and getattr(method, "features", None) is None
 
 
-def check_supported(method: Method, options: PairOptions) -> None:
-    """Refuse a partial shape where the method knows full shapes alone.
+def method_between(
+    source: Modality, target: Modality, method: Method, settings: MatcherSettings, extractor: FeatureExtractor | None
+) -> Method:
+    """The method for two shapes of these modalities.
 
-    Raises:
-        ArgumentError: naming the method, and what to give in its place.
+    The one that was chosen; of ``"auto"`` ``axiomatic`` without features, ``functional-map`` for two meshes of
+    near-isometric kind, and ``nearest-features`` otherwise.
     """
-    if options.partial is not None and not method.supports.partial:
-        raise ArgumentError(
-            f"partial is {options.partial!r}, but the method {method.name!r} matches full shapes; "
-            "use 'auto' for partial ones"
-        )
+    if settings.method != AUTO or extractor is None or method.name == "axiomatic":
+        return method
+    spectral = source == target == "mesh" and extractor.info.near_isometric
+    return as_method(find_method("functional-map" if spectral else "nearest-features"))

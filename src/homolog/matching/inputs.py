@@ -59,4 +59,4 @@ def with_inputs(match: Match, files: dict[Side, dict[str, str]], timings: Timing
     known = match.report["inputs"]
     inputs = {side: {**files[side], **known[side]} for side in files}
     timed = [asdict(step) for step in timings.finished]
-    return replace(match, report={**match.report, "inputs": inputs, "adapt": adapt, "steps": timed})
+    return replace(match, report={**match.report, "inputs": inputs, "adapt": adapt, "timings": timed})

@@ -13,24 +13,25 @@ from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.progress import Timings
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
-from homolog.geometry import OperatorCache, OperatorSettings, compute_operators
+from homolog.geometry import OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
-from homolog.matching.choice import check_supported, chosen_method, extractor_for, method_name, needs_features
+from homolog.matching.choice import chosen_method, extractor_for, method_between, method_name
 from homolog.matching.inputs import options_of, read_inputs, with_inputs
 from homolog.matching.orientation import pair_orientation_warnings
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match
 from homolog.matching.warnings import blaming, low_confidence_warnings, unit_warnings
-from homolog.methods import AUTO, Method, as_method, find_method
 from homolog.pairs import (
     Device,
     MatcherSettings,
+    Method,
     OperatorSource,
     Pair,
     PairOptions,
     PreprocessedShape,
     Preprocessor,
     Side,
+    check_supported,
     choose_device,
 )
 from homolog.shapes import Modality
@@ -51,7 +52,7 @@ class Matcher:
     Raises:
         ArgumentError: if something given is of another kind, or the method needs features and there are none.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> source, target = homolog.demo_shapes()
         >>> matcher = homolog.Matcher.from_weights("people")
@@ -78,7 +79,6 @@ class Matcher:
             )
         self.settings = settings or MatcherSettings()
         self.device = choose_device(device)
-        self._auto = self.settings.method == AUTO
         given = None if features is None else as_extractor(features, info)
         self._method = chosen_method(self.settings, given)
         self.extractor = extractor_for(self._method, given, self.settings, self.device)
@@ -118,15 +118,8 @@ class Matcher:
         return Matcher(extractor, settings=self.settings, device=self.device, operators=self.preprocess.source)
 
     def method_of(self, source: Modality, target: Modality) -> Method:
-        """How two shapes of these modalities are matched.
-
-        By the method that was chosen; else by ``axiomatic`` without features, ``functional-map`` for two meshes of
-        near-isometric kind, and ``nearest-features`` otherwise.
-        """
-        if not self._auto or self.extractor is None or self._method.name == "axiomatic":
-            return self._method
-        spectral = source == target == "mesh" and self.extractor.info.near_isometric
-        return as_method(find_method("functional-map" if spectral else "nearest-features"))
+        """How two shapes of these modalities are matched; see ``MatcherSettings``."""
+        return method_between(source, target, self._method, self.settings, self.extractor)
 
     def describe(self) -> dict[str, Any]:
         """Features, settings and device, for reports."""
@@ -179,26 +172,31 @@ class Matcher:
         """Read and preprocess two shapes for each other; also which files they came from. See ``match``."""
         timings = timings or Timings()
         options = options_of(options, words)
-        check_supported(self._method, options)
-        shapes, files = read_inputs(source, target, timings)
+        check_supported(self._method, options)  # before anything is computed
+        (first, second), files = read_inputs(source, target, timings)
         pair = Pair.of(
-            *shapes, self.preprocess, options=options, settings=self._resolved, features=features, timings=timings
+            first,
+            second,
+            self.preprocess,
+            self.method_of,
+            options=options,
+            settings=self._resolved,
+            features=features,
+            timings=timings,
         )
         return pair, files
 
     def paired(self, source: PreprocessedShape, target: PreprocessedShape, options: PairOptions | None = None) -> Pair:
         """Two shapes that ``preprocess`` gave, as a pair."""
-        return Pair(source, target, options or PairOptions(), self._resolved, self.extractor)
+        method = self.method_of(source.modality, target.modality)
+        return Pair(source, target, options or PairOptions(), self._resolved, method, self.extractor)
 
     @torch.no_grad()
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        method = self.method_of(pair.source.modality, pair.target.modality)
-        check_supported(method, pair.options)
-        pair = align_partial(pair)
-        maps = method(pair)
-        return Match.of(pair, refine(pair, maps) if method.supports.refinement else maps, method=method.name)
+        aligned = align_partial(pair)
+        return Match.of(aligned, refine(aligned, aligned.method(aligned)))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result, their units and how they stand; see ``match``."""
@@ -207,7 +205,7 @@ class Matcher:
         with timings.measure("map"), blaming(units):
             match = self.find(pair)
         with timings.measure("check orientation"):
-            turned = pair_orientation_warnings(pair, self.method_of(pair.source.modality, pair.target.modality).name)
+            turned = pair_orientation_warnings(pair)
             warnings = (*units, *turned, *low_confidence_warnings(match, self.settings.warnings))
         if pair.options.strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")
@@ -216,52 +214,3 @@ class Matcher:
     def __repr__(self) -> str:
         features = "no features" if self.extractor is None else repr(self.extractor.info.name)
         return f"Matcher({features}, method={self.settings.method!r}, device={str(self.device)!r})"
-
-
-def match(
-    source: Any,
-    target: Any,
-    *,
-    weights: str | Path | None = None,
-    features: Any = None,
-    method: Any = AUTO,
-    settings: MatcherSettings | None = None,
-    device: Device | torch.device = "auto",
-    **options: Any,
-) -> Match:
-    """Match two shapes: for every point of each, the corresponding point of the other.
-
-    Operators are kept in the user's cache, as by the command.
-
-    Args:
-        source: a path, a shape, or whatever ``as_shape`` takes.
-        target: another.
-        weights: pretrained weights by name, or a file; by default those for people, where the method needs any.
-        features: features of one's own in their place: a function of operators, a module, or two arrays (n, d), one for
-            each shape as given.
-        method: name of a method, or one of one's own; see ``MatcherSettings``.
-        settings: how maps are made; the method is the one given here.
-        device: where to compute.
-        **options: the fields of ``PairOptions``, such as ``partial="source"`` or ``as_cloud="both"``.
-
-    Raises:
-        ArgumentError: if something given is of another kind.
-        ShapeError: if a shape cannot be read or used.
-
-    Example:
-        >>> import homolog
-        >>> source, target = homolog.demo_shapes()
-        >>> match = homolog.match(source, target)
-        >>> paths = match.save("result")
-    """
-    settings = replace(settings or MatcherSettings(), method=method)
-    arrays = features if isinstance(features, tuple) else None
-    if arrays is not None:
-        extractor: Any = FeatureInfo(name="given", input="operators", upright=False)
-    elif features is not None:
-        extractor = features
-    else:
-        needs = method == AUTO or (method != "axiomatic" and needs_features(settings))
-        extractor = load_weights(weights or DEFAULT_WEIGHTS) if needs or weights is not None else None
-    matcher = Matcher(extractor, settings=settings, device=device, operators=OperatorCache.default().operators)
-    return matcher.match(source, target, features=arrays, **options)

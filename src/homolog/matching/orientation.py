@@ -106,18 +106,17 @@ def _turns_of_both(up: Up) -> tuple[Turn, ...]:
 
 
 @torch.no_grad()
-def pair_orientation_warnings(pair: Pair, method: str) -> tuple[str, ...]:
+def pair_orientation_warnings(pair: Pair) -> tuple[str, ...]:
     """What to tell the user if the shapes of a pair do not stand alike, or not as their features expect.
 
     Args:
         pair: two preprocessed shapes. Features of a partial shape differ from those of the full one by more than a turn
             makes, so that nothing is said of them.
-        method: how the pair is matched.
     """
     extractor, source, target = pair.extractor, pair.source, pair.target
     if pair.is_partial:
         return ()
-    if extractor is None or method == "axiomatic":
+    if extractor is None or pair.method.name == "axiomatic":
         return tuple(axiomatic_warnings(source.operators, target.operators, ups=(source.up, target.up)))
     if not (extractor.info.upright and extractor.info.follows_pose):
         return ()

@@ -9,14 +9,14 @@ from homolog.pairs import Pair, PointMaps
 def refine(pair: Pair, maps: PointMaps) -> PointMaps:
     """Point maps refined by ZoomOut, guided by features; as they are where the settings say so.
 
-    Nothing is refined whose features are for shapes that are not nearly isometric.
+    Nothing is refined whose method gives no near-isometric maps, or whose features are for other shapes.
 
     Args:
         pair: the shapes, with features.
         maps: between them.
     """
     settings = pair.settings.refinement
-    if settings is None or not pair.near_isometric:
+    if settings is None or not (pair.near_isometric and pair.method.supports.refinement):
         return maps
     x, y = pair.x.operators, pair.y.operators
     features = normalised(pair.x.needed_features()), normalised(pair.y.needed_features())

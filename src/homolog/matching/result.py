@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,9 @@ from homolog.shapes import Shape, repair
 if TYPE_CHECKING:
     from PIL.Image import Image
 
+# What shows a match stands above it, and is loaded when it is asked for.
+_VIEWING = "homolog.viewing"
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Match:
@@ -47,7 +51,7 @@ class Match:
     Raises:
         ArgumentError: if an array is not of the length that its shape asks for, or an index is that of no point.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> source, target = homolog.demo_shapes()
         >>> match = homolog.match(source, target, method="axiomatic")
@@ -82,7 +86,7 @@ class Match:
             object.__setattr__(self, f"{side}_confidence", trust)
 
     @classmethod
-    def of(cls, pair: Pair, maps: PointMaps, *, method: str) -> Match:
+    def of(cls, pair: Pair, maps: PointMaps) -> Match:
         """The match that point maps between the repaired shapes of a pair make.
 
         Adds confidences, the points of a full shape that have no counterpart on a partial one, figures of quality and a
@@ -91,13 +95,12 @@ class Match:
         Args:
             pair: two preprocessed shapes.
             maps: between their operators' points.
-            method: how these were found.
 
         Raises:
             ArgumentError: if the maps do not fit the pair.
         """
         x, y = pair.x, pair.y
-        _check_maps(pair, maps, method)
+        _check_maps(pair, maps)
         x_to_y = _following_main_component(maps.x_to_y, x.operators)
         y_to_x = _following_main_component(maps.y_to_x, y.operators)
         settings = pair.settings.confidence
@@ -116,7 +119,7 @@ class Match:
             target_to_source=y.repaired.original_map(y_to_x.cpu().numpy(), x.repaired),
             source_confidence=x.repaired.to_original(x_trust.cpu().numpy(), fill=0),
             target_confidence=y.repaired.to_original(y_trust.cpu().numpy(), fill=0),
-            method=method,
+            method=pair.method.name,
             quality=figures,
         )
         match = match if x is pair.source else match.inverse()
@@ -244,17 +247,17 @@ class Match:
         Raises:
             MissingExtraError: if the extra ``picture`` is not installed.
         """
-        from homolog import viewing  # the one way up: what shows a match stands above it
-
-        return viewing.plot(viewing.scene_of(self), path)
+        viewing = import_module(_VIEWING)
+        image: Image = viewing.plot(viewing.scene_of(self), path)
+        return image
 
     def _repr_html_(self) -> str:
         """Picture and figures, for notebooks."""
-        from homolog import viewing
-
+        viewing = import_module(_VIEWING)
         figures = {} if self.quality is None else asdict(self.quality.mean)
         shown = {name: f"{value:.3g}" for name, value in figures.items() if value is not None}
-        return viewing.notebook_html(viewing.scene_of(self), {**shown, "warnings": len(self.warnings)})
+        html: str = viewing.notebook_html(viewing.scene_of(self), {**shown, "warnings": len(self.warnings)})
+        return html
 
     def matched(self, side: Side) -> dict[str, int | float]:
         """What became of the points of a shape."""
@@ -296,8 +299,9 @@ def check_point_map(name: str, indices: Any, *, n_points: int, n_others: int) ->
     return found
 
 
-def _check_maps(pair: Pair, maps: PointMaps, method: str) -> None:
+def _check_maps(pair: Pair, maps: PointMaps) -> None:
     """Refuse what a method gave if it does not fit the repaired shapes."""
+    method = pair.method.name
     if not isinstance(maps, PointMaps):
         raise ArgumentError(f"method {method!r} gave a {type(maps).__name__}, but must give homolog.pairs.PointMaps")
     sizes = pair.x.operators.n_points, pair.y.operators.n_points

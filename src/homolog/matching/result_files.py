@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
+from warnings import catch_warnings, simplefilter
 from zipfile import BadZipFile
 
 import numpy as np
@@ -59,7 +60,7 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
             write_shape(paths[2], drawable(match.target), colours=target_colours)
         told: dict[str, Any] = {"method": match.method, "warnings": list(match.warnings)}
         if timings is not None:
-            told["steps"] = [asdict(step) for step in timings.finished]
+            told["timings"] = [asdict(timing) for timing in timings.finished]
         write_json(paths[3], {**match.report, **told})
     return paths
 
@@ -172,7 +173,7 @@ def read_point_map(
     Raises:
         DataError: if it cannot be read as such, or holds no whole numbers.
 
-    Example:
+    Examples:
         >>> import numpy as np
         >>> from homolog.matching import read_point_map
         >>> np.savetxt("map.vts", [3, 1, 2], fmt="%d")
@@ -191,8 +192,10 @@ def read_point_map(
             named = {name: value for name, value in stored.items() if not name.startswith("_") and value.size > 1}
             values = _only(path, named, direction)
         else:
-            values = np.loadtxt(file, ndmin=1)
-    except (OSError, ValueError, EOFError, BadZipFile, NotImplementedError, TypeError) as error:
+            with catch_warnings():
+                simplefilter("error")  # NumPy only warns of a file without a number
+                values = np.loadtxt(file, ndmin=1)
+    except (OSError, ValueError, EOFError, BadZipFile, NotImplementedError, TypeError, UserWarning) as error:
         raise DataError(f"{path} cannot be read as a point map ({' '.join(str(error).split())[:160]})") from None
     values = np.squeeze(values)
     if values.ndim != 1 or values.dtype.kind not in "iuf" or not np.array_equal(values, np.round(values)):

@@ -1,19 +1,27 @@
-"""Ways to find point maps; each is one module of this package, or of a package that offers it."""
+"""Ways to find point maps; each is one module of this package, or of a package that offers it.
 
-from typing import TYPE_CHECKING, Any
+A name is imported when it is first used: the names of methods are known without PyTorch.
+"""
 
-from homolog.methods.registry import AUTO, GROUP, find_method, method_names
+from typing import TYPE_CHECKING
+
+from homolog.core.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from homolog.methods.protocol import FunctionMethod, Method, Supports, as_method
+    from homolog.methods.protocol import FunctionMethod, as_method
+    from homolog.methods.registry import AUTO, GROUP, find_method, method_names
+    from homolog.pairs import Method, Supports
 
 __all__ = ["AUTO", "GROUP", "FunctionMethod", "Method", "Supports", "as_method", "find_method", "method_names"]
 
-
-def __getattr__(name: str) -> Any:
-    """What a method is made of, loaded when it is first used: names of methods are known without."""
-    if name in __all__:
-        from homolog.methods import protocol
-
-        return getattr(protocol, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+_MODULES = {
+    "AUTO": "registry",
+    "GROUP": "registry",
+    "FunctionMethod": "protocol",
+    "Method": "protocol",
+    "Supports": "protocol",
+    "as_method": "protocol",
+    "find_method": "registry",
+    "method_names": "registry",
+}
+__getattr__ = lazy_names(__name__, _MODULES)

@@ -1,55 +1,14 @@
-"""What a method is: it takes a pair of preprocessed shapes and gives point maps."""
+"""Methods that are made of one function."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import dataclass, field
+from typing import Any
 
 from homolog.core.errors import ArgumentError
 from homolog.features import FeatureExtractor
-from homolog.pairs import MatcherSettings, Pair, PointMaps
-
-
-@dataclass(frozen=True, kw_only=True)
-class Supports:
-    """What a method can do, and what it needs.
-
-    Args:
-        clouds: it can match shapes without faces.
-        partial: it can match a partial shape with its full one.
-        needs_features: it compares the features of an extractor; otherwise none are computed.
-        refinement: its maps are near-isometric, so that ZoomOut can refine them.
-    """
-
-    clouds: bool = True
-    partial: bool = True
-    needs_features: bool = True
-    refinement: bool = True
-
-
-@runtime_checkable
-class Method(Protocol):
-    """A way to find point maps.
-
-    A method is called with a ``Pair``, of which it uses ``x`` and ``y`` (the source and the target, or the full and the
-    partial shape), their operators and features, and ``settings``. It gives ``PointMaps`` in the indices of the
-    operators: every point of each shape has a counterpart. Which points have none is decided afterwards.
-    """
-
-    @property
-    def name(self) -> str:
-        """What users call it by."""
-        ...
-
-    @property
-    def supports(self) -> Supports:
-        """What it can do, and what it needs."""
-        ...
-
-    def __call__(self, pair: Pair, /) -> PointMaps:
-        """Point maps between the repaired shapes of a pair."""
-        ...
+from homolog.pairs import MatcherSettings, Method, Pair, PointMaps, Supports
 
 
 @dataclass(frozen=True)
@@ -62,7 +21,7 @@ class FunctionMethod:
         supports: what it can do, and what it needs.
         features: makes the features that it compares from the settings, where it brings its own.
 
-    Example:
+    Examples:
         >>> from homolog.maps import nearest_neighbour
         >>> from homolog.methods import FunctionMethod, Supports
         >>> from homolog.pairs import PointMaps
@@ -74,7 +33,7 @@ class FunctionMethod:
 
     name: str
     function: Callable[[Pair], PointMaps]
-    supports: Supports = Supports()
+    supports: Supports = field(default_factory=Supports)
     features: Callable[[MatcherSettings], FeatureExtractor] | None = None
 
     def __call__(self, pair: Pair, /) -> PointMaps:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from homolog.maps import nearest_neighbour, registered_positions
-from homolog.methods.protocol import FunctionMethod, Supports
-from homolog.pairs import Pair, PointMaps
+from homolog.methods.protocol import FunctionMethod
+from homolog.pairs import Pair, PointMaps, Supports
 
 
 def _point_maps(pair: Pair) -> PointMaps:

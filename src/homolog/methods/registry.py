@@ -24,7 +24,7 @@ _NOT_METHODS = ("protocol", "registry", "descriptors")
 def method_names() -> tuple[str, ...]:
     """Names of all methods, ``"auto"`` first.
 
-    Example:
+    Examples:
         >>> from homolog.methods import method_names
         >>> "functional-map" in method_names()
         True

@@ -9,6 +9,7 @@ from homolog.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from homolog.core.choices import AsCloud, Device, Side
+    from homolog.pairs.method import Method, Supports, check_supported
     from homolog.pairs.options import SIDES, PairOptions
     from homolog.pairs.pair import Pair, PointMaps
     from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
@@ -30,6 +31,7 @@ __all__ = [
     "Device",
     "FunctionalMapSettings",
     "MatcherSettings",
+    "Method",
     "OperatorSource",
     "Pair",
     "PairOptions",
@@ -38,7 +40,9 @@ __all__ = [
     "Preprocessor",
     "Side",
     "SoftMapSettings",
+    "Supports",
     "WarningSettings",
+    "check_supported",
     "choose_device",
 ]
 
@@ -50,6 +54,7 @@ _MODULES = {
     "Device": "settings",
     "FunctionalMapSettings": "settings",
     "MatcherSettings": "settings",
+    "Method": "method",
     "OperatorSource": "preprocessing",
     "Pair": "pair",
     "PairOptions": "options",
@@ -58,7 +63,9 @@ _MODULES = {
     "Preprocessor": "preprocessing",
     "Side": "options",
     "SoftMapSettings": "settings",
+    "Supports": "method",
     "WarningSettings": "settings",
+    "check_supported": "method",
     "choose_device": "settings",
 }
 __getattr__ = lazy_names(__name__, _MODULES)

@@ -30,7 +30,7 @@ class PairOptions:
     Raises:
         ArgumentError: if a word is none of those allowed, or an option needs a partial shape and there is none.
 
-    Example:
+    Examples:
         >>> from homolog.pairs import PairOptions
         >>> PairOptions(partial="source", partial_scale=0.001).is_cloud("source")
         False

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,10 +14,11 @@ from homolog.core.arguments import check_kind
 from homolog.core.choices import Side
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor
+from homolog.pairs.method import Method, check_supported
 from homolog.pairs.options import SIDES, PairOptions
 from homolog.pairs.preprocessing import PreprocessedShape, Preprocessor
 from homolog.pairs.settings import MatcherSettings
-from homolog.shapes import Shape
+from homolog.shapes import Modality, Shape
 
 # Eigenpairs of the functional map to a partial shape, with features of full shapes alone.
 _PARTIAL_SIZE = 50
@@ -48,13 +50,18 @@ class Pair:
         target: the other.
         options: what is known of the two.
         settings: how maps are made.
+        method: what finds them, chosen by what the two shapes are.
         extractor: what computed their features; None where nothing did.
+
+    Raises:
+        ArgumentError: if a shape is partial, and the method knows full shapes alone.
     """
 
     source: PreprocessedShape
     target: PreprocessedShape
     options: PairOptions
     settings: MatcherSettings
+    method: Method
     extractor: FeatureExtractor | None = None
 
     @classmethod
@@ -63,6 +70,7 @@ class Pair:
         source: Shape,
         target: Shape,
         preprocessor: Preprocessor,
+        choose_method: Callable[[Modality, Modality], Method],
         *,
         options: PairOptions | None = None,
         settings: MatcherSettings | None = None,
@@ -75,6 +83,7 @@ class Pair:
             source: a mesh or cloud in any state; never changed.
             target: another.
             preprocessor: how.
+            choose_method: what finds maps between two shapes of these modalities, as repair leaves them.
             options: what is known of the two.
             settings: how maps will be made.
             features: of the points of both shapes as given (n, d), in place of an extractor's.
@@ -107,7 +116,13 @@ class Pair:
             full = found[side].operators
             scale = full.scale / options.partial_scale if options.partial else None
             centre = full.centre / options.partial_scale if options.pre_aligned else None
-        return cls(found["source"], found["target"], options, settings or MatcherSettings(), preprocessor.extractor)
+        source_found, target_found = found["source"], found["target"]
+        method = choose_method(source_found.modality, target_found.modality)
+        settings = settings or MatcherSettings()
+        return cls(source_found, target_found, options, settings, method, preprocessor.extractor)
+
+    def __post_init__(self) -> None:
+        check_supported(self.method, self.options)
 
     @property
     def x(self) -> PreprocessedShape:

@@ -164,7 +164,7 @@ class MatcherSettings:
     Raises:
         ArgumentError: if one of them is of another kind or size.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> homolog.MatcherSettings(method="functional-map", refinement=None).functional_map.regularisation
         100.0

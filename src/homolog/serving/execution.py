@@ -55,6 +55,8 @@ async def run_match(job: Job, command: MatchCommand, limits: Limits) -> None:
         )
     except LimitExceededError as excess:
         raise RefusedError(422, f"the match {excess}, the limit here, and was stopped; use smaller shapes") from None
+    if side is None:  # files are looked at before the first step
+        side = next((one for one in SIDES if error.startswith(str(Path(one, names[one])))), None)
     if code and error:
         raise RefusedError(422, public_error(error, job.folder, names, side), side)
     if code:

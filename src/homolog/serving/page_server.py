@@ -30,7 +30,7 @@ class PageServer:
     Raises:
         ArgumentError: if there is no such address here, or no port is free.
 
-    Example:
+    Examples:
         >>> server = PageServer("<!DOCTYPE html><title>Hello</title>", port=0)
         >>> server.address.startswith("http://127.0.0.1:")
         True

@@ -72,7 +72,7 @@ def build(
         DataError: if no shape could be registered.
         MissingExtraError: without the extra ``collection``.
 
-    Example:
+    Examples:
         >>> matcher = homolog.Matcher.from_weights("people")  # doctest: +SKIP
         >>> built = build("template.ply", ["scans/anna.ply", "scans/ben.ply"], "model", matcher)  # doctest: +SKIP
         >>> np.load(built.folder.root / "points.npy").shape  # doctest: +SKIP

@@ -94,7 +94,7 @@ class Template:
     Raises:
         ShapeError: if it cannot be used, or repair removes some of its points.
 
-    Example:
+    Examples:
         >>> template = Template(homolog.read_shape("template.ply"), matcher)  # doctest: +SKIP
         >>> template.registered_to(homolog.read_shape("scan.ply")).points  # doctest: +SKIP
     """

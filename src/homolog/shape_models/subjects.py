@@ -29,7 +29,7 @@ def subjects_of(files: Sequence[str | Path]) -> list[Subject]:
     Raises:
         ArgumentError: if there are none, or two would have the same name.
 
-    Example:
+    Examples:
         >>> [subject.name for subject in subjects_of(["scans/anna.ply", "scans/ben.ply"])]
         ['anna', 'ben']
     """

@@ -45,6 +45,12 @@ class Report:
         n_components: pieces of the mesh left; None for a cloud or an unusable shape.
         n_boundary_loops: holes and rims of the mesh left; None for a cloud or an unusable shape.
         findings: everything unusual, the most serious first.
+
+    Examples:
+        >>> import homolog
+        >>> report = homolog.check(homolog.demo_shapes()[0])
+        >>> report.n_points, report.n_components, report.is_clean
+        (4918, 1, True)
     """
 
     name: str
@@ -99,7 +105,7 @@ def check(shape: Shape) -> Report:
     Raises:
         ArgumentError: if it is no ``Shape`` at all.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> body, _ = homolog.shapes.demo_shapes()
         >>> report = homolog.check(body)

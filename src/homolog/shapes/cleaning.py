@@ -84,17 +84,17 @@ def _clean_faces(
 ) -> tuple[Int[np.ndarray, " f"], dict[str, int]]:
     """Which faces are left. A thin face with three points of its own stays: no hole opens."""
     in_range = np.flatnonzero(np.all((faces >= 0) & (faces < len(finite)), axis=1))
-    whole = in_range[finite[faces[in_range]].all(axis=1)]
-    a, b, c = representative[faces[whole]].T
-    proper = whole[(a != b) & (b != c) & (c != a)]
+    at_finite = in_range[finite[faces[in_range]].all(axis=1)]
+    a, b, c = representative[faces[at_finite]].T
+    proper = at_finite[(a != b) & (b != c) & (c != a)]
     merged = representative[faces[proper]]
     first = first_of_equal_rows(np.sort(merged, axis=1))
     folded = _folded(faces[proper], merged, first)
     left = (first == np.arange(len(first))) & ~folded
     return proper[left], {
         "n_out_of_range": len(faces) - len(in_range),
-        "n_broken": len(in_range) - len(whole),
-        "n_repeated": len(whole) - len(proper),
+        "n_broken": len(in_range) - len(at_finite),
+        "n_repeated": len(at_finite) - len(proper),
         "n_folded": int(np.sum(folded)),
         "n_duplicate_faces": len(proper) - int(np.sum(left | folded)),
     }

@@ -11,7 +11,7 @@ from homolog.shapes.shape import Shape
 def demo_shapes() -> tuple[Shape, Shape]:
     """The two demo bodies, CC0: meshes of people in different poses, upright and facing +z, of some 5,000 points.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> source, target = homolog.shapes.demo_shapes()
         >>> source

@@ -42,7 +42,7 @@ def as_shape(found: Any, *, name: str | None = None) -> Shape:
         ArgumentError: if it is none of these.
         ShapeError: if its points or faces cannot be used, or a file cannot be read.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
         >>> shape = homolog.shapes.as_shape((square, [[0, 1, 2, 3]]), name="square")

@@ -46,7 +46,7 @@ def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
         ShapeError: if the file cannot be used; one line with the file, the reason, and what to do.
         MissingExtraError: if reading this format needs a package that is not installed.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> from pathlib import Path
         >>> folder = Path(homolog.__file__).parent / "demo_data" / "off"

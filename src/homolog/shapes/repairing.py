@@ -91,7 +91,7 @@ def repair(shape: Shape) -> Repaired:
         ArgumentError: if it is no ``Shape``.
         ShapeError: if what is left is no shape: too few points, no face, or no extent.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]]  # the last point is the first
         >>> repaired = homolog.repair(homolog.Shape(points, [[4, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))

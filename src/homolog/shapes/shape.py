@@ -36,7 +36,7 @@ class Shape:
         ShapeError: if an array has another number of dimensions or columns, points are no real numbers, or faces no
             whole ones or no indices of the points.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]
         >>> homolog.Shape(points, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], name="tetrahedron")

@@ -21,7 +21,7 @@ def stand_upright(shape: Shape, up: Up) -> Shape:
     Raises:
         ArgumentError: if ``up`` is not x, y or z.
 
-    Example:
+    Examples:
         >>> import homolog
         >>> shape = homolog.Shape([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]])
         >>> homolog.stand_upright(shape, "z").points[3].tolist()

@@ -39,7 +39,7 @@ def write_shape(path: str | Path, shape: Shape, *, colours: Colours | None = Non
             written to.
         MissingExtraError: if writing this format needs a package that is not installed.
 
-    Example:
+    Examples:
         >>> import tempfile, homolog
         >>> from pathlib import Path
         >>> body, _ = homolog.shapes.demo_shapes()

@@ -57,7 +57,7 @@ def generalised_procrustes(
     Raises:
         ArgumentError: if the array has another shape, holds NaN or infinite numbers, or a shape whose points coincide.
 
-    Example:
+    Examples:
         >>> triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
         >>> aligned = generalised_procrustes(np.stack([triangle, triangle @ np.diag([-1, -1, 1]) + 5]))
         >>> bool(np.allclose(aligned.points[0], aligned.points[1]))

@@ -43,7 +43,7 @@ class Curve:
 def compactness(model: ShapeModel) -> Float[np.ndarray, " k"]:
     """Compactness: the cumulative share of the variance of the first 1, 2, ... modes.
 
-    Example:
+    Examples:
         >>> compactness(ShapeModel(np.zeros((3, 3)), np.zeros((2, 3, 3)), np.array([3.0, 1.0]))).tolist()
         [0.75, 1.0]
     """

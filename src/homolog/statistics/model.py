@@ -53,7 +53,7 @@ def principal_modes(points: Float[np.ndarray, "s n 3"]) -> ShapeModel:
     Raises:
         ArgumentError: if there are fewer than two shapes.
 
-    Example:
+    Examples:
         >>> triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
         >>> model = principal_modes(np.stack([triangle, 2 * triangle, 3 * triangle]))
         >>> model.variances.round(6).tolist(), model.coefficients(3 * triangle[None]).round(6).tolist()

@@ -37,7 +37,7 @@ def cut(shape: Shape, *, removed: Range = (0.3, 0.6), normal: ArrayLike | None =
         ArgumentError: if ``removed`` is not from 0 to below 1, or ``normal`` no direction.
         ShapeError: if the shape is a cloud or needs repair, or next to nothing is left.
 
-    Example:
+    Examples:
         >>> half = cut(shape, removed=0.5, normal=(0, 1, 0), seed=0)  # doctest: +SKIP
         >>> (shape.points[half.full_index] == half.shape.points).all()  # doctest: +SKIP
         True

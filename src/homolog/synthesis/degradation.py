@@ -61,7 +61,7 @@ def subsample(
         ArgumentError: if ``least`` is not from 0 to 1, or ``direction`` no direction.
         ShapeError: if the shape needs repair, or next to nothing is left.
 
-    Example:
+    Examples:
         >>> sparse = subsample(shape, least=0.2, seed=0)  # doctest: +SKIP
     """
     check_range("least", least, lambda share: 0 <= share <= 1, "a number from 0 to 1")

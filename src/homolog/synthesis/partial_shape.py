@@ -35,7 +35,7 @@ class PartialShape:
         Args:
             further: made of ``self.shape``, with points that are points of it, or outliers.
 
-        Example:
+        Examples:
             >>> noisy_cut = cut(shape, seed=0).then(add_outliers(cut(shape, seed=0).shape, seed=1))  # doctest: +SKIP
         """
         at = further.full_index

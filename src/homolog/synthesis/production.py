@@ -43,7 +43,7 @@ def synthesize_people(
         ArgumentError: if an argument is out of range, or the folder holds something else or cannot be written to.
         MissingExtraError: if the package anny is not installed.
 
-    Example:
+    Examples:
         >>> synthesize_people("people", 500, PeopleSettings(seed=1), processes=4)  # doctest: +SKIP
     """
     check_count("n", n)

@@ -44,7 +44,7 @@ def first_hits(corners: Float[np.ndarray, "m 3 3"], image: Float[np.ndarray, "r 
         corners: of each triangle, in camera coordinates, of which the third is the depth; all depths are positive.
         image: u and v of each ray.
 
-    Example:
+    Examples:
         >>> triangle = np.array([[[-1.0, -1, 2], [1, -1, 2], [0, 1, 2]]])
         >>> hits = first_hits(triangle, np.array([[0.0, 0.0], [5.0, 5.0]]))
         >>> hits.triangles.tolist(), hits.depths.tolist()

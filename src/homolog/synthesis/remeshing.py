@@ -52,7 +52,7 @@ def remesh(
     Returns:
         A closed mesh whose vertices lie near the surface; ``ReferenceSurface.project`` gives their exact positions.
 
-    Example:
+    Examples:
         >>> reference = ReferenceSurface(surface)  # doctest: +SKIP
         >>> even = np.ones(len(surface.vertices))  # doctest: +SKIP
         >>> mesh = remesh(reference, even, MeshSettings(vertices=2000), np.random.default_rng(0))  # doctest: +SKIP

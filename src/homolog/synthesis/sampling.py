@@ -40,7 +40,7 @@ def check_number(name: str, found: Any, low: float) -> None:
 def sample(value: Range, random: np.random.Generator) -> float:
     """The number, or one sampled uniformly from the range.
 
-    Example:
+    Examples:
         >>> sample(0.5, np.random.default_rng(0)), 1.0 <= sample((1.0, 2.0), np.random.default_rng(0)) < 2.0
         (0.5, True)
     """

@@ -62,7 +62,7 @@ def write_view_dataset(
         DataError: if the source has fewer than two meshes, or names that lists cannot hold.
         ShapeError: if a mesh cannot be repaired, or next to nothing of it is visible.
 
-    Example:
+    Examples:
         >>> write_view_dataset("people", "people_views", views=5000, seed=1)  # doctest: +SKIP
     """
     if not (is_count(views, least=TEST_EVERY) and views <= _MOST_VIEWS):

@@ -133,7 +133,7 @@ def view(shape: Shape, settings: ViewSettings | None = None, *, seed: int) -> Vi
     Raises:
         ShapeError: if the shape is a cloud or needs repair, or next to nothing of it is visible.
 
-    Example:
+    Examples:
         >>> seen = view(shape, ViewSettings(distance=3.0), seed=0)  # doctest: +SKIP
         >>> seen.mesh.shape.n_points, seen.visible_share  # doctest: +SKIP
     """

@@ -17,7 +17,7 @@ from torch import Tensor
 from homolog.core.errors import ArgumentError, TrainingError, needs_extra
 from homolog.core.files import expanded
 from homolog.core.memory import keep_freed_memory
-from homolog.core.progress import Progress, no_progress
+from homolog.core.progress import Progress, ignore
 from homolog.datasets import DatasetDescription
 from homolog.features import DiffusionNet
 from homolog.geometry import OperatorCache
@@ -94,7 +94,7 @@ def train(
         WeightsError: if there are no such weights, or they are of another network than the recipe's.
         MissingExtraError: without the packages of the extra ``train``.
 
-    Example:
+    Examples:
         With a loss of one's own beside the recipe's, a function of some of the ``QUANTITIES`` of a pair:
 
         >>> from homolog.training import Loss, read_recipe, train
@@ -118,7 +118,7 @@ def train(
             until_the_end.enter_context(folder.held())
         fabric.launch()
         until_the_end.enter_context(process_group())
-        report = progress if progress is not None and fabric.is_global_zero else no_progress
+        report = progress if progress is not None and fabric.is_global_zero else ignore
         store = ShapeStore(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
         with shared_errors():
             state = folder.load(fabric.device, weights=weights)

@@ -46,7 +46,7 @@ class Loss:
         ArgumentError: if the weight is no number of at least 0, there is no such quantity, or the function does not
             take them.
 
-    Example:
+    Examples:
         >>> from homolog.training import Loss
         >>> def small_maps(c_xy, c_yx):
         ...     return c_xy.square().mean() + c_yx.square().mean()

@@ -22,7 +22,7 @@ def read_recipe(recipe: str | Path) -> Recipe:
     Raises:
         ArgumentError: if there is no such recipe, or it is not as it should be; one line with file, section and key.
 
-    Example:
+    Examples:
         >>> from homolog.training import read_recipe
         >>> read_recipe("quick").training.steps
         5000

@@ -295,7 +295,7 @@ class Recipe(Settings):
         validation: how it is watched.
         partial: present where one shape of each pair is partial.
 
-    Example:
+    Examples:
         >>> from homolog.training import Recipe
         >>> Recipe(name="teeth", upright=False).training.steps
         10000

@@ -54,7 +54,7 @@ class Delivery:
         axes: the anatomical axes of both shapes, for landmark files that state theirs.
         texture_size: texels along the width of a new texture.
 
-    Example:
+    Examples:
         >>> delivery = Delivery(Transfer(homolog.Match.load("result")))  # doctest: +SKIP
         >>> delivery.add_labels(Path("organs.npy"))  # doctest: +SKIP
         >>> delivery.write(Path("transferred"), {})  # doctest: +SKIP

@@ -58,7 +58,7 @@ def read_landmarks(path: str | Path) -> Landmarks:
     Raises:
         DataError: if the file is missing, damaged, or in coordinates of a volume's voxels.
 
-    Example:
+    Examples:
         >>> landmarks = read_landmarks("template.mrk.json")  # doctest: +SKIP
         >>> landmarks.points, landmarks.system  # doctest: +SKIP
     """

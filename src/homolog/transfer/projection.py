@@ -36,7 +36,7 @@ class SurfacePoints:
         weights: barycentric coordinates (p, k); not negative, with the sum one, and NaN for an invalid point.
         faces: on a mesh, the triangle (p,), as an index of the faces that were given; -1 for an invalid point.
 
-    Example:
+    Examples:
         >>> point = SurfacePoints(np.array([[0, 1, 2]]), np.array([[0.5, 0.25, 0.25]]))
         >>> point.interpolate(np.array([0.0, 4.0, 8.0])).tolist()
         [3.0]
@@ -104,7 +104,7 @@ class SurfaceProjector:
     Raises:
         ShapeError: if it cannot be repaired.
 
-    Example:
+    Examples:
         >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
         >>> faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
         >>> projector = SurfaceProjector(Shape(corners, faces))

@@ -112,7 +112,7 @@ def surface_map(source: Shape | SurfaceProjector, target: Shape | SurfaceProject
         ArgumentError: if the point maps are those of other shapes, or no point has a counterpart.
         ShapeError: if a shape cannot be repaired, or is too degenerate for a Laplacian.
 
-    Example:
+    Examples:
         >>> smooth = surface_map(source, target, homolog.match(source, target))  # doctest: +SKIP
         >>> smooth.positions  # of each source point, on the target's surface  # doctest: +SKIP
     """

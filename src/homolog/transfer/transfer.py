@@ -28,7 +28,7 @@ class Transfer:
         source: the source as ``read_shape`` reads it, where faces must be counted as in its file; by default the
             result's own.
 
-    Example:
+    Examples:
         >>> transfer = Transfer(homolog.Match.load("result"))  # doctest: +SKIP
         >>> thickness_on_target = transfer.array(thickness_on_source)  # doctest: +SKIP
     """
@@ -124,7 +124,7 @@ class Transfer:
 def no_counterpart_label(labels: Int[np.ndarray, " n"]) -> int:
     """The label of points without a counterpart: -1, or one below the smallest label where -1 is a label itself.
 
-    Example:
+    Examples:
         >>> no_counterpart_label(np.array([0, 3])), no_counterpart_label(np.array([-1, 3]))
         (-1, -2)
     """

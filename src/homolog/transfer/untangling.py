@@ -24,7 +24,7 @@ def untangled(smooth: SurfaceMap) -> SurfaceMap:
         The map with the fewest flipped triangles among all rounds; ``smooth`` itself if no triangle is flipped, or if
         flips are unknown because a shape is a cloud.
 
-    Example:
+    Examples:
         >>> smooth = untangled(surface_map(source, target, match))  # doctest: +SKIP
     """
     best = now = smooth

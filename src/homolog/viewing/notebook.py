@@ -30,8 +30,11 @@ def plot(scene: Scene, path: str | Path | None = None, *, width: int = 1000, lin
         ArgumentError: as ``write_picture`` does.
         MissingExtraError: without the extra ``picture``.
 
-    Example:
-        >>> image = plot(scene_of(result), "match.png", lines=20)
+    Examples:
+        >>> import homolog
+        >>> from homolog.viewing import plot, scene_of
+        >>> match = homolog.match(*homolog.demo_shapes(), method="axiomatic")
+        >>> image = plot(scene_of(match), "match.png", lines=20)
         >>> image.size
         (1000, 500)
     """

@@ -75,8 +75,10 @@ def scene_of(result: Match, layers: Sequence[Layer] = ()) -> Scene:
         result: the match.
         layers: further ones to choose from.
 
-    Example:
-        >>> scene = scene_of(Match.load("result"))
+    Examples:
+        >>> import homolog
+        >>> from homolog.viewing import scene_of, write_page
+        >>> scene = scene_of(homolog.match(*homolog.demo_shapes(), method="axiomatic"))
         >>> write_page("result.html", scene)
     """
     options = result.report.get("options", {})

@@ -23,7 +23,7 @@ class Mask:
     Raises:
         ShapeError: if no voxel is inside, or the steps are not linearly independent.
 
-    Example:
+    Examples:
         >>> mask = Mask(np.ones((2, 2, 2), dtype=bool), np.zeros(3), np.diag([1.0, 1.0, 2.0]))
         >>> mask.positions(np.array([[1.0, 0.0, 1.0]])).tolist()
         [[1.0, 0.0, 2.0]]

@@ -39,7 +39,7 @@ def slice_cloud(
         ShapeError: if these slices are too few for a cloud.
         MissingExtraError: if scikit-image is not installed.
 
-    Example:
+    Examples:
         >>> ball = np.linalg.norm(np.indices((20, 20, 20)) - 9.5, axis=0) < 8
         >>> cloud = slice_cloud(Mask(ball, np.zeros(3), np.eye(3)), every=4, points=100)
         >>> cloud.points.shape

@@ -40,7 +40,7 @@ def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
         ShapeError: if the file cannot be read, holds no volume or no mask, or no voxel has that label.
         MissingExtraError: if SimpleITK is not installed.
 
-    Example:
+    Examples:
         >>> mask = read_mask("lungs.mhd", label=3)  # doctest: +SKIP
         >>> surface = mask_surface(mask, points=5000)  # doctest: +SKIP
     """

@@ -82,7 +82,7 @@ def reconstruct_surface(cloud: Shape, *, points: int | None = 5000, resolution: 
         ShapeError: if the cloud cannot be repaired, or has gaps wider than about a seventh of its longest side.
         MissingExtraError: if scikit-image or fast-simplification is not installed.
 
-    Example:
+    Examples:
         >>> directions = np.random.default_rng(0).normal(size=(2000, 3))
         >>> ball = Shape(directions / np.linalg.norm(directions, axis=1, keepdims=True))
         >>> surface = reconstruct_surface(ball, points=300, resolution=32)

@@ -41,7 +41,7 @@ def mask_surface(mask: Mask, *, points: int | None = 5000, smoothing: float = 1.
         ArgumentError: if a number is out of range.
         MissingExtraError: if scikit-image or fast-simplification is not installed.
 
-    Example:
+    Examples:
         >>> ball = np.linalg.norm(np.indices((20, 20, 20)) - 9.5, axis=0) < 8
         >>> surface = mask_surface(Mask(ball, np.zeros(3), np.eye(3)), points=200)
         >>> float(np.linalg.norm(surface.points - 9.5, axis=1).mean().round())

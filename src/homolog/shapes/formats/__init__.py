@@ -4,10 +4,9 @@ Another one is a module with ``read(path) -> Arrays``, perhaps ``write(path, sha
 elsewhere, ``register_format``.
 """
 
-from homolog.shapes.formats import gltf, numpy_files, obj, off, pcd, ply, stl, tables, vtk
+from homolog.shapes.formats import gltf, numpy_files, obj, off, pcd, ply, registry, stl, tables, vtk
 from homolog.shapes.formats.registry import (
     Format,
-    add,
     folder_suffixes,
     formats,
     imports_of,
@@ -16,7 +15,7 @@ from homolog.shapes.formats.registry import (
     writable_suffixes,
 )
 
-add(
+registry.add(
     Format(".off", off.read, off.write),
     Format(".obj", obj.read, obj.write),
     Format(".ply", ply.read, ply.write, write_colours=ply.write),

@@ -77,7 +77,7 @@ def register_format(
     Raises:
         ArgumentError: if the suffix is no dot and letters or digits.
 
-    Example:
+    Examples:
         >>> import tempfile, numpy as np, homolog
         >>> from pathlib import Path
         >>> def read(path):

@@ -1,0 +1,66 @@
+"""What a method is: it takes a pair of preprocessed shapes and gives point maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from homolog.core.errors import ArgumentError
+from homolog.pairs.options import PairOptions
+
+if TYPE_CHECKING:
+    from homolog.pairs.pair import Pair, PointMaps
+
+
+@dataclass(frozen=True, kw_only=True)
+class Supports:
+    """What a method can do, and what it needs.
+
+    Args:
+        clouds: it can match shapes without faces.
+        partial: it can match a partial shape with its full one.
+        needs_features: it compares the features of an extractor; otherwise none are computed.
+        refinement: its maps are near-isometric, so that ZoomOut can refine them.
+    """
+
+    clouds: bool = True
+    partial: bool = True
+    needs_features: bool = True
+    refinement: bool = True
+
+
+@runtime_checkable
+class Method(Protocol):
+    """A way to find point maps.
+
+    A method is called with a ``Pair``, of which it uses ``x`` and ``y`` (the source and the target, or the full and the
+    partial shape), their operators and features, and ``settings``. It gives ``PointMaps`` in the indices of the
+    operators: every point of each shape has a counterpart. Which points have none is decided afterwards.
+    """
+
+    @property
+    def name(self) -> str:
+        """What users call it by."""
+        ...
+
+    @property
+    def supports(self) -> Supports:
+        """What it can do, and what it needs."""
+        ...
+
+    def __call__(self, pair: Pair, /) -> PointMaps:
+        """Point maps between the repaired shapes of a pair."""
+        ...
+
+
+def check_supported(method: Method, options: PairOptions) -> None:
+    """Refuse a partial shape where the method knows full shapes alone.
+
+    Raises:
+        ArgumentError: naming the method, and what to give in its place.
+    """
+    if options.partial is not None and not method.supports.partial:
+        raise ArgumentError(
+            f"partial is {options.partial!r}, but the method {method.name!r} matches full shapes; "
+            "use 'auto' for partial ones"
+        )

@@ -1,0 +1,243 @@
+"""The common suite of methods: ``check_method`` runs it on one's own."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull
+
+from homolog.core.errors import HomologError
+from homolog.geometry import Operators
+from homolog.maps import wave_kernel_signature
+from homolog.matching import Match, Matcher
+from homolog.methods import Method, as_method, find_method
+from homolog.pairs import MatcherSettings, Pair, PairOptions, PointMaps
+from homolog.shapes import Shape
+
+# Points of the shapes that methods are tried on: enough for 100 eigenpairs, few enough for seconds.
+_POINTS = 400
+_UNUSED = 30
+# A map of a shape to itself must take this share of its points to themselves or to a neighbour.
+_NEAR = 0.9
+_SPACINGS = 2.0
+
+
+def check_method(method: Any, *, features: Any = None) -> None:
+    """Check that a method keeps the promises of a ``Method``.
+
+    It is tried on small shapes: meshes, clouds and mixed pairs, and a partial shape, as far as it supports them. It
+    must give maps of the right form, in the indices of the repaired shapes; change nothing; give equal maps for equal
+    input, whatever the order of points; and map a shape to itself.
+
+    Args:
+        method: a ``Method``, the name of one, or a function of a ``Pair``.
+        features: what computes features for it, as ``Matcher`` takes it; by default wave kernel signatures and
+            positions, where it needs any.
+
+    Raises:
+        AssertionError: naming the promise that is broken, and what was found.
+
+    Examples:
+        >>> from homolog.testing import check_method
+        >>> check_method("registration")
+    """
+    method = as_method(find_method(method) if isinstance(method, str) else method)
+    assert isinstance(method.name, str) and method.name, "name: a method must have one"
+    checked = _Checked(method, features)
+    for check in _CHECKS:
+        check(checked)
+
+
+@dataclass(frozen=True)
+class _Checked:
+    """A method, and how it is called."""
+
+    method: Method
+    features: Any = None
+
+    def matcher(self) -> Matcher:
+        own = getattr(self.method, "features", None)
+        needs = self.method.supports.needs_features and own is None
+        given = (_positions_and_signatures if self.features is None else self.features) if needs else None
+        return Matcher(given, settings=MatcherSettings(method=self.method, refinement=None), device="cpu")
+
+    def pair(self, source: Shape, target: Shape, **options: Any) -> Pair:
+        return self.matcher().pair(source, target, PairOptions(**options))[0]
+
+    def match(self, source: Shape, target: Shape, **options: Any) -> Match:
+        pair = self.pair(source, target, **options)
+        try:
+            return self.matcher().find(pair)
+        except HomologError as error:
+            raise AssertionError(f"{source.name} to {target.name}: {error}") from None
+
+    def cases(self) -> Iterator[tuple[str, Shape, Shape]]:
+        """Pairs of the modalities that the method supports."""
+        x, y = _body(seed=1), _body(seed=2, stretch=1.1)
+        yield "two meshes", x, y
+        if self.method.supports.clouds:
+            yield "two clouds", x.as_cloud(), y.as_cloud()
+            yield "mesh and cloud", x, y.as_cloud()
+
+
+def _positions_and_signatures(operators: Operators) -> torch.Tensor:
+    signature = wave_kernel_signature(operators.eigenvalues, operators.eigenvectors, n_energies=20)
+    return torch.cat([signature / signature.norm(dim=1, keepdim=True), 3 * operators.points], dim=1)
+
+
+def _form(checked: _Checked) -> None:
+    for what, source, target in checked.cases():
+        pair = checked.pair(source, target)
+        maps = checked.method(pair)
+        assert isinstance(maps, PointMaps), f"form, {what}: it gave a {type(maps).__name__}, not PointMaps"
+        sizes = pair.x.operators.n_points, pair.y.operators.n_points
+        _check_map(f"form, {what}: x_to_y", maps.x_to_y, *sizes)
+        _check_map(f"form, {what}: y_to_x", maps.y_to_x, *sizes[::-1])
+
+
+def _check_map(what: str, indices: Any, n_points: int, n_others: int) -> None:
+    assert isinstance(indices, torch.Tensor), f"{what} is a {type(indices).__name__}, not a tensor"
+    assert not indices.is_floating_point(), f"{what} holds {indices.dtype}, not whole numbers"
+    assert indices.shape == (n_points,), f"{what} has shape {tuple(indices.shape)}, not ({n_points},)"
+    low, high = int(indices.min()), int(indices.max())
+    assert low >= 0 and high < n_others, f"{what} holds {low} to {high}, not indices from 0 to {n_others - 1}"
+
+
+def _nothing_is_changed(checked: _Checked) -> None:
+    for what, source, target in checked.cases():
+        pair = checked.pair(source, target)
+        before = copy.deepcopy([_tensors(shape.operators) for shape in (pair.x, pair.y)])
+        checked.method(pair)
+        after = [_tensors(shape.operators) for shape in (pair.x, pair.y)]
+        for old, new in zip(before, after, strict=True):
+            for name, tensor in old.items():
+                assert torch.equal(tensor, new[name]), f"purity, {what}: it changed {name} of the operators given to it"
+
+
+def _tensors(operators: Operators) -> dict[str, torch.Tensor]:
+    return {name: getattr(operators, name) for name in ("points", "mass", "eigenvalues", "eigenvectors")}
+
+
+def _same_twice(checked: _Checked) -> None:
+    for what, source, target in checked.cases():
+        first, second = (checked.match(source, target) for _ in range(2))
+        for name in ("source_to_target", "target_to_source"):
+            equal = np.array_equal(getattr(first, name), getattr(second, name))
+            assert equal, f"determinism, {what}: {name} differs between two calls"
+
+
+def _indices_are_those_of_the_shapes(checked: _Checked) -> None:
+    """Points that no face uses come first, so that every index of a repaired shape is another one's in the file."""
+    source, target = _body(seed=1), _body(seed=1)
+    littered = _with_unused_points(source)
+    plain, found = checked.match(source, target), checked.match(littered, target)
+    assert len(found.source_to_target) == littered.n_points, (
+        f"indices: source_to_target has {len(found.source_to_target)} entries for {littered.n_points} points"
+    )
+    assert (found.source_to_target[:_UNUSED] == -1).all(), "indices: points that repair leaves out have a counterpart"
+    share = float(np.mean(found.source_to_target[_UNUSED:] == plain.source_to_target))
+    assert share > _NEAR, f"indices: with unused points, {1 - share:.0%} of the map leads elsewhere"
+
+
+def _names_of_points_do_not_matter(checked: _Checked) -> None:
+    for what, source, target in checked.cases():
+        order = np.random.default_rng(0).permutation(source.n_points)
+        renamed = _renamed(source, order)
+        plain, found = checked.match(source, target), checked.match(renamed, target)
+        distances = _distances(target, plain.source_to_target[order], found.source_to_target)
+        _mostly_near(f"order of points, {what}", distances, target)
+
+
+def _a_shape_is_mapped_to_itself(checked: _Checked) -> None:
+    for modality in ("mesh", "cloud") if checked.method.supports.clouds else ("mesh",):
+        shape = _body(seed=1) if modality == "mesh" else _body(seed=1).as_cloud()
+        found = checked.match(shape, shape)
+        distances = _distances(shape, np.arange(shape.n_points), found.source_to_target)
+        _mostly_near(f"identity, {modality}", distances, shape)
+
+
+def _partial_shapes(checked: _Checked) -> None:
+    if not checked.method.supports.partial:
+        return
+    full = _body(seed=1)
+    kept = np.flatnonzero(full.points[:, 1] > np.quantile(full.points[:, 1], 0.3))
+    assert full.faces is not None
+    renumbered = np.full(full.n_points, -1)
+    renumbered[kept] = np.arange(len(kept))
+    faces = full.faces[np.isin(full.faces, kept).all(axis=1)]
+    partial = Shape(full.points[kept], renumbered[faces], name="partial")
+    for side, shapes in (("target", (full, partial)), ("source", (partial, full))):
+        pair = checked.pair(*shapes, partial=side, pre_aligned=True)
+        sizes = pair.x.operators.n_points, pair.y.operators.n_points
+        maps = checked.method(pair)
+        _check_map(f"partial {side}: x_to_y", maps.x_to_y, *sizes)
+        _check_map(f"partial {side}: y_to_x", maps.y_to_x, *sizes[::-1])
+
+
+_CHECKS: tuple[Callable[[_Checked], None], ...] = (
+    _form,
+    _nothing_is_changed,
+    _same_twice,
+    _indices_are_those_of_the_shapes,
+    _names_of_points_do_not_matter,
+    _a_shape_is_mapped_to_itself,
+    _partial_shapes,
+)
+
+
+def _mostly_near(what: str, distances: Float[np.ndarray, " n"], shape: Shape) -> None:
+    spacing = np.sqrt(_area(shape.points) / shape.n_points)
+    share = float(np.mean(distances < _SPACINGS * spacing))
+    assert share > _NEAR, f"{what}: {1 - share:.0%} of the points are mapped farther off than two point spacings"
+
+
+def _distances(shape: Shape, one: Int[np.ndarray, " n"], other: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    return np.asarray(np.linalg.norm(shape.points[one] - shape.points[other], axis=1))
+
+
+def _area(points: Float[np.ndarray, "n 3"]) -> float:
+    """Of the ellipsoid that has the points' variances, roughly."""
+    return float(4 * np.pi * 3 * points.var(axis=0).prod() ** (1 / 3))
+
+
+def _body(*, seed: int, stretch: float = 1.0) -> Shape:
+    """A closed surface without any symmetry, whose points lie on a spiral around it; seeds shake them."""
+    steps = np.arange(_POINTS) + 0.5
+    height, turn = 1 - 2 * steps / _POINTS, np.pi * (1 + 5**0.5) * steps
+    ring = np.sqrt(1 - height**2)
+    sphere = np.stack([np.cos(turn) * ring, height, np.sin(turn) * ring], axis=1)
+    sphere += 0.1 * np.random.default_rng(seed).standard_normal(sphere.shape) / np.sqrt(_POINTS)
+    sphere /= np.linalg.norm(sphere, axis=1, keepdims=True)
+    x, y, z = sphere.T
+    radius = 1 + 0.25 * x * y + 0.2 * np.sin(2 * z + 0.4) + 0.15 * np.cos(3 * x + y + 0.7) + 0.1 * np.sin(2 * x - z)
+    return Shape(sphere * radius[:, None] * [1.0, 1.8 * stretch, 0.8], _hull(sphere), name=f"body {seed}")
+
+
+def _hull(sphere: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "m 3"]:
+    """The triangles of points on a sphere, outward faces counter-clockwise."""
+    faces = ConvexHull(sphere).simplices.astype(np.int64)
+    a, b, c = (sphere[faces[:, corner]] for corner in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return np.asarray(faces)
+
+
+def _with_unused_points(shape: Shape) -> Shape:
+    assert shape.faces is not None
+    unused = 5 + np.random.default_rng(3).random((_UNUSED, 3))
+    return Shape(np.concatenate([unused, shape.points]), shape.faces + _UNUSED, name="with unused points")
+
+
+def _renamed(shape: Shape, order: Int[np.ndarray, " n"]) -> Shape:
+    """The same surface with its points in another order."""
+    if shape.faces is None:
+        return Shape(shape.points[order], name="renamed")
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    return Shape(shape.points[order], number[shape.faces], name="renamed")

@@ -1,0 +1,222 @@
+"""Scoring methods, maps and metrics of one's own."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from homolog.core.errors import ArgumentError, DataError
+from homolog.core.files import write_csv
+from homolog.datasets import ShapeFolder
+from homolog.evaluation import MapsFolder, Protocol, evaluate, plot_pck
+from homolog.matching import Match
+from homolog.shapes import Shape, write_shape
+
+N, UNUSED = 162, 50
+
+
+@pytest.fixture
+def folder(tmp_path, make) -> ShapeFolder:
+    """Three shapes that are numbered alike, stretched otherwise, all of whose vertices are common points."""
+    root, blob = tmp_path / "data", make.blob(2)
+    (root / "off").mkdir(parents=True)
+    (root / "corres").mkdir()
+    for number, name in enumerate("abc"):
+        write_shape(root / "off" / f"{name}.off", Shape(blob.points * [1, 1 + 0.2 * number, 1], blob.faces))
+        (root / "corres" / f"{name}.vts").write_text("".join(f"{i + 1}\n" for i in range(N)))
+    (root / "pairs.txt").write_text("a,b\nb,c\na,a\n")
+    return ShapeFolder.open(root)
+
+
+def with_unused_points(folder: ShapeFolder) -> ShapeFolder:
+    """All shapes with points before their own that no face uses, which the ground truth does not name."""
+    for file in (folder.root / "off").iterdir():
+        shape = folder.shape(file.stem)
+        stray = np.random.default_rng(0).normal(size=(UNUSED, 3))
+        write_shape(file, Shape(np.concatenate([stray, shape.points]), shape.faces + UNUSED))
+        (folder.root / "corres" / f"{file.stem}.vts").write_text("".join(f"{i + UNUSED + 1}\n" for i in range(N)))
+    return ShapeFolder.open(folder.root)
+
+
+ALL = Protocol(split="all")
+
+
+def identity(source: Shape, target: Shape) -> np.ndarray:
+    return np.arange(target.n_points)
+
+
+def test_indices_are_those_of_the_files(folder):
+    """The shapes are given as they are, unused points included, and so are the indices."""
+    folder, sizes = with_unused_points(folder), []
+
+    def method(source, target):
+        sizes.append((source.n_points, target.n_points))
+        return identity(source, target)
+
+    found = evaluate(None, folder, ALL, match=method)
+    assert sizes == [(N + UNUSED, N + UNUSED)] * 3
+    assert len(found.errors) == 3 * N
+    assert not found.errors.any()
+    assert found.method == "method"
+    assert found.to_dict()["mean_geodesic_error"] == 0
+    # The same by a match, and one point on is no longer right.
+    as_match = evaluate(None, folder, ALL, match=lambda s, t: Match(s, t, identity(t, s), identity(s, t)))
+    assert not as_match.errors.any()
+    shifted = evaluate(None, folder, ALL, match=lambda s, t: (np.arange(t.n_points) + 1) % t.n_points)
+    assert np.mean(shifted.errors > 0) > 0.9
+
+
+@pytest.mark.parametrize("size", [N - 1, N + 1])
+def test_maps_of_another_length_name_the_pair(folder, size):
+    with pytest.raises(ArgumentError, match=rf"a - b: target_to_source has shape \({size},\).* \({N},\)") as caught:
+        evaluate(None, folder, ALL, match=lambda s, t: np.zeros(size, int))
+    assert "\n" not in str(caught.value)
+
+    def of_others(source, target):
+        other = Shape(np.random.default_rng(0).normal(size=(size, 3)))
+        return Match(source, other, np.zeros(N, int), np.zeros(size, int))
+
+    with pytest.raises(ArgumentError, match=rf"a - b: the match has {size} target points, but must have {N}"):
+        evaluate(None, folder, ALL, match=of_others)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (np.full(N, N), f"a - b: target_to_source holds {N}, but"),
+        (np.zeros(N), "a - b: target_to_source holds float64"),
+    ],
+)
+def test_maps_that_hold_other_things_name_the_pair(folder, values, said):
+    with pytest.raises(ArgumentError, match=said):
+        evaluate(None, folder, ALL, match=lambda s, t: values)
+
+
+def test_abstaining_does_not_pay(folder):
+    """A map that leaves out the half that it gets wrong has a larger mean, not a smaller one."""
+
+    def half_wrong(source, target):
+        wrong = np.roll(np.arange(N), 20)
+        return np.where(np.arange(N) < N // 2, np.arange(N), wrong)
+
+    def abstaining(source, target):
+        return np.where(np.arange(N) < N // 2, np.arange(N), -1)
+
+    whole, partly = (evaluate(None, folder, ALL, match=each).to_dict() for each in (half_wrong, abstaining))
+    assert partly["mean_geodesic_error"] > whole["mean_geodesic_error"] > 0
+    assert partly["mean_geodesic_error_of_matched_points"] == 0
+    assert partly["unmatched_points"] == 3 * (N - N // 2)
+    assert partly["pck_auc"] <= whole["pck_auc"]
+    assert "unmatched_points" in whole and whole["unmatched_points"] == 0
+
+
+def test_neither_a_matcher_nor_a_method(folder):
+    with pytest.raises(ArgumentError, match="matcher is None, but maps must come from a matcher or from match"):
+        evaluate(None, folder, ALL)
+
+
+def test_clouds_reach_a_method_without_faces(folder):
+    given = []
+
+    def method(source, target):
+        given.append((source, target))
+        return identity(source, target)
+
+    found = evaluate(None, folder, Protocol(split="all", modality="mesh-to-cloud", noise=0.01), match=method)
+    assert not found.errors.any()
+    for source, target in given:
+        assert source.faces is not None and target.faces is None
+    true = folder.shape("b").points
+    assert 0 < np.abs(given[0][1].points - true).max() < 0.2
+    np.testing.assert_array_equal(given[0][0].points, folder.shape("a").points)
+
+
+# ---- maps of other programs
+
+
+@pytest.mark.parametrize(
+    ("name", "base"),
+    [("{}_{}.txt", 0), ("{}-{}.vts", 1), ("{}__{}.map", 1), ("{}_{}.txt", 1)],
+)
+def test_a_folder_of_maps_is_scored_without_weights(folder, tmp_path, name, base):
+    (tmp_path / "maps").mkdir()
+    for source, target in folder.pairs("all"):
+        np.savetxt(tmp_path / "maps" / name.format(source, target), np.arange(N) + base, fmt="%d")
+    given = None if name != "{}_{}.txt" or base == 0 else base
+    found = evaluate(None, folder, ALL, match=MapsFolder(tmp_path / "maps", base=given))
+    assert not found.errors.any() and len(found.pairs) == 3
+    assert found.method == "MapsFolder"
+
+
+def test_matches_that_were_saved_are_scored_as_they_are(folder, tmp_path, make):
+    answer = np.where(np.arange(N) % 5 == 0, -1, np.roll(np.arange(N), 7))
+    for suffix in (".npz", ".mat"):
+        (tmp_path / suffix).mkdir()
+        for source, target in folder.pairs("all"):
+            shapes = folder.shape(source), folder.shape(target)
+            Match(*shapes, np.zeros(N, int), answer).save(tmp_path / suffix / f"{source}_{target}{suffix}")
+        found = evaluate(None, folder, ALL, match=MapsFolder(tmp_path / suffix))
+        expected = evaluate(None, folder, ALL, match=lambda s, t: answer)
+        np.testing.assert_array_equal(found.errors, expected.errors)
+
+
+def test_a_map_that_is_missing_is_named(folder, tmp_path):
+    (tmp_path / "maps").mkdir()
+    with pytest.raises(DataError, match="has no map of a and b; it must be called a_b"):
+        evaluate(None, folder, ALL, match=MapsFolder(tmp_path / "maps"))
+    with pytest.raises(DataError, match="nowhere is not a folder"):
+        MapsFolder(tmp_path / "nowhere")
+
+
+# ---- what is made of it
+
+
+def shifted(source: Shape, target: Shape) -> np.ndarray:
+    return np.where(np.arange(N) == 3, -1, np.roll(np.arange(N), 1))
+
+
+def test_metrics_of_ones_own(folder, tmp_path):
+    seen = []
+
+    def unmatched(scored):
+        seen.append(scored)
+        return np.mean(scored.match.target_to_source < 0)
+
+    def exact(scored):
+        return np.mean(scored.match.target_to_source[scored.truth.target] == scored.truth.source)
+
+    found = evaluate(None, folder, ALL, match=shifted, metrics={"unmatched": unmatched, "exact": exact})
+    assert found.to_dict()["metrics"] == pytest.approx({"unmatched": 1 / N, "exact": 0})
+    assert [pair.metrics["exact"] for pair in found.pairs] == [0, 0, 0]
+    for scored, pair in zip(seen, found.pairs, strict=True):
+        np.testing.assert_array_equal(scored.errors, pair.errors)
+        assert scored.match.source.name == f"{pair.pair[0]}.off"
+
+
+def test_a_table_of_pairs(folder, tmp_path):
+    found = evaluate(None, folder, ALL, match=shifted, metrics={"two": lambda scored: 2})
+    write_csv(tmp_path / "pairs.csv", found.rows())
+    with (tmp_path / "pairs.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["source"], row["target"]) for row in rows] == [("a", "b"), ("b", "c"), ("a", "a")]
+    for row, pair in zip(rows, found.pairs, strict=True):
+        assert (int(row["points"]), int(row["unmatched"])) == (N, 1)
+        assert float(row["mean_geodesic_error"]) == pytest.approx(100 * pair.errors.mean())
+        assert float(row["two"]) == 2 and row["coverage"] == ""
+    assert repr(found).startswith("Evaluation(3 pairs by shifted: mean geodesic error ")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "begins"), [(".png", b"\x89PNG\r\n"), (".svg", b"<?xml"), (".pdf", b"%PDF"), (".PNG", b"\x89PNG\r\n")]
+)
+def test_the_curve_as_a_picture(folder, tmp_path, suffix, begins):
+    pytest.importorskip("matplotlib", reason="matplotlib is missing; pip install 'homolog[plot]'")
+    found = evaluate(None, folder, ALL, match=shifted)
+    plot_pck(tmp_path / f"curve{suffix}", {"mine": found, "theirs": found})
+    content = (tmp_path / f"curve{suffix}").read_bytes()
+    assert content.startswith(begins) and len(content) > 2000
+    assert [path.name for path in tmp_path.glob("curve*")] == [f"curve{suffix}"]
+    with pytest.raises(ArgumentError, match=r"'\.jpg', but must be one of \.png, \.pdf, \.svg"):
+        plot_pck(tmp_path / "curve.jpg", {"mine": found})

@@ -1,0 +1,268 @@
+"""A match: its arrays from their pieces, on disk, inverted, composed, and as matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.io
+import torch
+from test_matching_repairs import dirtied
+
+from homolog.core.errors import ArgumentError, DataError
+from homolog.geometry import OperatorSettings, compute_operators
+from homolog.maps import confidence, overlap
+from homolog.matching import Match, align_partial, read_point_map, refine
+from homolog.pairs import PairOptions
+from homolog.shapes import Shape, repair
+
+ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
+
+
+def assert_same(found: Match, expected: Match) -> None:
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+# ---- from the pieces
+
+
+def as_given(indices, trust, own, other):
+    """A map between clean points in the indices of the files: first of equal points, -1 for points left out."""
+    first = {}
+    for point, clean in enumerate(other.clean_index):
+        first.setdefault(int(clean), point)
+    there = np.array([first[int(end)] if end >= 0 else -1 for end in indices])
+    kept = own.clean_index >= 0
+    return np.where(kept, there[own.clean_index], -1), np.where(kept, trust[own.clean_index], 0.0)
+
+
+def upper(shape):
+    """What of a shape lies above a plane."""
+    faces = shape.faces[(shape.points[shape.faces, 1] > -0.5).all(axis=1)]
+    return repair(Shape(shape.points, faces)).shape
+
+
+@pytest.mark.parametrize("partial", [None, "source", "target"])
+@pytest.mark.parametrize("method", ["functional-map", "nearest-features"])
+def test_all_arrays_are_those_of_the_pieces(build, blobs, method, partial):
+    """Repairs on both sides; each confidence belongs to the map whose length it has."""
+    shapes = {"source": blobs.source, "target": blobs.target}
+    if partial is not None:
+        shapes[partial] = upper(shapes[partial])
+    source, target = map(dirtied, shapes.values())
+    matcher = build(method)
+    options = PairOptions(partial=partial)
+    found = matcher.match(source.shape, target.shape, options)
+
+    pair, _ = matcher.pair(source.shape, target.shape, options)
+    assert (pair.x is pair.source) == (partial != "source")
+    pair = align_partial(pair)
+    maps = refine(pair, matcher.method_of("mesh", "mesh")(pair))
+    at_x, at_y = pair.x.operators.points, pair.y.operators.points
+    x_to_y, y_to_x = maps.x_to_y.clone(), maps.y_to_x
+    x_trust = confidence(at_x, at_y, maps.x_to_y, maps.y_to_x).numpy()
+    y_trust = confidence(at_y, at_x, maps.y_to_x, maps.x_to_y).numpy()
+    if partial is not None:
+        seen = overlap(pair.x.operators, pair.y.operators, y_to_x).numpy()
+        x_to_y[~torch.from_numpy(seen)] = -1
+        x_trust = x_trust * seen
+        assert 0 < seen.sum() < len(seen)
+    of_x = as_given(x_to_y.numpy(), x_trust, *((source, target) if pair.x is pair.source else (target, source)))
+    of_y = as_given(y_to_x.numpy(), y_trust, *((target, source) if pair.x is pair.source else (source, target)))
+    expected = dict(zip((pair.x is pair.source, pair.y is pair.source), (of_x, of_y), strict=True))
+    for side, (indices, trust) in (("source", expected[True]), ("target", expected[False])):
+        other = "target" if side == "source" else "source"
+        np.testing.assert_array_equal(getattr(found, f"{side}_to_{other}"), indices)
+        np.testing.assert_allclose(getattr(found, f"{side}_confidence"), trust, rtol=1e-6)
+    assert found.source is source.shape and found.target is target.shape
+
+
+# ---- what is given
+
+
+@pytest.fixture
+def given(make) -> Match:
+    """Random maps between a mesh of 162 points and a cloud of 42; some points have no counterpart."""
+    rng = np.random.default_rng(1)
+    source = Shape(make.blob(2).points, make.blob(2).faces, name="mesh.off")
+    target = Shape(make.sphere(1).points, name="cloud.xyz")
+    forth, back = rng.integers(-1, 42, 162), rng.integers(-1, 162, 42)
+    forth[[0, 9]], back[[0, 5]] = -1, -1
+    trust = [np.where(indices < 0, 0, rng.random(len(indices))) for indices in (forth, back)]
+    return Match(source, target, forth, back, *trust, method="by hand", warnings=("look!",), report={"answer": 42})
+
+
+def test_confidences_are_one_where_there_is_a_counterpart_by_default(given):
+    found = Match(given.source, given.target, given.source_to_target, given.target_to_source)
+    np.testing.assert_array_equal(found.source_confidence, (given.source_to_target >= 0).astype(float))
+    np.testing.assert_array_equal(found.target_confidence, (given.target_to_source >= 0).astype(float))
+    assert found.method == "given" and found.quality is None and found.warnings == ()
+
+
+def test_maps_may_be_tensors_or_lists(given):
+    found = Match(given.source, given.target, torch.from_numpy(given.source_to_target), given.target_to_source.tolist())
+    assert found.source_to_target.dtype == found.target_to_source.dtype == np.int64
+    np.testing.assert_array_equal(found.target_to_source, given.target_to_source)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"source_to_target": np.zeros(5, int)}, r"source_to_target has shape \(5,\), but must .* \(162,\)"),
+        ({"target_to_source": np.zeros(42)}, "target_to_source holds float64, but must hold whole numbers"),
+        ({"target_to_source": np.full(42, 162)}, "holds 162, but must hold indices of the other shape, 0 to 161"),
+        ({"target_to_source": np.full(42, -2)}, "holds -2, but must"),
+        ({"source_to_target": np.full(162, 42)}, "holds 42, but must hold indices of the other shape, 0 to 41"),
+        ({"target_confidence": np.zeros(162)}, r"target_confidence has shape \(162,\), but must .* \(42,\)"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_one_line(given, changes, said):
+    arrays = {name: getattr(given, name) for name in ARRAYS}
+    with pytest.raises(ArgumentError, match=said) as caught:
+        Match(given.source, given.target, **{**arrays, **changes})
+    assert "\n" not in str(caught.value)
+
+
+# ---- on disk
+
+
+def test_a_folder_goes_round(given, tmp_path):
+    paths = given.save(tmp_path / "result")
+    assert [path.name for path in paths] == ["correspondence.npz", "source.ply", "target.ply", "report.json"]
+    found = Match.load(tmp_path / "result")
+    assert_same(found, given)
+    assert (found.method, found.warnings, found.report["answer"]) == ("by hand", ("look!",), 42)
+    np.testing.assert_array_equal(found.source.points, given.source.points)
+    np.testing.assert_array_equal(found.source.faces, given.source.faces)
+    assert found.target.faces is None
+    again = found.save(tmp_path / "again")
+    for one, other in zip(paths, again, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize("direction", ["target_to_source", "source_to_target"])
+@pytest.mark.parametrize("base", [None, 0, 1])
+@pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
+def test_files_go_round_in_both_bases(given, tmp_path, suffix, base, direction):
+    path = tmp_path / f"map{suffix}"
+    assert given.save(path, base=base, direction=direction) == [path]
+    expected = getattr(given, direction)
+    np.testing.assert_array_equal(read_point_map(path, base=base, direction=direction), expected)
+    first = {".txt": 0, ".npz": 0, ".vts": 1, ".mat": 1}[suffix] if base is None else base
+    # As other programs read them.
+    if suffix in (".txt", ".vts"):
+        stored = np.array([int(line) for line in path.read_text().split()])
+    elif suffix == ".mat":
+        stored = scipy.io.loadmat(path)[direction]
+        assert stored.shape == (len(expected), 1)
+        np.testing.assert_array_equal(read_point_map(path, direction=direction), expected)  # it says its base itself
+        stored = stored[:, 0]
+    else:
+        with np.load(path) as arrays:
+            stored = arrays[direction]
+            np.testing.assert_array_equal(arrays["target_confidence"], given.target_confidence)
+    np.testing.assert_array_equal(stored, expected + first)
+    assert stored.min() == first - 1  # a point without a counterpart
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"path": "map.csv"}, "suffix is '.csv', but must be one of .npz, .mat, .txt, .vts"),
+        ({"path": "map.txt", "base": 2}, "base is 2, but the first index must be 0 or 1"),
+        ({"path": "map.txt", "direction": "forth"}, "direction is 'forth', but must be one of"),
+    ],
+)
+def test_files_that_cannot_be(given, tmp_path, options, said):
+    path = tmp_path / options.pop("path")
+    with pytest.raises(ArgumentError) as caught:
+        given.save(path, **options)
+    assert said in str(caught.value) and "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", ["1.5\n2\n", "one\n", "1 2\n3 4\n", ""])
+def test_files_that_are_no_maps_are_one_line(tmp_path, text):
+    (tmp_path / "map.txt").write_text(text)
+    with pytest.raises(DataError, match=r"map\.txt") as caught:
+        read_point_map(tmp_path / "map.txt")
+    assert "\n" not in str(caught.value)
+
+
+# ---- what can be made of it
+
+
+def test_the_inverse_of_the_inverse_is_the_same(given):
+    inverse = given.inverse()
+    assert (inverse.source, inverse.target) == (given.target, given.source)
+    np.testing.assert_array_equal(inverse.source_to_target, given.target_to_source)
+    np.testing.assert_array_equal(inverse.source_confidence, given.target_confidence)
+    again = inverse.inverse()
+    assert again.source is given.source and again.target is given.target
+    assert_same(again, given)
+    assert (again.method, again.warnings, again.report) == (given.method, given.warnings, given.report)
+
+
+def identity(shape: Shape) -> Match:
+    everything = np.arange(shape.n_points)
+    return Match(shape, shape, everything, everything)
+
+
+def test_composing_with_the_identity_changes_nothing(given):
+    assert_same(given.compose(identity(given.target)), given)
+    assert_same(identity(given.source).compose(given), given)
+
+
+def test_composed_maps_go_by_way_of_the_shape_between(given, make):
+    rng = np.random.default_rng(2)
+    third = Shape(make.grid(5).points, name="grid")
+    other = Match(given.target, third, rng.integers(-1, 25, 42), rng.integers(-1, 42, 25), rng.random(42))
+    found = given.compose(other)
+    assert found.source is given.source and found.target is third
+    for point, between in enumerate(given.source_to_target):
+        end = -1 if between < 0 else other.source_to_target[between]
+        assert found.source_to_target[point] == end
+        trust = given.source_confidence[point] * other.source_confidence[between] if end >= 0 else 0
+        assert found.source_confidence[point] == pytest.approx(trust)
+    for point, between in enumerate(other.target_to_source):
+        assert found.target_to_source[point] == (-1 if between < 0 else given.target_to_source[between])
+    with pytest.raises(ArgumentError, match="the other match begins at grid with 25 points, but must begin at cloud"):
+        given.compose(identity(third))
+
+
+def test_a_matrix_takes_functions_to_the_target(given):
+    matrix = given.to_matrix()
+    assert matrix.shape == (42, 162)
+    values = np.random.default_rng(0).random((162, 2))
+    expected = np.where(given.target_to_source[:, None] < 0, 0, values[given.target_to_source])
+    np.testing.assert_array_equal(matrix @ values, expected)
+
+
+def test_the_functional_map_of_the_identity_is_the_identity(make):
+    blob = make.blob(3)
+    np.testing.assert_allclose(identity(blob).functional_map(30), np.eye(30), atol=1e-3)
+
+
+def test_the_functional_map_takes_coefficients_from_source_to_target(make):
+    """To a relabelled copy in need of repair, some of whose points have no counterpart."""
+    blob = make.blob(3)
+    order = np.random.default_rng(0).permutation(blob.n_points)
+    copy = make.relabelled(blob, order)
+    dirty = Shape(np.concatenate([copy.points, [[np.nan] * 3]]), copy.faces)
+    back = np.append(order, -1)
+    back[np.random.default_rng(1).permutation(blob.n_points)[:20]] = -1
+    found = Match(blob, dirty, np.full(blob.n_points, -1), back).functional_map(12)
+    wanted = OperatorSettings(n_eigenpairs=12)
+    source, target = (compute_operators(repair(shape).shape, settings=wanted) for shape in (blob, dirty))
+    heights = torch.tensor(blob.points[:, 1:2], dtype=torch.float32)
+    carried = target.eigenvectors.double() @ torch.from_numpy(found) @ source.coefficients(heights).double()
+    smooth = source.eigenvectors @ source.coefficients(heights)
+    np.testing.assert_allclose(carried.numpy(), smooth.numpy()[order], atol=0.02 * float(smooth.std()))
+
+
+def test_its_repr_is_short_and_says_what_it_is(given, build, blobs):
+    assert repr(given).count("\n") < 5 and len(repr(given)) < 500
+    assert "'mesh.off' -> 'cloud.xyz' by by hand" in repr(given) and "1 warning" in repr(given)
+    for each in (build().match(blobs.source, blobs.target), *build().pair(blobs.source, blobs.target)[:1]):
+        assert repr(each).count("\n") < 5
+        assert "array(" not in repr(each) and "tensor(" not in repr(each)

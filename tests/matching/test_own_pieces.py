@@ -1,0 +1,220 @@
+"""Features and methods of one's own."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+import torch
+from test_matching_repairs import dirtied
+from torch import nn
+
+import homolog
+from homolog.core.errors import ArgumentError
+from homolog.features import FeatureInfo, as_extractor
+from homolog.maps import nearest_neighbour
+from homolog.matching import Matcher
+from homolog.methods import GROUP, FunctionMethod, Supports, find_method, method_names, registry
+from homolog.pairs import MatcherSettings, PointMaps
+
+ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
+OWN = FeatureInfo(name="own", input="operators", upright=False, map_eigenpairs=40)
+
+
+def assert_same(found, expected):
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+# ---- features
+
+
+class Wrapped(nn.Module):
+    """A module that is called with operators."""
+
+    def __init__(self, network):
+        super().__init__()
+        self.network = network
+
+    def forward(self, operators):
+        return self.network(operators.points, operators)
+
+
+@pytest.mark.parametrize("method", ["functional-map", "nearest-features"])
+def test_features_by_a_function_or_a_module_are_those_of_the_network(build, blobs, network, method):
+    expected = build(method).match(blobs.source, blobs.target)
+    for own in (lambda shape: network(shape.points, shape).detach().numpy(), Wrapped(network)):
+        found = Matcher(own, OWN, settings=MatcherSettings(method=method), device="cpu").match(
+            blobs.source, blobs.target
+        )
+        assert_same(found, expected)
+        assert found.report["features"]["name"] == "own"
+
+
+def given_for(dirty, features):
+    """Features of the points of a damaged file, in its order; those of points that are left out are far off."""
+    rows = np.full((dirty.shape.n_points, features.shape[1]), 1e3)
+    kept = dirty.clean_index >= 0
+    rows[kept] = features[dirty.clean_index[kept]]
+    return rows
+
+
+@pytest.mark.parametrize("partial", [None, "source"])
+@pytest.mark.parametrize("method", ["functional-map", "nearest-features"])
+def test_arrays_of_features_follow_the_points_of_the_files(build, blobs, method, partial):
+    """Repairs on both sides take points out amid others; the arrays do not know of that."""
+    source, target = dirtied(blobs.source), dirtied(blobs.target)
+    own = build(method)
+    features = [own.preprocess(shape).features.numpy() for shape in (blobs.source, blobs.target)]
+    rows = tuple(map(given_for, (source, target), features))
+    settings = MatcherSettings(method=method, alignment=None)
+    matcher = Matcher(OWN, settings=settings, device="cpu")
+    found = matcher.match(source.shape, target.shape, features=rows, partial=partial)
+    clean = matcher.match(blobs.source, blobs.target, features=tuple(features), partial=partial)
+    lifted = np.where(source.clean_index < 0, -1, clean.source_to_target[source.clean_index])
+    first = np.array([np.flatnonzero(target.clean_index == point)[0] for point in range(blobs.target.n_points)])
+    np.testing.assert_array_equal(found.source_to_target, np.where(lifted < 0, -1, first[lifted]))
+    if partial is None:
+        assert_same(clean, own.match(blobs.source, blobs.target))
+
+
+def test_arrays_in_one_call(blobs, build):
+    features = tuple(build().preprocess(shape).features.numpy() for shape in (blobs.source, blobs.target))
+    found = homolog.match(blobs.source, blobs.target, features=features, method="nearest-features", device="cpu")
+    assert_same(found, build("nearest-features").match(blobs.source, blobs.target))
+    assert found.report["features"]["name"] == "given"
+
+
+@pytest.mark.parametrize(
+    ("features", "said"),
+    [
+        (lambda shape: torch.zeros(3, 2), r"features 'own' have shape \(3, 2\), but must have one row per point"),
+        (lambda shape: shape.points[:, 0], r"have shape \(480,\), but must have one row per point, \(480, d\)"),
+        (lambda shape: shape.points * np.nan, "hold NaN or infinite numbers, but must be finite"),
+        (3, "features is a int, but must be a feature extractor, a network or a function of operators"),
+    ],
+)
+def test_features_that_cannot_be_are_one_line(blobs, features, said):
+    with pytest.raises(ArgumentError, match=said) as caught:
+        Matcher(features, OWN, device="cpu").match(blobs.source, blobs.target)
+    assert "\n" not in str(caught.value)
+
+
+def test_arrays_of_another_length_name_their_shape(blobs):
+    wrong = np.zeros((480, 4)), np.zeros((480, 4))
+    with pytest.raises(ArgumentError, match=r"features 'target' have shape \(480, 4\), but must .* \(560, d\)"):
+        Matcher(OWN, device="cpu").match(blobs.source, blobs.target, features=wrong)
+    with pytest.raises(ArgumentError, match="features 'own' are given with each pair, but none are"):
+        Matcher(OWN, device="cpu").match(blobs.source, blobs.target)
+
+
+def test_features_can_be_trained_on(build, blobs):
+    """They are ordinary tensors, on which layers of one's own find gradients."""
+    pair, _ = build().pair(blobs.source, blobs.target)
+    shape = build().preprocess(blobs.source)
+    for features in (pair.x.features, pair.y.features, shape.features):
+        layer = nn.Linear(features.shape[1], 1)
+        layer(features).sum().backward()
+        torch.testing.assert_close(layer.weight.grad[0], features.sum(dim=0), rtol=1e-3, atol=1e-3)
+
+
+def test_an_extractor_with_gradients_keeps_them(network, blobs, build):
+    extractor = as_extractor(Wrapped(network), OWN)
+    operators = build().preprocess(blobs.source).operators
+    extractor(operators).sum().backward()
+    assert network.last.weight.grad is not None
+    network.zero_grad(set_to_none=True)
+
+
+# ---- methods
+
+
+def nearest_points(pair):
+    x, y = pair.x.operators.points, pair.y.operators.points
+    return PointMaps(nearest_neighbour(x, y).index, nearest_neighbour(y, x).index)
+
+
+METHOD = FunctionMethod("nearest-points", nearest_points, Supports(needs_features=False, refinement=False))
+
+
+@pytest.fixture
+def expected(build, blobs):
+    """What the method finds, from the operators' points."""
+    first, second = (
+        build("axiomatic").preprocess(shape).operators.points.numpy() for shape in (blobs.source, blobs.target)
+    )
+    distances = np.linalg.norm(first[:, None] - second[None], axis=2)
+    return distances.argmin(axis=1), distances.argmin(axis=0)
+
+
+def test_a_method_by_function(blobs, expected):
+    matcher = Matcher(settings=MatcherSettings(method=METHOD), device="cpu")
+    assert matcher.extractor is None
+    found = matcher.match(blobs.source, blobs.target)
+    assert np.mean(found.source_to_target == expected[0]) > 0.99
+    assert np.mean(found.target_to_source == expected[1]) > 0.99
+    assert found.method == found.report["method"] == found.report["settings"]["method"] == "nearest-points"
+    assert matcher.describe()["settings"]["method"] == "nearest-points"
+
+
+def test_a_method_by_function_saves_its_report(blobs, tmp_path):
+    found = homolog.match(blobs.source, blobs.target, method=METHOD, device="cpu")
+    found.save(tmp_path / "result")
+    assert homolog.Match.load(tmp_path / "result").method == "nearest-points"
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """A package that offers a method, as if it were installed."""
+    (tmp_path / "own_methods.py").write_text(
+        "from homolog.maps import nearest_neighbour\n"
+        "from homolog.methods import FunctionMethod, Supports\n"
+        "from homolog.pairs import PointMaps\n"
+        "def nearest(pair):\n"
+        "    x, y = pair.x.operators.points, pair.y.operators.points\n"
+        "    return PointMaps(nearest_neighbour(x, y).index, nearest_neighbour(y, x).index)\n"
+        'METHOD = FunctionMethod("their-method", nearest, Supports(needs_features=False, refinement=False))\n'
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    points = [EntryPoint("their-method", "own_methods:METHOD", GROUP), EntryPoint("broken", "no_such:METHOD", GROUP)]
+
+    def entry_points(*, group, name=None):
+        assert group == GROUP
+        return [point for point in points if name in (None, point.name)]
+
+    monkeypatch.setattr(registry, "entry_points", entry_points)
+    yield
+    sys.modules.pop("own_methods", None)
+
+
+def test_a_method_by_entry_point(installed, blobs, expected):
+    assert method_names()[-2:] == ("their-method", "broken")
+    assert "own_methods" not in sys.modules  # names are found without loading any
+    found = homolog.match(blobs.source, blobs.target, method="their-method", device="cpu")
+    assert np.mean(found.target_to_source == expected[1]) > 0.99
+    assert found.method == "their-method"
+    assert find_method("their-method").supports.needs_features is False
+    with pytest.raises(ArgumentError, match=r"method is 'their-methd'.*did you mean 'their-method'"):
+        find_method("their-methd")
+
+
+@pytest.mark.parametrize(
+    ("maps", "said"),
+    [
+        (lambda pair: (1, 2), "method 'own' gave a tuple, but must give homolog.pairs.PointMaps"),
+        (lambda pair: PointMaps(torch.zeros(3, dtype=int), torch.zeros(560, dtype=int)), r"x_to_y of method 'own' is"),
+        (lambda pair: PointMaps(torch.zeros(480), torch.zeros(560, dtype=int)), "must be a tensor of whole numbers"),
+        (
+            lambda pair: PointMaps(torch.full((480,), 560), torch.zeros(560, dtype=int)),
+            "holds 560 to 560, but must hold indices of the repaired shape's points, 0 to 559",
+        ),
+        (lambda pair: PointMaps(torch.full((480,), -1), torch.zeros(560, dtype=int)), "holds -1 to -1, but must"),
+    ],
+)
+def test_maps_that_do_not_fit_are_one_line(blobs, maps, said):
+    method = FunctionMethod("own", maps, Supports(needs_features=False, refinement=False))
+    with pytest.raises(ArgumentError, match=said) as caught:
+        Matcher(settings=MatcherSettings(method=method), device="cpu").match(blobs.source, blobs.target)
+    assert "\n" not in str(caught.value)

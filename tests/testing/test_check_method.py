@@ -1,0 +1,74 @@
+"""The common suite of methods: Homolog's own pass it, and so does a small one; broken ones do not."""
+
+import pytest
+import torch
+
+from homolog.maps import nearest_neighbour
+from homolog.methods import AUTO, FunctionMethod, Supports, method_names
+from homolog.pairs import PointMaps
+from homolog.testing import check_method
+
+BY_POSITION = Supports(needs_features=False, refinement=False)
+
+
+def nearest_points(pair):
+    """A method of one function: the nearest points of shapes that stand alike."""
+    x, y = pair.x.operators.points, pair.y.operators.points
+    return PointMaps(nearest_neighbour(x, y).index, nearest_neighbour(y, x).index)
+
+
+@pytest.mark.parametrize("name", [name for name in method_names() if name != AUTO])
+def test_every_method_passes(name):
+    check_method(name)
+
+
+def test_a_small_method_passes():
+    check_method(FunctionMethod("nearest-points", nearest_points, BY_POSITION))
+
+
+def indices_of_the_files(pair):
+    """Takes the points as given, not as repaired: too many entries."""
+    x, y = (torch.from_numpy(shape.given.points).float() for shape in (pair.x, pair.y))
+    return PointMaps(nearest_neighbour(x, y).index, nearest_neighbour(y, x).index)
+
+
+def by_number(pair):
+    """Point i goes to point i, whatever it is."""
+    n_x, n_y = (shape.operators.n_points for shape in (pair.x, pair.y))
+    return PointMaps(torch.arange(n_x) % n_y, torch.arange(n_y) % n_x)
+
+
+def at_random(pair):
+    n_x, n_y = (shape.operators.n_points for shape in (pair.x, pair.y))
+    return PointMaps(torch.randint(n_y, (n_x,)), torch.randint(n_x, (n_y,)))
+
+
+def changing(pair):
+    """Centres the points that it was given, in place."""
+    for shape in (pair.x, pair.y):
+        shape.operators.points.sub_(1.0)
+    return nearest_points(pair)
+
+
+def abstaining(pair):
+    maps = nearest_points(pair)
+    return PointMaps(torch.where(maps.x_to_y > 5, maps.x_to_y, -1), maps.y_to_x)
+
+
+@pytest.mark.parametrize(
+    ("function", "words"),
+    [
+        (indices_of_the_files, "but must be a"),
+        (by_number, "order of points"),
+        (at_random, "determinism"),
+        (changing, "purity"),
+        (abstaining, "holds -1 to"),
+        (lambda pair: (1, 2), "not PointMaps"),
+    ],
+    ids=["indices of the files", "by number", "at random", "changing", "abstaining", "a tuple"],
+)
+def test_broken_methods_are_caught(function, words):
+    """Each by the promise that it breaks."""
+    torch.manual_seed(0)
+    with pytest.raises(AssertionError, match=words):
+        check_method(FunctionMethod("broken", function, BY_POSITION))
