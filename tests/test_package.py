@@ -189,6 +189,7 @@ def test_lazy_packages_say_where_each_name_is_from(path):
             assert getattr(package, name) is getattr(found, name)
 
 
+@pytest.mark.process
 def test_packages_are_attributes():
     """Without an import of their own; no other word is one."""
     on_disk = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"cli"}
@@ -211,6 +212,7 @@ assert not {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "THP_MEM_ALLOC_ENABLE"} & (os.e
 """
 
 
+@pytest.mark.process
 def test_import_changes_no_environment_variable():
     """Nor does the use of what is imported then set those that ``tune_threads`` sets."""
     subprocess.run([sys.executable, "-c", CHANGES], timeout=120, check=True)
@@ -239,6 +241,7 @@ def test_tuning_leaves_what_the_user_has_chosen(monkeypatch, chosen, expected):
         os.environ.pop(name, None)
 
 
+@pytest.mark.process
 def test_the_command_tunes_before_anything_loads_torch():
     program = (
         "import os, sys, homolog.core.threads\n"

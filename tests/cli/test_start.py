@@ -54,12 +54,14 @@ def command_names(group, before=()):
 COMMANDS = list(command_names(get_command(app)))
 
 
+@pytest.mark.process
 def test_the_version_loads_next_to_nothing():
     slow = ["torch", "numpy", "scipy", "trimesh", "rich", "jaxtyping", "safetensors", "homolog.cli.match"]
     (one,) = ended(slow, [["--version"]])
     assert (one["code"], one["loaded"]) == (0, [])
 
 
+@pytest.mark.process
 def test_help_lists_and_mistakes_load_no_torch(tmp_path):
     """All in one process: whatever one of them loads is seen."""
     (tmp_path / "a.off").write_text("OFF\n")
@@ -98,6 +100,7 @@ def test_help_lists_and_mistakes_load_no_torch(tmp_path):
             assert (one["out"], one["err"].count("\n")) == ("", 1) and one["err"].startswith("Error: "), one
 
 
+@pytest.mark.process
 def test_lists_load_nothing_that_reads_shapes():
     """A description is a TOML file."""
     (one,) = ended(["torch", "numpy", "scipy", "trimesh", "rich"], [["data", "list"]])
@@ -105,6 +108,7 @@ def test_lists_load_nothing_that_reads_shapes():
     assert "faust_r\t" in one["out"]
 
 
+@pytest.mark.process
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [

@@ -116,6 +116,7 @@ def test_files_that_are_no_toml(tmp_path):
         read_toml(tmp_path / "bad.toml")
 
 
+@pytest.mark.process
 def test_pydantic_is_loaded_once_settings_are_made_and_not_before():
     code = "import sys, homolog.core.settings; sys.exit('pydantic' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

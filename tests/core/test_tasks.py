@@ -95,6 +95,7 @@ def test_a_process_that_is_ended_from_outside_is_one_line():
     assert run([squares([2, 3])], 2)[0] == [4, 9]
 
 
+@pytest.mark.process
 def test_cores_are_shared_unless_the_user_has_chosen(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(  # which several processes do not run again
@@ -132,6 +133,7 @@ print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))
 """
 
 
+@pytest.mark.process
 @not_on_windows
 def test_workers_that_begin_hear_no_interrupt_and_the_command_does(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTED_LOADING)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.io
 import torch
-from test_matching_repairs import dirtied
+from dirty_shapes import dirtied
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.geometry import OperatorSettings, compute_operators

@@ -9,7 +9,7 @@ from importlib.metadata import EntryPoint
 import numpy as np
 import pytest
 import torch
-from test_matching_repairs import dirtied
+from dirty_shapes import dirtied
 from torch import nn
 
 import homolog
