@@ -10,6 +10,8 @@ Device = Literal["auto", "cpu", "cuda"]
 """Where to compute; ``"auto"`` takes a GPU where there is one."""
 Up = Literal["x", "y", "z"]
 """The axis that points up in a file."""
+Orient = Literal["auto", "given"]
+"""Whether the way round of shapes is found, or trusted as their files have it."""
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
 """What the source and the target of an evaluation are used as."""
 Split = Literal["train", "test", "all"]

@@ -11,10 +11,13 @@ from homolog.features.extractor import (
     on_device,
 )
 from homolog.features.info import FeatureInfo, NetworkInput
+from homolog.features.orienter import ORIENTER_EIGENPAIRS, ORIENTER_NETWORK, Orientation, Orienter
 from homolog.features.weights import load_weights, save_weights
 
 __all__ = [
     "DEFAULT_WEIGHTS",
+    "ORIENTER_EIGENPAIRS",
+    "ORIENTER_NETWORK",
     "DiffusionNet",
     "FeatureExtractor",
     "FeatureInfo",
@@ -23,6 +26,8 @@ __all__ = [
     "NetworkFeatures",
     "NetworkInput",
     "NetworkSettings",
+    "Orientation",
+    "Orienter",
     "as_extractor",
     "check_features",
     "heat_decay",

@@ -14,6 +14,7 @@ from homolog.core.errors import ArgumentError
 from homolog.core.reprs import function_name
 from homolog.features.diffusion_net import DiffusionNet
 from homolog.features.info import FeatureInfo
+from homolog.features.orienter import Orienter
 from homolog.geometry import Basis, Operators
 from homolog.maps import heat_kernel_signature, wave_kernel_signature
 
@@ -50,6 +51,7 @@ class NetworkFeatures:
     Args:
         network: the network.
         info: what its weights expect.
+        orienter: tells how shapes are to be turned before their features are computed; None where nothing does.
 
     Examples:
         >>> import homolog
@@ -60,6 +62,7 @@ class NetworkFeatures:
 
     network: DiffusionNet
     info: FeatureInfo = field(default_factory=FeatureInfo)
+    orienter: Orienter | None = None
 
     def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
         """Features of all points (n, d)."""
@@ -79,7 +82,8 @@ class NetworkFeatures:
 
     def to(self, device: torch.device) -> NetworkFeatures:
         """The same on a device, in evaluation mode."""
-        return replace(self, network=self.network.to(device).eval())
+        orienter = None if self.orienter is None else self.orienter.to(device)
+        return replace(self, network=self.network.to(device).eval(), orienter=orienter)
 
     def __repr__(self) -> str:
         settings = self.network.settings

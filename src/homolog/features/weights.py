@@ -21,16 +21,27 @@ from homolog.core.tensors import write_tensors
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
 from homolog.features.extractor import NetworkFeatures
 from homolog.features.info import FeatureInfo
+from homolog.features.orienter import Orienter
 from homolog.features.published import read_published
 
 # The format's name ends in its version, which grows when files can no longer be read by what read them before.
 _FORMAT, _VERSION = "homolog-weights-", 1
+# What names of an orienter's tensors begin with.
+_ORIENTER = "orienter."
 
 
-def save_weights(path: str | Path, network: DiffusionNet, info: FeatureInfo) -> None:
+def save_weights(
+    path: str | Path, network: DiffusionNet, info: FeatureInfo, *, orienter: Orienter | None = None
+) -> None:
     """Write a network as safetensors, its settings and ``info`` in the header. Written whole or not at all.
 
     The same network and ``info`` give the same bytes.
+
+    Args:
+        path: of the file.
+        network: to write.
+        info: what it expects.
+        orienter: which tells how shapes stand, if there is one.
     """
     described = {name: value for name, value in asdict(info).items() if name != "sha256"}
     notes = {
@@ -38,7 +49,11 @@ def save_weights(path: str | Path, network: DiffusionNet, info: FeatureInfo) -> 
         "settings": json.dumps(asdict(network.settings), sort_keys=True),
         "info": json.dumps(described, sort_keys=True),
     }
-    write_tensors(path, network.state_dict(), notes)
+    tensors = network.state_dict()
+    if orienter is not None:
+        notes["orienter"] = json.dumps(asdict(orienter.network.settings), sort_keys=True)
+        tensors |= {f"{_ORIENTER}{name}": tensor for name, tensor in orienter.network.state_dict().items()}
+    write_tensors(path, tensors, notes)
 
 
 def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
@@ -61,11 +76,15 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     """
     check_kind("weights", weights, PathLike, str)
     path = weights_file(weights)
-    read = read_published if path.suffix.lower() in (".pth", ".pt") else _read_own
     try:
-        settings, info, tensors = read(path)
-        network = DiffusionNet(settings)
-        network.load_state_dict(tensors)
+        settings, info, tensors, of_orienter = (
+            (*read_published(path), None) if path.suffix.lower() in (".pth", ".pt") else _read_own(path)
+        )
+        network = _network(settings, {name: tensors[name] for name in tensors if not name.startswith(_ORIENTER)})
+        orienter = None
+        if of_orienter is not None:
+            named = {name.removeprefix(_ORIENTER): tensors[name] for name in tensors if name.startswith(_ORIENTER)}
+            orienter = Orienter(_network(of_orienter, named))
     except WeightsError:
         raise
     except PermissionError as error:
@@ -73,12 +92,18 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     except Exception as error:  # on damaged bytes the readers raise nearly anything
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise WeightsError(f"{path} does not hold weights of this network ({reason}); check the file") from None
-    if not all(torch.isfinite(tensor).all() for tensor in network.state_dict().values()):
+    if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
         raise WeightsError(f"{path} holds weights that are not finite; check the file")
-    return NetworkFeatures(network.eval(), info)
+    return NetworkFeatures(network, info, orienter)
 
 
-_Contents = tuple[NetworkSettings, FeatureInfo, dict[str, Tensor]]
+def _network(settings: NetworkSettings, tensors: Mapping[str, Tensor]) -> DiffusionNet:
+    network = DiffusionNet(settings)
+    network.load_state_dict(tensors)
+    return network.eval()
+
+
+_Contents = tuple[NetworkSettings, FeatureInfo, dict[str, Tensor], NetworkSettings | None]
 
 
 def _read_own(path: Path) -> _Contents:
@@ -96,9 +121,10 @@ def _read_own(path: Path) -> _Contents:
             "install a newer homolog"
         )
     settings = NetworkSettings(**_known(json.loads(described["settings"])))
+    orienter = NetworkSettings(**_known(json.loads(described["orienter"]))) if "orienter" in described else None
     known = {f.name for f in fields(FeatureInfo)}
     info = {name: value for name, value in json.loads(described["info"]).items() if name in known}
-    return settings, FeatureInfo(**{**info, "sha256": sha256(path)}), tensors
+    return settings, FeatureInfo(**{**info, "sha256": sha256(path)}), tensors, orienter
 
 
 def _known(given: Mapping[str, Any]) -> dict[str, Any]:

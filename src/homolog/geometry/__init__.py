@@ -1,7 +1,7 @@
 """Discrete differential geometry of one shape: Laplacian, gradient, spectrum, geodesics, and Operators of it all."""
 
 from homolog.core.caches import cache_folder
-from homolog.geometry.basis import Basis
+from homolog.geometry.basis import Basis, some_points
 from homolog.geometry.cache import OperatorCache
 from homolog.geometry.geodesics import Geodesics, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
@@ -42,6 +42,7 @@ __all__ = [
     "lowest_eigenpairs",
     "mesh_laplacian",
     "pair_distances",
+    "some_points",
     "split_long",
     "surface_area",
     "unit",

@@ -72,6 +72,24 @@ class Basis:
         pseudo_inverse = _least_squares(eigenvectors, mass)
         return Basis(self.points[kept], mass, self.eigenvalues, eigenvectors, gradients, pseudo_inverse)
 
+    def truncated(self, n_eigenpairs: int) -> Basis:
+        """The same basis with only the lowest eigenpairs."""
+        return replace(
+            self,
+            eigenvalues=self.eigenvalues[:n_eigenpairs],
+            eigenvectors=self.eigenvectors[:, :n_eigenpairs],
+            gradients=self.gradients[:, :, :n_eigenpairs],
+            pseudo_inverse=self.pseudo_inverse[:n_eigenpairs],
+        )
+
+    def coefficients(self, functions: Float[Tensor, "n c"]) -> Float[Tensor, "k c"]:
+        """Spectral coefficients of functions (n, c)."""
+        return self.pseudo_inverse @ functions
+
+    def turned(self, rotation: Float[Tensor, "3 3"]) -> Basis:
+        """The basis of the same shape, rotated about the origin."""
+        return replace(self, points=self.points @ rotation.T)
+
     def scaled(self, factor: float) -> Basis:
         """The basis of the same shape with all lengths multiplied by a factor."""
         # Eigenvectors of unit norm shrink as the root of the mass grows; their gradients by one factor more.
@@ -106,6 +124,17 @@ class Basis:
             self.gradients.to(device),
             self.pseudo_inverse.to(device),
         )
+
+
+def some_points(n_points: int, count: int) -> Int[Tensor, " s"]:
+    """Some of a shape's points, at random but always the same ones: files list points region by region.
+
+    Examples:
+        >>> from homolog.geometry import some_points
+        >>> len(some_points(100, 10)), len(some_points(5, 10))
+        (10, 5)
+    """
+    return torch.randperm(n_points, generator=torch.Generator().manual_seed(0))[:count]
 
 
 def _least_squares(eigenvectors: Float[Tensor, "s k"], mass: Float[Tensor, " s"]) -> Float[Tensor, "k s"]:

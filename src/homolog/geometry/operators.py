@@ -151,6 +151,10 @@ class Operators:
             scale=self.scale / factor,
         )
 
+    def turned(self, rotation: Float[Tensor, "3 3"]) -> Operators:
+        """The operators of the same shape, rotated about the origin of its normalised coordinates."""
+        return replace(self, points=self.points @ rotation.to(self.points).T)
+
     def around(self, centre: Float[Tensor, " 3"]) -> Operators:
         """The same operators with positions around another point of the file, such as the centre of a full shape."""
         away = (self.centre - centre.to(self.centre)) / self.scale

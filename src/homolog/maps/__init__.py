@@ -13,10 +13,18 @@ from homolog.maps.functional_map import (
     point_map_from_functional_map,
     resolvent_mask,
 )
+from homolog.maps.handedness import handedness
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
 from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flipped_triangles
 from homolog.maps.registration import RegistrationSettings, registered_positions
 from homolog.maps.rigid import rigid_motion
+from homolog.maps.rotations import (
+    best_rotation,
+    closest_point_rotations,
+    cube_rotations,
+    distinct_rotations,
+    rotation_angle,
+)
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
 from homolog.maps.zoomout import RefinementSettings, zoomout, zoomout_partial
 
@@ -26,14 +34,19 @@ __all__ = [
     "RefinementSettings",
     "RegistrationSettings",
     "SoftMatches",
+    "best_rotation",
+    "closest_point_rotations",
     "confidence",
     "coverage",
     "coverage_density",
+    "cube_rotations",
     "cycle_error",
     "dirichlet_energy",
+    "distinct_rotations",
     "flipped_triangles",
     "functional_map",
     "functional_map_from_point_map",
+    "handedness",
     "heat_kernel_signature",
     "local_stretch",
     "most_similar",
@@ -44,6 +57,7 @@ __all__ = [
     "registered_positions",
     "resolvent_mask",
     "rigid_motion",
+    "rotation_angle",
     "sinkhorn_matches",
     "smoothed_positions",
     "wave_kernel_signature",

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from homolog.core.arrays import takes_arrays
 from homolog.core.errors import bad_value
-from homolog.geometry import Operators
+from homolog.geometry import Basis, Operators
 
 # The variance of the energies is at least this: the eigenvalues of a small, symmetric shape can all be equal.
 _LEAST_SPREAD = 1e-3
@@ -73,11 +73,11 @@ def heat_kernel_signature(
     return eigenvectors.square() @ torch.exp(-eigenvalues[:, None] * times)
 
 
-def smoothed_positions(operators: Operators, *, n_eigenpairs: int = 20) -> Float[Tensor, "n 3"]:
+def smoothed_positions(operators: Operators | Basis, *, n_eigenpairs: int = 20) -> Float[Tensor, "n 3"]:
     """Low-pass filtered positions: the coordinates projected onto the lowest eigenfunctions.
 
     Args:
-        operators: of the shape.
+        operators: of the shape, or its basis.
         n_eigenpairs: eigenfunctions kept, at least 1; 6 to 50 are sensible.
 
     Returns:

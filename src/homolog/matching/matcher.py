@@ -1,4 +1,4 @@
-"""The road of a match: pair -> alignment -> method -> refinement -> match."""
+"""The road of a match: pair -> orientation -> alignment -> method -> refinement -> match."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from homolog.matching.inputs import options_of, read_inputs, with_inputs
 from homolog.matching.orientation import pair_orientation_warnings
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match
+from homolog.matching.search import orient
 from homolog.matching.warnings import blaming, low_confidence_warnings, unit_warnings
 from homolog.pairs import (
     Device,
@@ -85,6 +86,7 @@ class Matcher:
         of_features = OperatorSettings(expected.n_eigenpairs, expected.laplacian, expected.n_neighbours)
         self.preprocess = Preprocessor(
             extractor=self.extractor,
+            orientation=self.settings.orientation,
             settings=self.settings.operators or of_features,
             device=self.device,
             source=operators,
@@ -189,7 +191,7 @@ class Matcher:
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        aligned = align_partial(pair)
+        aligned = align_partial(orient(pair))
         return Match.of(aligned, refine(aligned, aligned.method(aligned)))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:

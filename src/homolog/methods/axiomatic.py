@@ -29,15 +29,13 @@ class AxiomaticFeatures:
     Needs the two shapes to stand alike: the same way up, facing the same way.
     """
 
-    # Descriptors follow the pose, but only their functional map is looked at for other poses.
-    info = FeatureInfo(name="axiomatic", licence="none", input="operators", upright=False)
+    info = FeatureInfo(name="axiomatic", licence="none", input="xyz", upright=False)
 
     def __init__(self, settings: AxiomaticSettings | None = None) -> None:
         self.settings = settings or AxiomaticSettings()
 
     def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
         """Descriptors of all points (n, d)."""
-        assert isinstance(operators, Operators)
         positions = self.settings.position_weight * smoothed_positions(operators)
         return torch.cat([_signatures(operators), positions], dim=1)
 
@@ -67,7 +65,7 @@ def axis_agreement(x: Operators, y: Operators, settings: AxiomaticSettings | Non
     return agreement
 
 
-def _signatures(operators: Operators) -> Float[Tensor, "n e"]:
+def _signatures(operators: Operators | Basis) -> Float[Tensor, "n e"]:
     """Wave kernel signatures about their mean, each channel of unit norm."""
     signature = wave_kernel_signature(operators.eigenvalues, operators.eigenvectors)
     share = operators.mass[:, None] / operators.mass.sum()
@@ -77,7 +75,7 @@ def _signatures(operators: Operators) -> Float[Tensor, "n e"]:
     return deviation / size.clamp(min=_LEAST_VARIATION * whole)
 
 
-def _norms(operators: Operators, functions: Float[Tensor, "n c"]) -> Float[Tensor, " c"]:
+def _norms(operators: Operators | Basis, functions: Float[Tensor, "n c"]) -> Float[Tensor, " c"]:
     squared: Tensor = (operators.mass[:, None] * functions.square()).sum(dim=0)
     return squared.sqrt()
 

@@ -11,13 +11,14 @@ if TYPE_CHECKING:
     from homolog.core.choices import AsCloud, Device, Side
     from homolog.pairs.method import Method, Supports, check_supported
     from homolog.pairs.options import SIDES, PairOptions
-    from homolog.pairs.pair import Pair, PointMaps
+    from homolog.pairs.pair import Pair, PairOrientation, PointMaps
     from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
     from homolog.pairs.settings import (
         AlignmentSettings,
         AxiomaticSettings,
         FunctionalMapSettings,
         MatcherSettings,
+        OrientationSettings,
         SoftMapSettings,
         WarningSettings,
         choose_device,
@@ -33,8 +34,10 @@ __all__ = [
     "MatcherSettings",
     "Method",
     "OperatorSource",
+    "OrientationSettings",
     "Pair",
     "PairOptions",
+    "PairOrientation",
     "PointMaps",
     "PreprocessedShape",
     "Preprocessor",
@@ -56,8 +59,10 @@ _MODULES = {
     "MatcherSettings": "settings",
     "Method": "method",
     "OperatorSource": "preprocessing",
+    "OrientationSettings": "settings",
     "Pair": "pair",
     "PairOptions": "options",
+    "PairOrientation": "pair",
     "PointMaps": "pair",
     "PreprocessedShape": "preprocessing",
     "Preprocessor": "preprocessing",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any, get_args
 
-from homolog.core.choices import AsCloud, Side, Up
+from homolog.core.choices import AsCloud, Orient, Side, Up
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 
 SIDES: tuple[Side, Side] = ("source", "target")
@@ -25,6 +25,7 @@ class PairOptions:
         pre_aligned: the partial shape is already aligned with the full one; otherwise its pose does not count.
         source_up: which axis of the source points up.
         target_up: which axis of the target.
+        orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
         strict: fail if a shape needs repair or a warning would be issued.
 
     Raises:
@@ -42,15 +43,16 @@ class PairOptions:
     pre_aligned: bool = False
     source_up: Up = "y"
     target_up: Up = "y"
+    orient: Orient = "auto"
     strict: bool = False
 
     def __post_init__(self) -> None:
         for name, allowed in (("as_cloud", get_args(AsCloud)), ("partial", SIDES)):
             if getattr(self, name) is not None and getattr(self, name) not in allowed:
                 raise bad_choice(name, str(getattr(self, name)), allowed)
-        for name in ("source_up", "target_up"):
-            if getattr(self, name) not in get_args(Up):
-                raise bad_choice(name, str(getattr(self, name)), get_args(Up))
+        for name, allowed in (("source_up", get_args(Up)), ("target_up", get_args(Up)), ("orient", get_args(Orient))):
+            if getattr(self, name) not in allowed:
+                raise bad_choice(name, str(getattr(self, name)), allowed)
         for name in ("pre_aligned", "strict"):
             if not isinstance(getattr(self, name), bool):
                 raise bad_value(name, getattr(self, name), "True or False")

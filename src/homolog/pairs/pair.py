@@ -39,6 +39,21 @@ class PointMaps:
     y_to_x: Int[Tensor, " n_y"]
 
 
+@dataclass(frozen=True)
+class PairOrientation:
+    """Which way round two shapes were found to be.
+
+    Args:
+        misfit: of the hypothesis that was taken, see ``OrientationSettings``.
+        runner_up: of the best of those that lead to another map; None where there was no other.
+        ambiguous: whether the two differ by less than the margin.
+    """
+
+    misfit: float
+    runner_up: float | None = None
+    ambiguous: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Two preprocessed shapes, with all that was decided about them.
@@ -52,6 +67,7 @@ class Pair:
         settings: how maps are made.
         method: what finds them, chosen by what the two shapes are.
         extractor: what computed their features; None where nothing did.
+        orientation: which way round they were found to be; None where nothing was looked for.
 
     Raises:
         ArgumentError: if a shape is partial, and the method knows full shapes alone.
@@ -63,6 +79,7 @@ class Pair:
     settings: MatcherSettings
     method: Method
     extractor: FeatureExtractor | None = None
+    orientation: PairOrientation | None = None
 
     @classmethod
     def of(
@@ -94,6 +111,8 @@ class Pair:
             ShapeError: if a shape cannot be used, or ``strict`` forbids it.
         """
         options = options or PairOptions()
+        if features is not None:  # those of another pose could not be computed
+            options = replace(options, orient="given")
         shapes: dict[Side, Shape] = {"source": source, "target": target}
         for side, shape in shapes.items():
             check_kind(side, shape, Shape)
@@ -109,6 +128,7 @@ class Pair:
                 scale=scale,
                 centre=centre,
                 features=None if features is None else features[SIDES.index(side)],
+                orient=options.orient,
                 strict=options.strict,
                 timings=timings,
                 label=side,
@@ -148,6 +168,11 @@ class Pair:
     def info(self) -> FeatureInfo:
         """What the features expect; where there are none, what is usual."""
         return FeatureInfo() if self.extractor is None else self.extractor.info
+
+    @property
+    def follows_pose(self) -> bool:
+        """Whether maps depend on how the shapes stand: by their features, or where a method compares positions."""
+        return not self.method.supports.needs_features if self.extractor is None else self.extractor.info.follows_pose
 
     @property
     def near_isometric(self) -> bool:

@@ -13,10 +13,13 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from homolog.core.arguments import check_kind
+from homolog.core.choices import Orient
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.progress import Timings
-from homolog.features import FeatureExtractor, check_features
+from homolog.features import FeatureExtractor, Orientation, check_features
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
+from homolog.maps import rotation_angle
+from homolog.pairs.settings import OrientationSettings
 from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
 
 OperatorSource = Callable[..., Operators]
@@ -36,6 +39,8 @@ class PreprocessedShape:
         operators: of the clean shape.
         features: per clean point (n, d); None for methods that need none.
         up: the axis of the shape as given that was turned to +y.
+        orientations: ways to turn the shape from there that its features' orienter found, the best first.
+        rotation: the one that the operators' positions were turned by (3, 3).
     """
 
     given: Shape
@@ -43,6 +48,8 @@ class PreprocessedShape:
     operators: Operators
     features: Float[Tensor, "n d"] | None = None
     up: Up = "y"
+    orientations: tuple[Orientation, ...] = ()
+    rotation: Float[Tensor, "3 3"] = field(default_factory=lambda: torch.eye(3))
 
     @property
     def name(self) -> str:
@@ -69,6 +76,19 @@ class PreprocessedShape:
             raise ArgumentError(f"{self.name} has no features, but the method needs them; give weights or features")
         return self.features
 
+    def turned(self, rotation: Float[Tensor, "3 3"], extractor: FeatureExtractor | None) -> PreprocessedShape:
+        """The shape turned by another rotation than it is now, with the features of that pose.
+
+        Args:
+            rotation: from the upright shape (3, 3).
+            extractor: computes features; None where there are none.
+        """
+        if torch.equal(rotation, self.rotation):
+            return self
+        operators = self.operators.turned(rotation @ self.rotation.T)
+        features = Preprocessor(extractor=extractor).features(operators)
+        return replace(self, operators=operators, features=features, rotation=rotation)
+
     def to_dict(self) -> dict[str, Any]:
         """What was found in the shape, what was done about it, and how its eigenpairs were found, for JSON."""
         eigenpairs = {"number": self.operators.n_eigenpairs, "method": self.operators.method}
@@ -89,9 +109,11 @@ class Preprocessor:
         settings: what operators to compute.
         device: where.
         source: where operators come from; an ``OperatorCache``'s ``operators`` keeps them on disk.
+        orientation: how a shape is turned that the features' orienter finds to stand another way.
     """
 
     extractor: FeatureExtractor | None = None
+    orientation: OrientationSettings = field(default_factory=OrientationSettings)
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     source: OperatorSource = compute_operators
@@ -105,6 +127,7 @@ class Preprocessor:
         scale: float | None = None,
         centre: ArrayLike | None = None,
         features: ArrayLike | None = None,
+        orient: Orient = "auto",
         strict: bool = False,
         timings: Timings | None = None,
         label: str = "shape",
@@ -119,6 +142,7 @@ class Preprocessor:
             centre: the origin of the normalised coordinates, in those of the upright shape (3,); by default the mean of
                 its points.
             features: of each point of the shape as given (n, d), in place of the extractor's.
+            orient: ``"auto"`` turns the shape as the features' orienter, if they have one, finds it to stand.
             strict: refuse a shape that needs repair.
             timings: collects time and memory of each step.
             label: what the steps call the shape.
@@ -136,11 +160,17 @@ class Preprocessor:
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(torch.as_tensor(centre))
+        orientations, rotation = (), torch.eye(3)
+        if orient == "auto" and features is None and centre is None:
+            with timings.measure(f"orientation of {label}"):
+                orientations = self.orientations(operators)
+                rotation = orientations[0].rotation if orientations else rotation
+                operators = operators.turned(rotation)
         with timings.measure(f"features of {label}"):
             found = self.features(operators) if features is None else _of_points(features, shape, repaired, operators)
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
-        return PreprocessedShape(shape, repaired, operators, found, up)
+        return PreprocessedShape(shape, repaired, operators, found, up, orientations, rotation)
 
     def operators(self, shape: Shape, *, as_cloud: bool = False, scale: float | None = None) -> Operators:
         """The operators of a clean shape, on the device."""
@@ -150,6 +180,14 @@ class Preprocessor:
             shape = shape.as_cloud()
         return self.source(shape, settings=self.settings, scale=scale).to(self.device)
 
+    def orientations(self, operators: Operators) -> tuple[Orientation, ...]:
+        """Ways to turn a shape that the features' orienter finds, the best first; none where they have no orienter."""
+        orienter = getattr(self.extractor, "orienter", None)
+        if orienter is None:
+            return ()
+        found = (_kept_if_near(orientation, self.orientation.least_degrees) for orientation in orienter(operators))
+        return tuple(found)
+
     @torch.no_grad()
     def features(self, operators: Operators) -> Float[Tensor, "n d"] | None:
         """Features per point (n, d); zero on small components, of which operators know the position alone."""
@@ -157,6 +195,13 @@ class Preprocessor:
         if self.extractor is None:
             return None
         return self.extractor(operators) * operators.in_main_component[:, None]
+
+
+def _kept_if_near(orientation: Orientation, degrees: float) -> Orientation:
+    """As the shape is given, where that is nearly the same: poses differ, and features bear small turns."""
+    if rotation_angle(orientation.rotation) > degrees:
+        return replace(orientation, rotation=orientation.rotation.cpu())
+    return replace(orientation, rotation=torch.eye(3))
 
 
 def _of_points(features: ArrayLike, shape: Shape, repaired: Repaired, operators: Operators) -> Float[Tensor, "n d"]:

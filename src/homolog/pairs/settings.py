@@ -129,6 +129,53 @@ class AlignmentSettings:
 
 
 @dataclass(frozen=True, kw_only=True)
+class OrientationSettings:
+    """The search for the way round of two full shapes. New here; the weights were chosen on pairs of training shapes.
+
+    Hypotheses are rotations. Each gives a coarse map of samples, and the one of least misfit is taken: the mean
+    distance between points and their counterparts once the shapes are turned, plus ``cycle`` times the mean cycle
+    error, minus ``handedness`` times how far the map keeps left and right, plus ``orienter`` times the misfit of what
+    the features' orienter found. All lengths are in units of sqrt(area).
+
+    Args:
+        samples: points of each shape that a coarse map is made of.
+        hypotheses: how many rotations get one.
+        map_eigenpairs: eigenfunctions that coarse maps are refined with.
+        cycle: weight of the cycle error.
+        handedness: weight of the handedness.
+        orienter: weight of the orienter's misfit.
+        orienter_margin: what the orienter finds worse by more than this is not looked at any further.
+        margin: what is better by less than this is not told apart: the given way round is then kept, and the pair is
+            said to be ambiguous.
+        least_degrees: a shape that the orienter would turn by less stays as it is given.
+    """
+
+    samples: int = 500
+    hypotheses: int = 6
+    map_eigenpairs: int = 50
+    cycle: float = 1.0
+    handedness: float = 0.1
+    orienter: float = 1.0
+    orienter_margin: float = 0.05
+    margin: float = 0.01
+    least_degrees: float = 30.0
+
+    def __post_init__(self) -> None:
+        _check(
+            self,
+            samples=_COUNT,
+            hypotheses=_COUNT,
+            map_eigenpairs=_COUNT,
+            cycle=_NOT_NEGATIVE,
+            handedness=_NOT_NEGATIVE,
+            orienter=_NOT_NEGATIVE,
+            orienter_margin=_NOT_NEGATIVE,
+            margin=_NOT_NEGATIVE,
+            least_degrees=_NOT_NEGATIVE,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class WarningSettings:
     """When a match is said to be doubtful.
 
@@ -155,6 +202,7 @@ class MatcherSettings:
         soft_map: the soft map between features.
         axiomatic: the method of that name.
         registration: the method of that name.
+        orientation: the search for the way round of full shapes; ``PairOptions.orient`` says whether there is one.
         alignment: of a partial shape with the full one before matching; None for none.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
             nearly isometric are never refined.
@@ -176,6 +224,7 @@ class MatcherSettings:
     soft_map: SoftMapSettings = field(default_factory=SoftMapSettings)
     axiomatic: AxiomaticSettings = field(default_factory=AxiomaticSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
+    orientation: OrientationSettings = field(default_factory=OrientationSettings)
     alignment: AlignmentSettings | None = field(default_factory=AlignmentSettings)
     refinement: RefinementSettings | None = field(default_factory=RefinementSettings)
     confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
@@ -200,6 +249,7 @@ _PARTS: tuple[tuple[str, type, bool], ...] = (
     ("soft_map", SoftMapSettings, False),
     ("axiomatic", AxiomaticSettings, False),
     ("registration", RegistrationSettings, False),
+    ("orientation", OrientationSettings, False),
     ("alignment", AlignmentSettings, True),
     ("refinement", RefinementSettings, True),
     ("confidence", ConfidenceSettings, False),

@@ -1,0 +1,94 @@
+"""Which way round a shape is, told by a network from the shape alone. New here.
+
+The network gets the positions of a shape in any pose of the whole, and says where each point would lie if the shape
+stood as those did that it was trained on. The rotation that takes one to the other is the answer; turned by it, the
+network is asked again. From several starts it may end in several answers, such as facing forward and backward: the one
+that the network's own answer contradicts least is the best. Wang et al. regress positions in a normalised space for
+objects ("Normalized object coordinate space", CVPR 2019), Scarvelis et al. orient shapes by several candidates
+("Orient Anything", 2024).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
+from homolog.geometry import Basis, Operators, some_points
+from homolog.maps import best_rotation, cube_rotations, distinct_rotations
+
+ORIENTER_NETWORK = NetworkSettings(in_channels=3, out_channels=3, width=64, blocks=4, dropout=0.1)
+"""The architecture of an orienter: small, as it tells one thing about a shape."""
+ORIENTER_EIGENPAIRS = 64
+"""Eigenpairs that it is computed with."""
+_SAMPLES = 400
+# After so many steps from a start the answer hardly changes.
+_STEPS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Orientation:
+    """A rotation that may stand a shape as it is expected to.
+
+    Args:
+        rotation: takes the positions p of the shape to ``p @ rotation.T`` (3, 3).
+        misfit: how much speaks against it, of an orienter the mean distance between the turned points and where the
+            network puts them, in units of sqrt(area).
+    """
+
+    rotation: Float[Tensor, "3 3"]
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Orienter:
+    """A network that tells the orientations of a shape.
+
+    Args:
+        network: takes positions in any pose to those of the same points on the upright shape.
+
+    Examples:
+        >>> import homolog
+        >>> orienter = homolog.load_weights("people").orienter
+        >>> source, _ = homolog.demo_shapes()
+        >>> from homolog.maps import rotation_angle
+        >>> best = orienter(homolog.compute_operators(source))[0]
+        >>> float(rotation_angle(best.rotation)) < 30  # it stands upright already
+        True
+    """
+
+    network: DiffusionNet
+
+    @torch.no_grad()
+    def __call__(self, operators: Operators) -> tuple[Orientation, ...]:
+        """Orientations that may be right, farther than 30 degrees from each other, the best first."""
+        basis = operators.basis.truncated(ORIENTER_EIGENPAIRS)
+        basis = basis.sampled(some_points(basis.n_points, _SAMPLES).to(basis.points.device))
+        starts = self._distinct(self._step(basis, rotation) for rotation in cube_rotations().to(basis.points))
+        return tuple(self._distinct(self._followed(basis, start) for start in starts))
+
+    def _followed(self, basis: Basis, orientation: Orientation) -> Orientation:
+        for _ in range(_STEPS - 1):
+            orientation = self._step(basis, orientation.rotation)
+        return orientation
+
+    def _step(self, basis: Basis, rotation: Float[Tensor, "3 3"]) -> Orientation:
+        """The rotation that the network answers to a pose, and by how much its points differ there from the answer."""
+        points = basis.points @ rotation.T
+        answer = self.network(points, basis)
+        further = best_rotation(points, answer, basis.mass)
+        distances = (points @ further.T - answer).norm(dim=1)
+        return Orientation(further @ rotation, float((basis.mass * distances).sum() / basis.mass.sum()))
+
+    @staticmethod
+    def _distinct(orientations: Iterable[Orientation]) -> list[Orientation]:
+        ranked = sorted(orientations, key=lambda orientation: orientation.misfit)
+        return [ranked[number] for number in distinct_rotations(found.rotation for found in ranked)]
+
+    def to(self, device: torch.device) -> Orienter:
+        """The same on a device, in evaluation mode."""
+        return replace(self, network=self.network.to(device).eval())

@@ -1,0 +1,183 @@
+"""Finding which way round two full shapes are: the right map among the possible ones. New here.
+
+A shape that is turned, or looked at from behind, is matched left for right or head for tail by features that follow
+the pose. So several rotations are tried. Each leads to a coarse map of samples, the map tells how well it fits, and the
+best is taken. Rotations come from the features' orienter, which looks at one shape alone, or from the two shapes as
+rigid bodies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from homolog.features import FeatureExtractor, Orientation
+from homolog.geometry import Basis, some_points
+from homolog.maps import (
+    RefinementSettings,
+    closest_point_rotations,
+    cycle_error,
+    handedness,
+    most_similar,
+    normalised,
+    rotation_angle,
+    zoomout,
+)
+from homolog.pairs import OrientationSettings, Pair, PairOrientation, PreprocessedShape
+
+# Of coarse maps: few rounds, as they are to be told apart and no more.
+_COARSE = RefinementSettings(k_init=15, k_step=12)
+# Hypotheses that differ by less lead to the same map.
+_SAME_MAP_DEGREES = 45.0
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A way to turn both shapes.
+
+    Args:
+        source: rotation of the source from the upright shape (3, 3).
+        target: of the target.
+        misfit: how much speaks against it.
+    """
+
+    source: Float[Tensor, "3 3"]
+    target: Float[Tensor, "3 3"]
+    misfit: float = 0.0
+
+    def is_like(self, other: Hypothesis) -> bool:
+        """Whether both turn the shapes against each other alike, so that they lead to the same map."""
+        turns = self.target.T @ self.source, other.target.T @ other.source
+        return bool(rotation_angle(turns[0] @ turns[1].T) < _SAME_MAP_DEGREES)
+
+
+@torch.no_grad()
+def orient(pair: Pair) -> Pair:
+    """The pair with its shapes turned so that they are the same way round.
+
+    As it is where one shape is partial, features do not follow the pose, or the options trust the files.
+    """
+    if pair.options.orient == "given" or pair.is_partial or not pair.follows_pose:
+        return pair
+    best, orientation = _decided(ranked(pair), pair.settings.orientation)
+    return replace(
+        pair,
+        source=pair.source.turned(best.source, pair.extractor),
+        target=pair.target.turned(best.target, pair.extractor),
+        orientation=orientation,
+    )
+
+
+def ranked(pair: Pair) -> list[Hypothesis]:
+    """What may be right, the least misfit first."""
+    settings = pair.settings.orientation
+    if pair.source.orientations and pair.target.orientations:
+        hypotheses = _of_orienter(pair.source.orientations, pair.target.orientations, settings)
+        if len(hypotheses) == 1:
+            return hypotheses
+        samples = Samples.of(pair)
+    else:
+        samples = Samples.of(pair)
+        hypotheses = _of_rigid_bodies(samples, settings)
+    return sorted((samples.judged(hypothesis) for hypothesis in hypotheses), key=lambda found: found.misfit)
+
+
+def _of_orienter(
+    source: tuple[Orientation, ...], target: tuple[Orientation, ...], settings: OrientationSettings
+) -> list[Hypothesis]:
+    """The likely orientations of both, each with each, as long as they lead to different maps."""
+    likely = (
+        [found for found in orientations if found.misfit < orientations[0].misfit + settings.orienter_margin]
+        for orientations in (source, target)
+    )
+    pairs = sorted(product(*likely), key=lambda both: both[0].misfit + both[1].misfit)
+    kept: list[Hypothesis] = []
+    for of_source, of_target in pairs:
+        misfit = settings.orienter * (of_source.misfit + of_target.misfit)
+        hypothesis = Hypothesis(of_source.rotation, of_target.rotation, misfit)
+        if not any(hypothesis.is_like(other) for other in kept):
+            kept.append(hypothesis)
+    return kept[: settings.hypotheses]
+
+
+def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hypothesis]:
+    """The source as it is given, and turned to lie near the target as a rigid body."""
+    found = closest_point_rotations(samples.x.points, samples.y.points)
+    as_given = Hypothesis(torch.eye(3), torch.eye(3), -settings.margin)
+    others = (Hypothesis(rotation.cpu(), torch.eye(3)) for rotation, _ in found[: settings.hypotheses])
+    return [as_given, *others]
+
+
+def _decided(hypotheses: list[Hypothesis], settings: OrientationSettings) -> tuple[Hypothesis, PairOrientation]:
+    best = hypotheses[0]
+    others = [hypothesis.misfit for hypothesis in hypotheses if not hypothesis.is_like(best)]
+    runner_up = min(others, default=None)
+    ambiguous = runner_up is not None and runner_up - best.misfit < settings.margin
+    return best, PairOrientation(best.misfit, runner_up, ambiguous)
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Samples of the source x and the target y of a pair, on which hypotheses are judged.
+
+    Args:
+        x: basis there, of the source as it was given.
+        y: of the target.
+        extractor: of features; None to compare positions.
+        refined: whether coarse maps are refined by ZoomOut.
+        settings: of the judgement.
+    """
+
+    x: Basis
+    y: Basis
+    extractor: FeatureExtractor | None
+    refined: bool
+    settings: OrientationSettings
+
+    @classmethod
+    def of(cls, pair: Pair) -> Samples:
+        """The samples of a pair."""
+        settings = pair.settings.orientation
+        x, y = (_sampled(shape, settings.samples) for shape in (pair.source, pair.target))
+        return cls(x, y, pair.extractor, pair.near_isometric and pair.method.supports.refinement, settings)
+
+    def judged(self, hypothesis: Hypothesis) -> Hypothesis:
+        """The hypothesis with what its coarse map adds to its misfit."""
+        x, y = self.x.turned(hypothesis.source.to(self.x.points)), self.y.turned(hypothesis.target.to(self.y.points))
+        x_to_y, y_to_x = self._coarse_maps(x, y)
+        return replace(hypothesis, misfit=hypothesis.misfit + self._misfit(x.points, y.points, x_to_y, y_to_x))
+
+    def _coarse_maps(self, x: Basis, y: Basis) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"]]:
+        of_x, of_y = (self._features(basis) for basis in (x, y))
+        x_to_y, y_to_x = most_similar(of_x, of_y).index, most_similar(of_y, of_x).index
+        if self.refined:
+            k = self.settings.map_eigenpairs
+            vectors = x.eigenvectors[:, :k].contiguous(), y.eigenvectors[:, :k].contiguous()
+            y_to_x, x_to_y = zoomout(y_to_x, x_to_y, *vectors, of_x, of_y, settings=_COARSE)
+        return x_to_y, y_to_x
+
+    def _features(self, basis: Basis) -> Float[Tensor, "n d"]:
+        if self.extractor is not None:
+            return normalised(self.extractor(basis))
+        # With a constant beside small positions, unit vectors are as similar as positions are near.
+        return normalised(torch.nn.functional.pad(basis.points / 10, (0, 1), value=1.0))
+
+    def _misfit(
+        self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]
+    ) -> float:
+        settings = self.settings
+        displacement = (x - y[x_to_y]).norm(dim=1).mean() + (y - x[y_to_x]).norm(dim=1).mean()
+        cycle = cycle_error(x, x_to_y, y_to_x).mean() + cycle_error(y, y_to_x, x_to_y).mean()
+        kept = (handedness(x, y[x_to_y]) + handedness(y, x[y_to_x])) / 2
+        return float(displacement + settings.cycle * cycle - settings.handedness * kept)
+
+
+def _sampled(shape: PreprocessedShape, count: int) -> Basis:
+    """The basis of a shape as it was given, at some of its points."""
+    kept = some_points(shape.operators.n_points, count).to(shape.operators.points.device)
+    basis = shape.operators.basis.sampled(kept)
+    return basis.turned(shape.rotation.T.to(basis.points))
