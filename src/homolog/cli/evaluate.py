@@ -21,6 +21,7 @@ from homolog.cli.options import (
     Json,
     MethodOption,
     NoCache,
+    OrientOption,
     Quiet,
     Seed,
     Verbose,
@@ -34,7 +35,7 @@ from homolog.cli.options import (
     write_figures,
 )
 from homolog.cli.progress import progress_bar
-from homolog.core.choices import Modalities, Split, Up
+from homolog.core.choices import Modalities, Split, Turn, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import write_csv
 from homolog.core.versions import versions
@@ -98,6 +99,14 @@ def evaluate(
             rich_help_panel=INPUT,
         ),
     ] = None,
+    turn: Annotated[
+        Turn,
+        typer.Option(
+            help="Turn every shape by a rotation of its own before anything sees it: about the vertical axis, or any.",
+            rich_help_panel=INPUT,
+        ),
+    ] = "none",
+    orient: OrientOption = "auto",
     method: MethodOption = "auto",
     weights: Weights = None,
     adapt: Adapt = 0,
@@ -173,6 +182,8 @@ def evaluate(
       homolog evaluate people_views --weights views.safetensors --partial
 
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
+
+      homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     _check(json, (csv, plot), [path for path in (data, maps, pairs) if path is not None])
@@ -190,6 +201,8 @@ def evaluate(
         partial=partial,
         pre_aligned=(description.pre_aligned and partial) if pre_aligned is None else pre_aligned,
         noise=noise,
+        turn=turn,
+        orient=orient,
         seed=seed,
     )
     matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache)
@@ -278,7 +291,8 @@ def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     name = folder.description.name or folder.root.name
     partial = (", partial, pre-aligned" if protocol.pre_aligned else ", partial") if protocol.partial else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
-    return f"{name}, {protocol.modality}{partial}{noise}"
+    turned = {"none": "", "vertical": ", turned about the vertical", "any": ", turned"}[protocol.turn]
+    return f"{name}, {protocol.modality}{partial}{noise}{turned}"
 
 
 def _described_detection(missing: Detection) -> str:

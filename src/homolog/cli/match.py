@@ -18,6 +18,7 @@ from homolog.cli.options import (
     Lines,
     MethodOption,
     NoCache,
+    OrientOption,
     Page,
     Picture,
     PictureWidth,
@@ -40,8 +41,8 @@ if TYPE_CHECKING:
     from homolog.matching import Match, Matcher
     from homolog.pairs import PairOptions
 
-# read, repair, operators and features for each shape, the map, the check of the orientation, and writing.
-STEPS = 11
+# read, repair, operators, orientation and features for each shape, the map, and writing.
+STEPS = 12
 
 
 def match(
@@ -59,6 +60,7 @@ def match(
     target_up: Annotated[
         Up | None, typer.Option(help="The axis that points up in the target, if it differs.", rich_help_panel=INPUT)
     ] = None,
+    orient: OrientOption = "auto",
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
     ] = False,
@@ -125,6 +127,7 @@ def match(
         pre_aligned=pre_aligned,
         source_up=source_up or up,
         target_up=target_up or up,
+        orient=orient,
         strict=strict,
     )
     with progress_bar(quiet=quiet, form=progress_form) as progress:

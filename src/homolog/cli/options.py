@@ -14,7 +14,7 @@ import typer
 
 import homolog
 from homolog.cli.lazy import OTHER
-from homolog.core.choices import PICTURE_WIDTHS, Device
+from homolog.core.choices import PICTURE_WIDTHS, Device, Orient
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded, refuse_overwriting_inputs, write_json
 from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
@@ -70,6 +70,14 @@ Adapt = Annotated[
         help="Train a copy of the weights on each pair for so many steps before it is matched; 0 for none.",
         min=0,
         rich_help_panel=METHOD,
+    ),
+]
+OrientOption = Annotated[
+    Orient,
+    typer.Option(
+        "--orient",
+        help="auto: find which way round the shapes are. given: trust their coordinates.",
+        rich_help_panel=INPUT,
     ),
 ]
 PreAligned = Annotated[

@@ -14,6 +14,8 @@ Orient = Literal["auto", "given"]
 """Whether the way round of shapes is found, or trusted as their files have it."""
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
 """What the source and the target of an evaluation are used as."""
+Turn = Literal["none", "vertical", "any"]
+"""Which rotations are drawn: none, about the vertical axis, or any, all of them as likely."""
 Split = Literal["train", "test", "all"]
 """Which shapes of a dataset."""
 System = Literal["LPS", "RAS"]

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from homolog.core.choices import Modalities, Side, Split
+from homolog.core.choices import Modalities, Orient, Side, Split, Turn
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.shapes import rotation_about
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,9 @@ class Protocol:
         pre_aligned: whether such parts lie in the coordinates of their sources, about where they belong.
         noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
             on source and target.
-        seed: of the noise, of the pairs drawn, and of the order of points in sets that are shuffled.
+        turn: by which rotations the shapes are turned before anything sees them, each on its own.
+        orient: whether the way round of full shapes is found, or trusted.
+        seed: of the noise, of the turns, of the pairs drawn, and of the order of points in sets that are shuffled.
     """
 
     modality: Modalities = "mesh"
@@ -34,17 +40,31 @@ class Protocol:
     partial: bool = False
     pre_aligned: bool = False
     noise: float = 0.0
+    turn: Turn = "none"
+    orient: Orient = "auto"
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.modality not in get_args(Modalities):
-            raise bad_choice("modality", self.modality, get_args(Modalities))
+        for name, choices in (("modality", Modalities), ("turn", Turn), ("orient", Orient)):
+            if getattr(self, name) not in get_args(choices):
+                raise bad_choice(name, getattr(self, name), get_args(choices))
         if not (np.isfinite(self.noise) and self.noise >= 0):
             raise bad_value("noise", self.noise, "a number of at least 0, in units of sqrt(area)")
         if self.pre_aligned and not self.partial:
             raise ArgumentError("pre_aligned is for parts, but partial is False; set it, or leave pre_aligned out")
+        if self.pre_aligned and self.turn != "none":
+            raise ArgumentError(
+                f"turn is {self.turn!r}, but pre_aligned parts lie where they belong; leave one of them out"
+            )
         if self.noise and self.modality == "mesh":
             raise ArgumentError("noise is for clouds, but modality is 'mesh'; use 'cloud', or leave noise at 0")
+
+    def rotation(self, name: str) -> Float[np.ndarray, "3 3"]:
+        """What a shape of this name is turned by, drawn from the seed (3, 3)."""
+        random = np.random.default_rng(zlib.crc32(f"{self.seed} {name} turn".encode()))
+        if self.turn == "any":
+            return np.asarray(Rotation.random(random_state=random).as_matrix())
+        return rotation_about(1, random.uniform(-180, 180) if self.turn == "vertical" else 0.0)
 
     def is_cloud(self, role: Side) -> bool:
         """Whether the shapes in this role lose their faces."""

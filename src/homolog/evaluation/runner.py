@@ -8,7 +8,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -153,7 +153,14 @@ class _Run:
         return self.ground_truth.between(*pair) if cloud is None else self.ground_truth.of_cloud(*pair, cloud)
 
     def given(self, pair: PairOfNames, side: Side) -> Shape:
-        """A shape as the protocol has it, with its noise and with its faces."""
+        """A shape as the protocol has it, turned, with its noise and with its faces."""
+        shape = self._noisy(pair, side)
+        if self.protocol.turn == "none":
+            return shape
+        turned = shape.points @ self.protocol.rotation(pair[SIDES.index(side)]).T
+        return Shape(turned, shape.faces, name=shape.name)
+
+    def _noisy(self, pair: PairOfNames, side: Side) -> Shape:
         name = pair[SIDES.index(side)]
         shape = self.clouds.get(name, self.shapes[name]) if side == "target" else self.shapes[name]
         if not self.is_noisy(side):
@@ -277,7 +284,9 @@ class _ByMatcher:
         self.uses = Counter(self._variant(pair, side) for pair in run.pairs for side in SIDES)
         self.preprocessed: dict[_Variant, PreprocessedShape] = {}
         self.options = PairOptions(
-            partial="target" if run.protocol.partial else None, pre_aligned=run.protocol.pre_aligned
+            partial="target" if run.protocol.partial else None,
+            pre_aligned=run.protocol.pre_aligned,
+            orient=run.protocol.orient,
         )
         modalities = tuple(self._modality(run.pairs[0], side) for side in SIDES)
         self.method = matcher.method_of(*modalities).name
@@ -309,10 +318,16 @@ class _ByMatcher:
         return self.preprocessed[variant] if self.uses[variant] else self.preprocessed.pop(variant)
 
     def _preprocess(self, pair: PairOfNames, side: Side) -> PreprocessedShape:
-        run, cloud = self.run, self.run.protocol.is_cloud(side)
-        scaled_by, shape = run.scaled_by(pair, side), run.given(pair, side)
+        run = self.run
+        preprocess = partial(
+            self.matcher.preprocess,
+            run.given(pair, side),
+            as_cloud=run.protocol.is_cloud(side),
+            orient=run.protocol.orient,
+            partial=side == self.options.partial,
+        )
+        scaled_by = run.scaled_by(pair, side)
         if scaled_by == pair[SIDES.index(side)] and not run.is_noisy(side):
-            return self.matcher.preprocess(shape, as_cloud=cloud)
+            return preprocess()
         frame = run.frame(scaled_by)
-        centre = frame.centre if run.protocol.pre_aligned else None
-        return self.matcher.preprocess(shape, as_cloud=cloud, scale=frame.scale, centre=centre)
+        return preprocess(scale=frame.scale, centre=frame.centre if run.protocol.pre_aligned else None)

@@ -17,11 +17,10 @@ from homolog.geometry import OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
 from homolog.matching.choice import chosen_method, extractor_for, method_between
 from homolog.matching.inputs import options_of, read_inputs, with_inputs
-from homolog.matching.orientation import pair_orientation_warnings
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match
 from homolog.matching.search import orient
-from homolog.matching.warnings import blaming, low_confidence_warnings, unit_warnings
+from homolog.matching.warnings import blaming, low_confidence_warnings, orientation_warnings, unit_warnings
 from homolog.pairs import (
     Device,
     MatcherSettings,
@@ -195,14 +194,12 @@ class Matcher:
         return Match.of(aligned, refine(aligned, aligned.method(aligned)))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
-        """Match a pair, and check the result, their units and how they stand; see ``match``."""
+        """Match a pair, and check the result and their units; see ``match``."""
         timings = timings or Timings()
         units = unit_warnings(pair)
         with timings.measure("map"), blaming(units):
             match = self.find(pair)
-        with timings.measure("check orientation"):
-            turned = pair_orientation_warnings(pair)
-            warnings = (*units, *turned, *low_confidence_warnings(match, self.settings.warnings))
+        warnings = (*units, *orientation_warnings(match), *low_confidence_warnings(match, self.settings.warnings))
         if pair.options.strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")
         return replace(match, warnings=warnings)

@@ -18,7 +18,7 @@ from torch import Tensor
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.versions import versions
 from homolog.geometry import Operators, OperatorSettings, compute_operators
-from homolog.maps import confidence, overlap
+from homolog.maps import confidence, overlap, rotation_angle
 from homolog.matching import result_files
 from homolog.matching.quality import MapQuality, quality
 from homolog.pairs import SIDES, Pair, PointMaps, Side
@@ -338,6 +338,17 @@ def _composed(
     return there, np.where(there >= 0, first_trust * second_trust[first], 0.0)
 
 
+def _orientation(pair: Pair) -> dict[str, Any] | None:
+    """The rotations that were found, from the shapes with their given axis up, and how sure they are."""
+    if pair.orientation is None:
+        return None
+    rotations = {
+        side: {"rotation": shape.rotation.tolist(), "degrees": round(float(rotation_angle(shape.rotation)), 1)}
+        for side, shape in zip(SIDES, (pair.source, pair.target), strict=True)
+    }
+    return {**rotations, **asdict(pair.orientation)}
+
+
 def _report(pair: Pair, match: Match) -> dict[str, Any]:
     """What is known of a match, for JSON."""
     info = None if pair.extractor is None else asdict(pair.extractor.info)
@@ -351,6 +362,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "method": match.method,
         "quality": None if match.quality is None else match.quality.to_dict(),
         "options": asdict(pair.options),
+        "orientation": _orientation(pair),
         "features": info,
         "settings": pair.settings.to_dict(),
         "device": str(pair.source.operators.points.device),

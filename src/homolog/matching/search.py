@@ -115,9 +115,10 @@ def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hy
 def _decided(hypotheses: list[Hypothesis], settings: OrientationSettings) -> tuple[Hypothesis, PairOrientation]:
     best = hypotheses[0]
     others = [hypothesis.misfit for hypothesis in hypotheses if not hypothesis.is_like(best)]
-    runner_up = min(others, default=None)
-    ambiguous = runner_up is not None and runner_up - best.misfit < settings.margin
-    return best, PairOrientation(best.misfit, runner_up, ambiguous)
+    if not others:
+        return best, PairOrientation(best.misfit)
+    margin = min(others) - best.misfit
+    return best, PairOrientation(best.misfit, min(others), margin, ambiguous=margin < settings.margin)
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,17 @@ def unit_warnings(pair: Pair) -> tuple[str, ...]:
     )
 
 
+def orientation_warnings(match: Match) -> tuple[str, ...]:
+    """Say if another way round of the shapes fits nearly as well as the one that was taken."""
+    found = match.report.get("orientation")
+    if found is None or not found["ambiguous"]:
+        return ()
+    return (
+        "which way round the shapes are is ambiguous: another rotation leads to another map, and fits nearly as well; "
+        "look at both (--alternatives 2), or trust the files (--orient given)",
+    )
+
+
 def low_confidence_warnings(match: Match, settings: WarningSettings | None = None) -> tuple[str, ...]:
     """A warning if the maps contradict themselves nearly everywhere, or tear the shapes to pieces.
 

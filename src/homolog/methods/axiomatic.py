@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -16,18 +14,12 @@ from homolog.methods.functional_map import MapProblem, point_maps_of
 from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import AxiomaticSettings, Pair, PointMaps
 
-# Added to the mask where signatures stand alone: what is odd about a symmetry they leave undetermined.
-_LEAST_PENALTY = 1e-4
-
 # What a signature's channel must vary by, as a share of its size, to be of unit norm.
 _LEAST_VARIATION = 1e-4
 
 
 class AxiomaticFeatures:
-    """Wave kernel signatures, and the smoothed position, which tells left from right.
-
-    Needs the two shapes to stand alike: the same way up, facing the same way.
-    """
+    """Wave kernel signatures, and the smoothed position, which tells left from right where two shapes stand alike."""
 
     info = FeatureInfo(name="axiomatic", licence="none", input="xyz", upright=False)
 
@@ -51,20 +43,6 @@ def axiomatic_problem(
     return MapProblem.between(x, y, features, size=settings.n_eigenpairs, regularisation=settings.regularisation)
 
 
-def axis_agreement(x: Operators, y: Operators, settings: AxiomaticSettings | None = None) -> Float[Tensor, "3 3"]:
-    """How well each coordinate of y (rows) agrees with each of x (columns), between -1 and 1.
-
-    The coordinates of x are carried over by a functional map of signatures alone, which do not know the pose. As they
-    cannot tell left from right either, only the rows of what lies in the plane of symmetry mean much.
-    """
-    settings = settings or AxiomaticSettings()
-    problem = axiomatic_problem(x, y, (_signatures(x), _signatures(y)), settings)
-    c_xy = replace(problem, mask=problem.mask + _LEAST_PENALTY).c_xy()
-    on_x, on_y = (_coordinates(shape, settings.n_eigenpairs) for shape in (x, y))
-    agreement: Tensor = on_y.T @ (c_xy @ on_x) / (on_x.norm() * on_y.norm())
-    return agreement
-
-
 def _signatures(operators: Operators | Basis) -> Float[Tensor, "n e"]:
     """Wave kernel signatures about their mean, each channel of unit norm."""
     signature = wave_kernel_signature(operators.eigenvalues, operators.eigenvectors)
@@ -78,13 +56,6 @@ def _signatures(operators: Operators | Basis) -> Float[Tensor, "n e"]:
 def _norms(operators: Operators | Basis, functions: Float[Tensor, "n c"]) -> Float[Tensor, " c"]:
     squared: Tensor = (operators.mass[:, None] * functions.square()).sum(dim=0)
     return squared.sqrt()
-
-
-def _coordinates(operators: Operators, size: int) -> Float[Tensor, "k 3"]:
-    """Spectral coefficients of the positions about their mean."""
-    share = operators.mass[:, None] / operators.mass.sum()
-    centred = operators.points - (share * operators.points).sum(dim=0)
-    return operators.truncated(size).coefficients(centred)
 
 
 def _point_maps(pair: Pair) -> PointMaps:

@@ -41,16 +41,18 @@ class PointMaps:
 
 @dataclass(frozen=True)
 class PairOrientation:
-    """Which way round two shapes were found to be.
+    """How sure it is which way round two shapes are.
 
     Args:
         misfit: of the hypothesis that was taken, see ``OrientationSettings``.
         runner_up: of the best of those that lead to another map; None where there was no other.
-        ambiguous: whether the two differ by less than the margin.
+        margin: by how much it is worse.
+        ambiguous: whether that is less than what can be told apart.
     """
 
     misfit: float
     runner_up: float | None = None
+    margin: float | None = None
     ambiguous: bool = False
 
 
@@ -129,6 +131,7 @@ class Pair:
                 centre=centre,
                 features=None if features is None else features[SIDES.index(side)],
                 orient=options.orient,
+                partial=options.partial == side,
                 strict=options.strict,
                 timings=timings,
                 label=side,

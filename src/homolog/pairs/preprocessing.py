@@ -128,6 +128,7 @@ class Preprocessor:
         centre: ArrayLike | None = None,
         features: ArrayLike | None = None,
         orient: Orient = "auto",
+        partial: bool = False,
         strict: bool = False,
         timings: Timings | None = None,
         label: str = "shape",
@@ -143,6 +144,7 @@ class Preprocessor:
                 its points.
             features: of each point of the shape as given (n, d), in place of the extractor's.
             orient: ``"auto"`` turns the shape as the features' orienter, if they have one, finds it to stand.
+            partial: the shape is partial: only features that know partial shapes tell how it stands.
             strict: refuse a shape that needs repair.
             timings: collects time and memory of each step.
             label: what the steps call the shape.
@@ -161,9 +163,9 @@ class Preprocessor:
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(torch.as_tensor(centre))
         orientations, rotation = (), torch.eye(3)
-        if orient == "auto" and features is None and centre is None:
-            with timings.measure(f"orientation of {label}"):
-                orientations = self.orientations(operators)
+        with timings.measure(f"orientation of {label}"):
+            if orient == "auto" and features is None and centre is None:
+                orientations = self.orientations(operators, partial=partial)
                 rotation = orientations[0].rotation if orientations else rotation
                 operators = operators.turned(rotation)
         with timings.measure(f"features of {label}"):
@@ -180,10 +182,10 @@ class Preprocessor:
             shape = shape.as_cloud()
         return self.source(shape, settings=self.settings, scale=scale).to(self.device)
 
-    def orientations(self, operators: Operators) -> tuple[Orientation, ...]:
+    def orientations(self, operators: Operators, *, partial: bool = False) -> tuple[Orientation, ...]:
         """Ways to turn a shape that the features' orienter finds, the best first; none where they have no orienter."""
         orienter = getattr(self.extractor, "orienter", None)
-        if orienter is None:
+        if self.extractor is None or orienter is None or (partial and not self.extractor.info.partial):
             return ()
         found = (_kept_if_near(orientation, self.orientation.least_degrees) for orientation in orienter(operators))
         return tuple(found)
