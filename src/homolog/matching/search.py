@@ -59,9 +59,12 @@ class Hypothesis:
 def orient(pair: Pair) -> Pair:
     """The pair with its shapes turned so that they are the same way round.
 
-    As it is where one shape is partial, features do not follow the pose, or the options trust the files.
+    As it is where one shape is partial, features do not follow the pose, or the options trust the files. Upright
+    weights without an orienter are trusted to have got upright shapes: other rotations mislead their features.
     """
     if pair.options.orient == "given" or pair.is_partial or not pair.follows_pose:
+        return pair
+    if pair.extractor is not None and pair.extractor.info.upright and not _has_orientations(pair):
         return pair
     best, orientation = _decided(ranked(pair), pair.settings.orientation)
     return replace(
@@ -75,7 +78,7 @@ def orient(pair: Pair) -> Pair:
 def ranked(pair: Pair) -> list[Hypothesis]:
     """What may be right, the least misfit first."""
     settings = pair.settings.orientation
-    if pair.source.orientations and pair.target.orientations:
+    if _has_orientations(pair):
         hypotheses = _of_orienter(pair.source.orientations, pair.target.orientations, settings)
         if len(hypotheses) == 1:
             return hypotheses
@@ -84,6 +87,10 @@ def ranked(pair: Pair) -> list[Hypothesis]:
         samples = Samples.of(pair)
         hypotheses = _of_rigid_bodies(samples, settings)
     return sorted((samples.judged(hypothesis) for hypothesis in hypotheses), key=lambda found: found.misfit)
+
+
+def _has_orientations(pair: Pair) -> bool:
+    return bool(pair.source.orientations and pair.target.orientations)
 
 
 def _of_orienter(
