@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.io
@@ -201,6 +203,27 @@ def test_the_inverse_of_the_inverse_is_the_same(given):
     assert again.source is given.source and again.target is given.target
     assert_same(again, given)
     assert (again.method, again.warnings, again.report) == (given.method, given.warnings, given.report)
+
+
+def test_the_report_of_the_inverse_speaks_of_the_other_sides(build, blobs, tmp_path):
+    source, target = Shape(blobs.source.points, blobs.source.faces, name="source.off"), blobs.target
+    matcher = build("nearest-features")
+    plain = matcher.match(source, target, partial="source", as_cloud="target", source_up="z")
+    plain = replace(plain, warnings=("the source seems turned against the target: give the source's up axis",))
+    plain.inverse().save(tmp_path)
+    found = Match.load(tmp_path)
+    options = found.report["options"]
+    assert (options["partial"], options["as_cloud"]) == ("target", "source")
+    assert (options["source_up"], options["target_up"]) == ("y", "z")
+    assert [found.report["inputs"][side]["name"] for side in ("source", "target")] == ["target", "source.off"]
+    assert found.report["quality"] == {"source": None, "target": plain.report["quality"]["source"]}
+    matched = {f"{side}_{name}": n for side in ("source", "target") for name, n in found.matched(side).items()}
+    assert found.report["matched"] == matched
+    assert found.warnings == ("the target seems turned against the source: give the target's up axis",)
+    steps = [[step["name"] for step in one.report["timings"]] for one in (plain, found)]
+    assert steps[0].index("repair target") == steps[1].index("repair source")
+    again = plain.inverse().inverse()
+    assert (again.report, again.warnings) == (plain.report, plain.warnings)
 
 
 def identity(shape: Shape) -> Match:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
 
 # What shows a match stands above it, and is loaded when it is asked for.
 _VIEWING = "homolog.viewing"
+# The entries of a report that speak of source and target. Inputs do as well, but hold names of files, which stay.
+_SIDED = ("quality", "options", "matched", "timings", "warnings")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,7 +129,7 @@ class Match:
         return replace(match, report=_report(pair, match))
 
     def inverse(self) -> Match:
-        """The same maps with source and target exchanged; the report stays as it is."""
+        """The same maps with source and target exchanged, in warnings and report too."""
         return replace(
             self,
             source=self.target,
@@ -135,7 +138,9 @@ class Match:
             target_to_source=self.source_to_target,
             source_confidence=self.target_confidence,
             target_confidence=self.source_confidence,
+            warnings=_exchanged(self.warnings),
             quality=None if self.quality is None else self.quality.inverse(),
+            report=_exchanged_report(self.report),
         )
 
     def compose(self, other: Match) -> Match:
@@ -357,3 +362,23 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "matched": {f"{side}_{name}": n for side in SIDES for name, n in described.matched(side).items()},
         "versions": versions(),
     }
+
+
+def _exchanged_report(report: Mapping[str, Any]) -> dict[str, Any]:
+    """A report with source and target exchanged."""
+    told = {name: _exchanged(entry) if name in _SIDED else entry for name, entry in report.items()}
+    if "inputs" in report:
+        told["inputs"] = {_exchanged(side): shape for side, shape in report["inputs"].items()}
+    return told
+
+
+def _exchanged(entry: Any) -> Any:
+    """An entry of a report with the words source and target exchanged, in names such as ``source_up`` as well."""
+    if isinstance(entry, str):
+        words = re.split(r"(?<![a-z])(source|target)(?![a-z])", entry)
+        return "".join({"source": "target", "target": "source"}.get(word, word) for word in words)
+    if isinstance(entry, Mapping):
+        return {_exchanged(name): _exchanged(value) for name, value in entry.items()}
+    if isinstance(entry, list | tuple):
+        return type(entry)(map(_exchanged, entry))
+    return entry
