@@ -183,12 +183,63 @@ def test_files_that_cannot_be(given, tmp_path, options, said):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("text", ["1.5\n2\n", "one\n", "1 2\n3 4\n", ""])
+@pytest.mark.parametrize(
+    "text", ["1.5\n2\n", "one\n", "1 2\n3 4\n", "", "inf\n1\n", "nan\n", "1e300\n", "99999999999999999999\n"]
+)
 def test_files_that_are_no_maps_are_one_line(tmp_path, text):
     (tmp_path / "map.txt").write_text(text)
     with pytest.raises(DataError, match=r"map\.txt") as caught:
         read_point_map(tmp_path / "map.txt")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz"])
+def test_files_that_are_damaged_are_one_line(given, tmp_path, suffix):
+    """Cut off anywhere, of no content, and with bytes in the middle that cannot be unpacked."""
+    path = tmp_path / f"map{suffix}"
+    given.save(path)
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    spoilt = [whole[: len(whole) * part // 8] for part in range(8)]
+    for content in (*spoilt, bytes(len(whole)), whole[:middle] + b"\xff" * 40 + whole[middle + 40 :]):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match=rf"map\{suffix}") as caught:
+            read_point_map(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_result_whose_arrays_cannot_be_unpacked_is_one_line(given, tmp_path):
+    given.save(tmp_path)
+    path = tmp_path / "correspondence.npz"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:60] + b"\xff" * 40 + whole[100:])
+    with pytest.raises(DataError, match="cannot be read as the arrays of a match"):
+        Match.load(tmp_path)
+
+
+@pytest.mark.parametrize("values", [np.full(3, 2**63, np.uint64), np.array([np.inf, 1, 2]), np.array([1e300, 1, 2])])
+@pytest.mark.parametrize("suffix", [".mat", ".npz"])
+def test_numbers_that_are_no_indices_are_named(tmp_path, suffix, values):
+    write = np.savez if suffix == ".npz" else lambda path, **arrays: scipy.io.savemat(path, arrays)
+    write(tmp_path / f"map{suffix}", target_to_source=values)
+    with pytest.raises(DataError, match=r"holds (inf|9223372036854775808|1e\+300), but must hold one whole number"):
+        read_point_map(tmp_path / f"map{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
+def test_maps_of_one_point_are_read(make, tmp_path, suffix):
+    few = Shape(make.sphere(0).points[:1], name="point")
+    path = tmp_path / f"map{suffix}"
+    Match(make.sphere(0), few, np.zeros(12, int), [5]).save(path)
+    assert read_point_map(path).tolist() == [5]
+    assert read_point_map(path, direction="target_to_source").shape == (1,)
+
+
+def test_a_number_beside_a_map_is_not_taken_for_it(tmp_path):
+    scipy.io.savemat(tmp_path / "map.mat", {"matches": np.array([3, 1, 2]), "scale": 2.0})
+    assert read_point_map(tmp_path / "map.mat").tolist() == [2, 0, 1]
+    scipy.io.savemat(tmp_path / "map.mat", {"matches": np.array([3])})
+    assert read_point_map(tmp_path / "map.mat").tolist() == [2]
 
 
 # ---- what can be made of it
