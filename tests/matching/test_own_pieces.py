@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -14,10 +13,11 @@ from torch import nn
 
 import homolog
 from homolog.core.errors import ArgumentError
+from homolog.core.plugins import offered
 from homolog.features import FeatureInfo, as_extractor
 from homolog.maps import nearest_neighbour
 from homolog.matching import Matcher
-from homolog.methods import GROUP, FunctionMethod, Supports, find_method, method_names, registry
+from homolog.methods import FunctionMethod, Supports, find_method, method_names
 from homolog.pairs import MatcherSettings, PointMaps
 
 ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
@@ -206,14 +206,15 @@ def installed(tmp_path, monkeypatch):
         'METHOD = FunctionMethod("their-method", nearest, Supports(needs_features=False, refinement=False))\n'
     )
     monkeypatch.syspath_prepend(tmp_path)
-    points = [EntryPoint("their-method", "own_methods:METHOD", GROUP), EntryPoint("broken", "no_such:METHOD", GROUP)]
-
-    def entry_points(*, group, name=None):
-        assert group == GROUP
-        return [point for point in points if name in (None, point.name)]
-
-    monkeypatch.setattr(registry, "entry_points", entry_points)
+    (tmp_path / "broken_methods.py").write_text("raise RuntimeError('out of\\norder')\n")
+    names = ["their-method = own_methods:METHOD", "broken = broken_methods:METHOD", "axiomatic = own_methods:METHOD"]
+    info = tmp_path / "theirs-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("\n".join(["[homolog.methods]", *names]))
+    offered.cache_clear()
     yield
+    offered.cache_clear()
     sys.modules.pop("own_methods", None)
 
 
@@ -226,6 +227,20 @@ def test_a_method_by_entry_point(installed, blobs, expected):
     assert find_method("their-method").supports.needs_features is False
     with pytest.raises(ArgumentError, match=r"method is 'their-methd'.*did you mean 'their-method'"):
         find_method("their-methd")
+
+
+def test_a_method_that_cannot_be_loaded_names_its_package(installed):
+    with pytest.raises(ArgumentError) as caught:
+        find_method("broken")
+    assert "entry point broken = broken_methods:METHOD in homolog.methods of package theirs" in str(caught.value)
+    assert "(RuntimeError: out of order)" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_method_called_like_one_of_homolog_s_own_is_told_of(installed, caplog):
+    assert find_method("axiomatic").name == "axiomatic"
+    assert method_names().count("axiomatic") == 1
+    (told,) = caplog.messages
+    assert "axiomatic = own_methods:METHOD in homolog.methods of package theirs is left out, as Homolog has" in told
 
 
 @pytest.mark.parametrize(
