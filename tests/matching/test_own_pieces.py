@@ -88,6 +88,53 @@ def test_arrays_in_one_call(blobs, build):
     assert found.report["features"]["name"] == "given"
 
 
+@pytest.mark.parametrize("gather", [list, tuple, lambda arrays: [each.tolist() for each in arrays]])
+def test_arrays_come_in_any_sequence(blobs, gather):
+    features = [np.asarray(shape.points) for shape in (blobs.source, blobs.target)]
+    words = {"method": "nearest-features", "device": "cpu"}
+    found = homolog.match(blobs.source, blobs.target, features=gather(features), **words)
+    assert_same(found, homolog.match(blobs.source, blobs.target, features=tuple(features), **words))
+
+
+@pytest.mark.parametrize(
+    ("features", "said"),
+    [
+        ([np.zeros((480, 4))], "are 1 of them, but must be two arrays"),
+        (np.zeros((3, 480, 4)), "are 3 of them, but must be two arrays"),
+        ("ab", "are a str, but must be two arrays"),
+        ({"source": np.zeros((480, 4)), "target": np.zeros((560, 4))}, "are a dict, but must be two arrays"),
+        (3, "are a int, but must be two arrays"),
+    ],
+)
+def test_what_is_not_two_arrays_is_one_line(blobs, features, said):
+    with pytest.raises(ArgumentError, match=said) as caught:
+        homolog.match(blobs.source, blobs.target, features=features, device="cpu")
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ArgumentError, match=said):
+        Matcher(OWN, device="cpu").match(blobs.source, blobs.target, features=features)
+
+
+def test_weights_beside_features_are_refused(blobs):
+    with pytest.raises(ArgumentError, match="both weights and features are given"):
+        homolog.match(blobs.source, blobs.target, weights="people", features=lambda shape: shape.points)
+
+
+@pytest.mark.parametrize(
+    ("settings", "method", "expected"),
+    [("axiomatic", None, "axiomatic"), ("registration", "axiomatic", "axiomatic"), ("axiomatic", "auto", "auto")],
+)
+def test_a_method_of_the_settings_holds_unless_another_is_given(blobs, settings, method, expected):
+    found = homolog.match(
+        blobs.source,
+        blobs.target,
+        features=lambda shape: shape.points,
+        method=method,
+        settings=MatcherSettings(method=settings),
+        device="cpu",
+    )
+    assert found.report["settings"]["method"] == expected
+
+
 @pytest.mark.parametrize(
     ("features", "said"),
     [
