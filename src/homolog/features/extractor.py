@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -17,6 +18,8 @@ from homolog.features.info import FeatureInfo
 from homolog.geometry import Basis, Operators
 from homolog.maps import heat_kernel_signature, wave_kernel_signature
 
+M = TypeVar("M", bound=nn.Module)
+
 # Published networks take signatures of the lowest eigenpairs, however many there are.
 _SIGNATURE_EIGENPAIRS = 128
 
@@ -28,9 +31,6 @@ class FeatureExtractor(Protocol):
     Features that follow from positions (``info.input == "xyz"``) are also asked for at other poses and at some of a
     shape's points, and are then given the ``Basis`` there: it has the same ``points``, ``mass``, ``eigenvalues`` and
     ``eigenvectors``.
-
-    Args:
-        info: what the extractor expects of shapes, and how its features are to be compared.
     """
 
     @property
@@ -78,8 +78,8 @@ class NetworkFeatures:
         return signature / (operators.mass[:, None] * signature.square()).sum(dim=0).sqrt()
 
     def to(self, device: torch.device) -> NetworkFeatures:
-        """The same on a device, in evaluation mode."""
-        return replace(self, network=self.network.to(device).eval())
+        """The same on a device, in evaluation mode; this one's network stays as it is."""
+        return replace(self, network=_evaluating(self.network, device))
 
     def __repr__(self) -> str:
         settings = self.network.settings
@@ -146,13 +146,13 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
 
     Args:
         features: a ``FeatureExtractor``; a ``DiffusionNet``; a ``FeatureInfo`` of features that are given with each
-            pair; or a function of ``Operators``, such as any
-            ``torch.nn.Module`` that is called with them, which gives (n, d).
-        info: what it expects of shapes. By default a DiffusionNet is taken to be trained on upright shapes, and the
-            features of a function not to follow the pose.
+            pair; or a function of ``Operators``, such as any ``torch.nn.Module`` that is called with them, which gives
+            (n, d). A ``Matcher`` works with a copy of a module, in evaluation mode and on its own device.
+        info: what it expects of shapes, in place of what an extractor says itself. By default a DiffusionNet is taken
+            to be trained on upright shapes, and the features of a function not to follow the pose.
 
     Raises:
-        ArgumentError: if it is nothing of the kind.
+        ArgumentError: if it is nothing of the kind, or there are two ``FeatureInfo``.
 
     Examples:
         >>> import homolog
@@ -164,9 +164,13 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
     if isinstance(features, DiffusionNet):
         return NetworkFeatures(features, info or FeatureInfo())
     if isinstance(features, FeatureInfo):
+        if info is not None:
+            raise ArgumentError("features is a FeatureInfo, and info is another; leave info out")
         return GivenFeatures(features)
-    if isinstance(features, FeatureExtractor):
+    if isinstance(features, FeatureExtractor) and info is None:
         return features
+    if isinstance(features, NetworkFeatures | FunctionFeatures | GivenFeatures):
+        return replace(features, info=info or features.info)
     if callable(features):
         name = function_name(features)
         return FunctionFeatures(features, info or FeatureInfo(name=name, input="operators", upright=False))
@@ -177,9 +181,23 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
 
 
 def on_device(extractor: FeatureExtractor, device: torch.device) -> FeatureExtractor:
-    """The extractor with its parameters, if it has any, on a device and in evaluation mode."""
+    """The extractor with a copy of its network, if it has any, on a device and in evaluation mode."""
     if isinstance(extractor, NetworkFeatures):
         return extractor.to(device)
     if isinstance(extractor, FunctionFeatures) and isinstance(extractor.function, nn.Module):
-        extractor.function.to(device).eval()
+        return replace(extractor, function=_evaluating(extractor.function, device))
+    if isinstance(extractor, nn.Module):
+        return _evaluating(extractor, device)
     return extractor
+
+
+def _evaluating(network: M, device: torch.device) -> M:
+    # A copy, as whoever gave the network may be training it, or hold it on another device.
+    try:
+        own = copy.deepcopy(network)
+    except Exception as error:
+        raise ArgumentError(
+            f"a {type(network).__name__} cannot be copied ({' '.join(str(error).split())}); "
+            "give a function that calls it, such as lambda shape: network(shape)"
+        ) from error
+    return own.to(device).eval()
