@@ -116,6 +116,10 @@ def test_maps_may_be_tensors_or_lists(given):
         ({"target_to_source": np.full(42, -2)}, "holds -2, but must"),
         ({"source_to_target": np.full(162, 42)}, "holds 42, but must hold indices of the other shape, 0 to 41"),
         ({"target_confidence": np.zeros(162)}, r"target_confidence has shape \(162,\), but must .* \(42,\)"),
+        ({"source_confidence": np.full(162, 7)}, "source_confidence holds 7, but must hold numbers from 0 to 1"),
+        ({"target_confidence": np.full(42, -0.5)}, "target_confidence holds -0.5, but must hold numbers from 0 to 1"),
+        ({"target_confidence": [np.nan] * 42}, "target_confidence holds nan, but must hold numbers from 0 to 1"),
+        ({"target_confidence": ["much"] * 42}, "target_confidence holds <U4, but must hold numbers from 0 to 1"),
     ],
 )
 def test_arrays_that_do_not_fit_are_one_line(given, changes, said):
@@ -123,6 +127,14 @@ def test_arrays_that_do_not_fit_are_one_line(given, changes, said):
     with pytest.raises(ArgumentError, match=said) as caught:
         Match(given.source, given.target, **{**arrays, **changes})
     assert "\n" not in str(caught.value)
+
+
+def test_confidences_may_be_tensors_or_whole_numbers(given, tmp_path):
+    trust = torch.rand(162, requires_grad=True), np.ones(42, int)
+    found = Match(given.source, given.target, given.source_to_target, given.target_to_source, *trust)
+    assert found.source_confidence.dtype == np.float32 and found.target_confidence.dtype == float
+    found.save(tmp_path)
+    assert_same(Match.load(tmp_path), found)
 
 
 # ---- on disk
@@ -140,6 +152,29 @@ def test_a_folder_goes_round(given, tmp_path):
     again = found.save(tmp_path / "again")
     for one, other in zip(paths, again, strict=True):
         assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize("partial", [None, "source"])
+def test_figures_of_quality_go_round(build, blobs, tmp_path, partial):
+    """Also where no report has them."""
+    found = build("nearest-features").match(blobs.source, blobs.target, partial=partial)
+    for number, each in enumerate((found, found.inverse(), replace(found, report={}))):
+        each.save(tmp_path / str(number))
+        assert Match.load(tmp_path / str(number)).quality == each.quality is not None
+
+
+@pytest.mark.parametrize("figures", ["good", [1], {"source": None}, {"source": {"coverage": 1}, "target": None}])
+def test_figures_of_quality_that_are_none_are_one_line(given, tmp_path, figures):
+    replace(given, report={"quality": figures}).save(tmp_path)
+    with pytest.raises(DataError, match=r"report\.json has figures of quality that are not those of a match"):
+        Match.load(tmp_path)
+
+
+@pytest.mark.parametrize("words", [{"base": 1}, {"base": 0}, {"direction": "source_to_target"}])
+def test_a_folder_has_neither_base_nor_direction(given, tmp_path, words):
+    with pytest.raises(ArgumentError, match=r"base and direction are for files .*result is a folder"):
+        given.save(tmp_path / "result", **words)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("direction", ["target_to_source", "source_to_target"])
@@ -302,6 +337,8 @@ def test_composed_maps_go_by_way_of_the_shape_between(given, make):
         assert found.target_to_source[point] == (-1 if between < 0 else given.target_to_source[between])
     with pytest.raises(ArgumentError, match="the other match begins at grid with 25 points, but must begin at cloud"):
         given.compose(identity(third))
+    with pytest.raises(ArgumentError, match=r"other is a str, but must be a Match; make one with homolog\.match"):
+        given.compose("result")
 
 
 def test_a_matrix_takes_functions_to_the_target(given):

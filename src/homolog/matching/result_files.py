@@ -17,6 +17,7 @@ from homolog.core.errors import ArgumentError, DataError, HomologError, bad_choi
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, write_json
 from homolog.core.progress import Timings
 from homolog.matching.colours import matched_colours
+from homolog.matching.quality import MapQuality
 from homolog.pairs import SIDES, Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
 
@@ -60,6 +61,8 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
             write_shape(paths[1], drawable(match.source), colours=source_colours)
             write_shape(paths[2], drawable(match.target), colours=target_colours)
         told: dict[str, Any] = {"method": match.method, "warnings": list(match.warnings)}
+        if match.quality is not None:
+            told["quality"] = match.quality.to_dict()
         if timings is not None:
             told["timings"] = [asdict(timing) for timing in timings.finished]
         write_json(paths[3], {**match.report, **told})
@@ -84,6 +87,7 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
         **_read_arrays(root / MAPS),
         "method": report["method"],
         "warnings": tuple(report["warnings"]),
+        "quality": _quality(root / REPORT, report),
         "report": report,
     }
 
@@ -113,6 +117,13 @@ def _read_report(path: Path) -> dict[str, Any]:
     if not isinstance(warnings, list) or not all(isinstance(warning, str) for warning in warnings):
         raise DataError(f"{path} is not the report of a match; match again")
     return dict(report)
+
+
+def _quality(path: Path, report: dict[str, Any]) -> MapQuality | None:
+    try:
+        return None if report.get("quality") is None else MapQuality.from_dict(report["quality"])
+    except (KeyError, TypeError, ValueError):
+        raise DataError(f"{path} has figures of quality that are not those of a match; match again") from None
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
