@@ -138,9 +138,13 @@ def test_a_method_of_the_settings_holds_unless_another_is_given(blobs, settings,
 @pytest.mark.parametrize(
     ("features", "said"),
     [
-        (lambda shape: torch.zeros(3, 2), r"features 'own' have shape \(3, 2\), but must have one row per point"),
-        (lambda shape: shape.points[:, 0], r"have shape \(480,\), but must have one row per point, \(480, d\)"),
-        (lambda shape: shape.points * np.nan, "hold NaN or infinite numbers, but must be finite"),
+        (lambda shape: torch.zeros(3, 2), r"features 'own' of <lambda> have shape \(3, 2\), but must have one row of"),
+        (lambda shape: shape.points[:, 0], r"have shape \(480,\), but must have one row of .* \(480, d\)"),
+        (lambda shape: shape.points * np.nan, "of <lambda> hold NaN or infinite numbers, but must be finite"),
+        (lambda shape: None, r"features 'own' of <lambda> are a NoneType without numbers, but .*, \(480, d\)"),
+        (lambda shape: "much", "features 'own' of <lambda> are a str without numbers"),
+        (lambda shape: [[1.0], [1.0, 2.0]], "of <lambda> are a list without numbers"),
+        (lambda shape: 3.0, r"of <lambda> have shape \(\), but"),
         (3, "features is a int, but must be a feature extractor, a network or a function of operators"),
     ],
 )
@@ -148,6 +152,32 @@ def test_features_that_cannot_be_are_one_line(blobs, features, said):
     with pytest.raises(ArgumentError, match=said) as caught:
         Matcher(features, OWN, device="cpu").match(blobs.source, blobs.target)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (None, "are a NoneType without numbers"),
+        (np.zeros((3, 2)), r"have shape \(3, 2\)"),
+        (np.full((480, 2), np.inf), "hold NaN or infinite numbers"),
+    ],
+)
+def test_what_an_extractor_of_one_s_own_gives_is_checked_as_well(blobs, values, said):
+    class Theirs:
+        info = FeatureInfo(name="theirs")
+
+        def __call__(self, operators):
+            return values
+
+    with pytest.raises(ArgumentError, match=f"features 'theirs' of Theirs {said}") as caught:
+        Matcher(Theirs(), device="cpu").match(blobs.source, blobs.target)
+    assert "\n" not in str(caught.value)
+
+
+def test_arrays_without_numbers_name_their_shape(blobs):
+    words = [["a"]] * 480, np.zeros((560, 4))
+    with pytest.raises(ArgumentError, match="features 'source' are a list without numbers"):
+        Matcher(OWN, device="cpu").match(blobs.source, blobs.target, features=words)
 
 
 def test_arrays_of_another_length_name_their_shape(blobs):

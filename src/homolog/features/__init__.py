@@ -7,7 +7,7 @@ from homolog.features.extractor import (
     FunctionFeatures,
     NetworkFeatures,
     as_extractor,
-    check_features,
+    checked_features,
     on_device,
 )
 from homolog.features.info import FeatureInfo, NetworkInput
@@ -24,7 +24,7 @@ __all__ = [
     "NetworkInput",
     "NetworkSettings",
     "as_extractor",
-    "check_features",
+    "checked_features",
     "heat_decay",
     "load_weights",
     "on_device",

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -104,10 +105,8 @@ class FunctionFeatures:
         Raises:
             ArgumentError: if the function does not give one finite row per point.
         """
-        points = operators.points
-        features = torch.as_tensor(self.function(operators), dtype=points.dtype, device=points.device)
-        check_features(self.info.name, features, len(points))
-        return features
+        name = f"{self.info.name!r} of {function_name(self.function)}"
+        return checked_features(name, self.function(operators), operators.points, operators.n_points)
 
 
 @dataclass(frozen=True)
@@ -127,18 +126,29 @@ class GivenFeatures:
         )
 
 
-def check_features(name: str, features: Tensor, n_points: int) -> None:
-    """Refuse features that are not one row of finite numbers per point.
+def checked_features(name: str, values: Any, points: Float[Tensor, "m 3"], n_points: int) -> Float[Tensor, "n d"]:
+    """Features as a tensor, checked to be one row of finite numbers per point.
+
+    Args:
+        name: of the features or of what gave them, for errors.
+        values: a tensor, an array, or rows of numbers.
+        points: of the precision and on the device that the features get.
+        n_points: how many rows there must be.
 
     Raises:
         ArgumentError: naming what was found.
     """
+    wanted = f"but must have one row of numbers per point, ({n_points}, d)"
+    try:
+        given = values if isinstance(values, Tensor) else np.array(values)
+        features = torch.as_tensor(given, dtype=points.dtype, device=points.device)
+    except (TypeError, ValueError, RuntimeError):
+        raise ArgumentError(f"features {name} are a {type(values).__name__} without numbers, {wanted}") from None
     if features.ndim != 2 or len(features) != n_points or not features.shape[1]:
-        raise ArgumentError(
-            f"features {name!r} have shape {tuple(features.shape)}, but must have one row per point, ({n_points}, d)"
-        )
+        raise ArgumentError(f"features {name} have shape {tuple(features.shape)}, {wanted}")
     if not torch.isfinite(features).all():
-        raise ArgumentError(f"features {name!r} hold NaN or infinite numbers, but must be finite")
+        raise ArgumentError(f"features {name} hold NaN or infinite numbers, but must be finite")
+    return features
 
 
 def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureExtractor:
