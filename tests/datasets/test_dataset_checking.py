@@ -180,9 +180,12 @@ def test_clouds_of_views(tmp_path, make):
     np.savez(path, **changed)
     (finding,) = check_dataset(root, described).findings
     assert finding.startswith(f"{path} names point 1")
-    path.write_bytes(b"no arrays")
-    (finding,) = check_dataset(root, described).findings
-    assert finding.startswith(f"{path} must hold cloud_to_full")
+    np.savez_compressed(path, cloud_to_full=np.arange(1000))
+    whole = path.read_bytes()
+    for damaged in (b"no arrays", whole[:80] + b"\xff" * 40 + whole[120:]):
+        path.write_bytes(damaged)
+        (finding,) = check_dataset(root, described).findings
+        assert finding.startswith(f"{path} must hold cloud_to_full")
 
 
 def test_volumes(tmp_path):

@@ -202,7 +202,7 @@ def test_confidences_are_those_of_the_points_measured(family, shifted):
     found = evaluate(Stub(shifted, unsure_when_wrong), family.folder, ALL)
     for pair in found.pairs:
         np.testing.assert_array_equal(pair.confidences == 1, pair.errors == 0)
-    sure_when_wrong = evaluate(Stub(shifted, lambda s, t: -unsure_when_wrong(s, t)), family.folder, ALL)
+    sure_when_wrong = evaluate(Stub(shifted, lambda s, t: 1 - unsure_when_wrong(s, t)), family.folder, ALL)
     shares = [each.to_dict()["least_confident_fifth_error_share"] for each in (found, sure_when_wrong)]
     assert shares[0] > 0.2
     assert shares[1] == 0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.io
@@ -114,6 +116,10 @@ def test_maps_may_be_tensors_or_lists(given):
         ({"target_to_source": np.full(42, -2)}, "holds -2, but must"),
         ({"source_to_target": np.full(162, 42)}, "holds 42, but must hold indices of the other shape, 0 to 41"),
         ({"target_confidence": np.zeros(162)}, r"target_confidence has shape \(162,\), but must .* \(42,\)"),
+        ({"source_confidence": np.full(162, 7)}, "source_confidence holds 7, but must hold numbers from 0 to 1"),
+        ({"target_confidence": np.full(42, -0.5)}, "target_confidence holds -0.5, but must hold numbers from 0 to 1"),
+        ({"target_confidence": [np.nan] * 42}, "target_confidence holds nan, but must hold numbers from 0 to 1"),
+        ({"target_confidence": ["much"] * 42}, "target_confidence holds <U4, but must hold numbers from 0 to 1"),
     ],
 )
 def test_arrays_that_do_not_fit_are_one_line(given, changes, said):
@@ -121,6 +127,14 @@ def test_arrays_that_do_not_fit_are_one_line(given, changes, said):
     with pytest.raises(ArgumentError, match=said) as caught:
         Match(given.source, given.target, **{**arrays, **changes})
     assert "\n" not in str(caught.value)
+
+
+def test_confidences_may_be_tensors_or_whole_numbers(given, tmp_path):
+    trust = torch.rand(162, requires_grad=True), np.ones(42, int)
+    found = Match(given.source, given.target, given.source_to_target, given.target_to_source, *trust)
+    assert found.source_confidence.dtype == np.float32 and found.target_confidence.dtype == float
+    found.save(tmp_path)
+    assert_same(Match.load(tmp_path), found)
 
 
 # ---- on disk
@@ -138,6 +152,29 @@ def test_a_folder_goes_round(given, tmp_path):
     again = found.save(tmp_path / "again")
     for one, other in zip(paths, again, strict=True):
         assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize("partial", [None, "source"])
+def test_figures_of_quality_go_round(build, blobs, tmp_path, partial):
+    """Also where no report has them."""
+    found = build("nearest-features").match(blobs.source, blobs.target, partial=partial)
+    for number, each in enumerate((found, found.inverse(), replace(found, report={}))):
+        each.save(tmp_path / str(number))
+        assert Match.load(tmp_path / str(number)).quality == each.quality is not None
+
+
+@pytest.mark.parametrize("figures", ["good", [1], {"source": None}, {"source": {"coverage": 1}, "target": None}])
+def test_figures_of_quality_that_are_none_are_one_line(given, tmp_path, figures):
+    replace(given, report={"quality": figures}).save(tmp_path)
+    with pytest.raises(DataError, match=r"report\.json has figures of quality that are not those of a match"):
+        Match.load(tmp_path)
+
+
+@pytest.mark.parametrize("words", [{"base": 1}, {"base": 0}, {"direction": "source_to_target"}])
+def test_a_folder_has_neither_base_nor_direction(given, tmp_path, words):
+    with pytest.raises(ArgumentError, match=r"base and direction are for files .*result is a folder"):
+        given.save(tmp_path / "result", **words)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("direction", ["target_to_source", "source_to_target"])
@@ -181,12 +218,63 @@ def test_files_that_cannot_be(given, tmp_path, options, said):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("text", ["1.5\n2\n", "one\n", "1 2\n3 4\n", ""])
+@pytest.mark.parametrize(
+    "text", ["1.5\n2\n", "one\n", "1 2\n3 4\n", "", "inf\n1\n", "nan\n", "1e300\n", "99999999999999999999\n"]
+)
 def test_files_that_are_no_maps_are_one_line(tmp_path, text):
     (tmp_path / "map.txt").write_text(text)
     with pytest.raises(DataError, match=r"map\.txt") as caught:
         read_point_map(tmp_path / "map.txt")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".mat", ".npz"])
+def test_files_that_are_damaged_are_one_line(given, tmp_path, suffix):
+    """Cut off anywhere, of no content, and with bytes in the middle that cannot be unpacked."""
+    path = tmp_path / f"map{suffix}"
+    given.save(path)
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    spoilt = [whole[: len(whole) * part // 8] for part in range(8)]
+    for content in (*spoilt, bytes(len(whole)), whole[:middle] + b"\xff" * 40 + whole[middle + 40 :]):
+        path.write_bytes(content)
+        with pytest.raises(DataError, match=rf"map\{suffix}") as caught:
+            read_point_map(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_result_whose_arrays_cannot_be_unpacked_is_one_line(given, tmp_path):
+    given.save(tmp_path)
+    path = tmp_path / "correspondence.npz"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:60] + b"\xff" * 40 + whole[100:])
+    with pytest.raises(DataError, match="cannot be read as the arrays of a match"):
+        Match.load(tmp_path)
+
+
+@pytest.mark.parametrize("values", [np.full(3, 2**63, np.uint64), np.array([np.inf, 1, 2]), np.array([1e300, 1, 2])])
+@pytest.mark.parametrize("suffix", [".mat", ".npz"])
+def test_numbers_that_are_no_indices_are_named(tmp_path, suffix, values):
+    write = np.savez if suffix == ".npz" else lambda path, **arrays: scipy.io.savemat(path, arrays)
+    write(tmp_path / f"map{suffix}", target_to_source=values)
+    with pytest.raises(DataError, match=r"holds (inf|9223372036854775808|1e\+300), but must hold one whole number"):
+        read_point_map(tmp_path / f"map{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
+def test_maps_of_one_point_are_read(make, tmp_path, suffix):
+    few = Shape(make.sphere(0).points[:1], name="point")
+    path = tmp_path / f"map{suffix}"
+    Match(make.sphere(0), few, np.zeros(12, int), [5]).save(path)
+    assert read_point_map(path).tolist() == [5]
+    assert read_point_map(path, direction="target_to_source").shape == (1,)
+
+
+def test_a_number_beside_a_map_is_not_taken_for_it(tmp_path):
+    scipy.io.savemat(tmp_path / "map.mat", {"matches": np.array([3, 1, 2]), "scale": 2.0})
+    assert read_point_map(tmp_path / "map.mat").tolist() == [2, 0, 1]
+    scipy.io.savemat(tmp_path / "map.mat", {"matches": np.array([3])})
+    assert read_point_map(tmp_path / "map.mat").tolist() == [2]
 
 
 # ---- what can be made of it
@@ -201,6 +289,27 @@ def test_the_inverse_of_the_inverse_is_the_same(given):
     assert again.source is given.source and again.target is given.target
     assert_same(again, given)
     assert (again.method, again.warnings, again.report) == (given.method, given.warnings, given.report)
+
+
+def test_the_report_of_the_inverse_speaks_of_the_other_sides(build, blobs, tmp_path):
+    source, target = Shape(blobs.source.points, blobs.source.faces, name="source.off"), blobs.target
+    matcher = build("nearest-features")
+    plain = matcher.match(source, target, partial="source", as_cloud="target", source_up="z")
+    plain = replace(plain, warnings=("the source seems turned against the target: give the source's up axis",))
+    plain.inverse().save(tmp_path)
+    found = Match.load(tmp_path)
+    options = found.report["options"]
+    assert (options["partial"], options["as_cloud"]) == ("target", "source")
+    assert (options["source_up"], options["target_up"]) == ("y", "z")
+    assert [found.report["inputs"][side]["name"] for side in ("source", "target")] == ["target", "source.off"]
+    assert found.report["quality"] == {"source": None, "target": plain.report["quality"]["source"]}
+    matched = {f"{side}_{name}": n for side in ("source", "target") for name, n in found.matched(side).items()}
+    assert found.report["matched"] == matched
+    assert found.warnings == ("the target seems turned against the source: give the target's up axis",)
+    steps = [[step["name"] for step in one.report["timings"]] for one in (plain, found)]
+    assert steps[0].index("repair target") == steps[1].index("repair source")
+    again = plain.inverse().inverse()
+    assert (again.report, again.warnings) == (plain.report, plain.warnings)
 
 
 def identity(shape: Shape) -> Match:
@@ -228,6 +337,8 @@ def test_composed_maps_go_by_way_of_the_shape_between(given, make):
         assert found.target_to_source[point] == (-1 if between < 0 else given.target_to_source[between])
     with pytest.raises(ArgumentError, match="the other match begins at grid with 25 points, but must begin at cloud"):
         given.compose(identity(third))
+    with pytest.raises(ArgumentError, match=r"other is a str, but must be a Match; make one with homolog\.match"):
+        given.compose("result")
 
 
 def test_a_matrix_takes_functions_to_the_target(given):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import threading
-from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -14,10 +13,11 @@ from torch import nn
 
 import homolog
 from homolog.core.errors import ArgumentError
+from homolog.core.plugins import offered
 from homolog.features import FeatureInfo, as_extractor
 from homolog.maps import nearest_neighbour
 from homolog.matching import Matcher
-from homolog.methods import GROUP, FunctionMethod, Supports, find_method, method_names, registry
+from homolog.methods import FunctionMethod, Supports, find_method, method_names
 from homolog.pairs import MatcherSettings, PointMaps
 
 ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
@@ -88,12 +88,63 @@ def test_arrays_in_one_call(blobs, build):
     assert found.report["features"]["name"] == "given"
 
 
+@pytest.mark.parametrize("gather", [list, tuple, lambda arrays: [each.tolist() for each in arrays]])
+def test_arrays_come_in_any_sequence(blobs, gather):
+    features = [np.asarray(shape.points) for shape in (blobs.source, blobs.target)]
+    words = {"method": "nearest-features", "device": "cpu"}
+    found = homolog.match(blobs.source, blobs.target, features=gather(features), **words)
+    assert_same(found, homolog.match(blobs.source, blobs.target, features=tuple(features), **words))
+
+
 @pytest.mark.parametrize(
     ("features", "said"),
     [
-        (lambda shape: torch.zeros(3, 2), r"features 'own' have shape \(3, 2\), but must have one row per point"),
-        (lambda shape: shape.points[:, 0], r"have shape \(480,\), but must have one row per point, \(480, d\)"),
-        (lambda shape: shape.points * np.nan, "hold NaN or infinite numbers, but must be finite"),
+        ([np.zeros((480, 4))], "are 1 of them, but must be two arrays"),
+        (np.zeros((3, 480, 4)), "are 3 of them, but must be two arrays"),
+        ("ab", "are a str, but must be two arrays"),
+        ({"source": np.zeros((480, 4)), "target": np.zeros((560, 4))}, "are a dict, but must be two arrays"),
+        (3, "are a int, but must be two arrays"),
+    ],
+)
+def test_what_is_not_two_arrays_is_one_line(blobs, features, said):
+    with pytest.raises(ArgumentError, match=said) as caught:
+        homolog.match(blobs.source, blobs.target, features=features, device="cpu")
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ArgumentError, match=said):
+        Matcher(OWN, device="cpu").match(blobs.source, blobs.target, features=features)
+
+
+def test_weights_beside_features_are_refused(blobs):
+    with pytest.raises(ArgumentError, match="both weights and features are given"):
+        homolog.match(blobs.source, blobs.target, weights="people", features=lambda shape: shape.points)
+
+
+@pytest.mark.parametrize(
+    ("settings", "method", "expected"),
+    [("axiomatic", None, "axiomatic"), ("registration", "axiomatic", "axiomatic"), ("axiomatic", "auto", "auto")],
+)
+def test_a_method_of_the_settings_holds_unless_another_is_given(blobs, settings, method, expected):
+    found = homolog.match(
+        blobs.source,
+        blobs.target,
+        features=lambda shape: shape.points,
+        method=method,
+        settings=MatcherSettings(method=settings),
+        device="cpu",
+    )
+    assert found.report["settings"]["method"] == expected
+
+
+@pytest.mark.parametrize(
+    ("features", "said"),
+    [
+        (lambda shape: torch.zeros(3, 2), r"features 'own' of <lambda> have shape \(3, 2\), but must have one row of"),
+        (lambda shape: shape.points[:, 0], r"have shape \(480,\), but must have one row of .* \(480, d\)"),
+        (lambda shape: shape.points * np.nan, "of <lambda> hold NaN or infinite numbers, but must be finite"),
+        (lambda shape: None, r"features 'own' of <lambda> are a NoneType without numbers, but .*, \(480, d\)"),
+        (lambda shape: "much", "features 'own' of <lambda> are a str without numbers"),
+        (lambda shape: [[1.0], [1.0, 2.0]], "of <lambda> are a list without numbers"),
+        (lambda shape: 3.0, r"of <lambda> have shape \(\), but"),
         (3, "features is a int, but must be a feature extractor, a network or a function of operators"),
     ],
 )
@@ -101,6 +152,32 @@ def test_features_that_cannot_be_are_one_line(blobs, features, said):
     with pytest.raises(ArgumentError, match=said) as caught:
         Matcher(features, OWN, device="cpu").match(blobs.source, blobs.target)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (None, "are a NoneType without numbers"),
+        (np.zeros((3, 2)), r"have shape \(3, 2\)"),
+        (np.full((480, 2), np.inf), "hold NaN or infinite numbers"),
+    ],
+)
+def test_what_an_extractor_of_one_s_own_gives_is_checked_as_well(blobs, values, said):
+    class Theirs:
+        info = FeatureInfo(name="theirs")
+
+        def __call__(self, operators):
+            return values
+
+    with pytest.raises(ArgumentError, match=f"features 'theirs' of Theirs {said}") as caught:
+        Matcher(Theirs(), device="cpu").match(blobs.source, blobs.target)
+    assert "\n" not in str(caught.value)
+
+
+def test_arrays_without_numbers_name_their_shape(blobs):
+    words = [["a"]] * 480, np.zeros((560, 4))
+    with pytest.raises(ArgumentError, match="features 'source' are a list without numbers"):
+        Matcher(OWN, device="cpu").match(blobs.source, blobs.target, features=words)
 
 
 def test_arrays_of_another_length_name_their_shape(blobs):
@@ -206,14 +283,15 @@ def installed(tmp_path, monkeypatch):
         'METHOD = FunctionMethod("their-method", nearest, Supports(needs_features=False, refinement=False))\n'
     )
     monkeypatch.syspath_prepend(tmp_path)
-    points = [EntryPoint("their-method", "own_methods:METHOD", GROUP), EntryPoint("broken", "no_such:METHOD", GROUP)]
-
-    def entry_points(*, group, name=None):
-        assert group == GROUP
-        return [point for point in points if name in (None, point.name)]
-
-    monkeypatch.setattr(registry, "entry_points", entry_points)
+    (tmp_path / "broken_methods.py").write_text("raise RuntimeError('out of\\norder')\n")
+    names = ["their-method = own_methods:METHOD", "broken = broken_methods:METHOD", "axiomatic = own_methods:METHOD"]
+    info = tmp_path / "theirs-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("\n".join(["[homolog.methods]", *names]))
+    offered.cache_clear()
     yield
+    offered.cache_clear()
     sys.modules.pop("own_methods", None)
 
 
@@ -226,6 +304,20 @@ def test_a_method_by_entry_point(installed, blobs, expected):
     assert find_method("their-method").supports.needs_features is False
     with pytest.raises(ArgumentError, match=r"method is 'their-methd'.*did you mean 'their-method'"):
         find_method("their-methd")
+
+
+def test_a_method_that_cannot_be_loaded_names_its_package(installed):
+    with pytest.raises(ArgumentError) as caught:
+        find_method("broken")
+    assert "entry point broken = broken_methods:METHOD in homolog.methods of package theirs" in str(caught.value)
+    assert "(RuntimeError: out of order)" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_method_called_like_one_of_homolog_s_own_is_told_of(installed, caplog):
+    assert find_method("axiomatic").name == "axiomatic"
+    assert method_names().count("axiomatic") == 1
+    (told,) = caplog.messages
+    assert "axiomatic = own_methods:METHOD in homolog.methods of package theirs is left out, as Homolog has" in told
 
 
 @pytest.mark.parametrize(

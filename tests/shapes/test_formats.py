@@ -1,12 +1,12 @@
 """A format is one entry in a registry: own ones are read and written as Homolog's are."""
 
-import importlib.metadata
 import sys
 
 import numpy as np
 import pytest
 
 from homolog.core.errors import ArgumentError, MissingExtraError, ShapeError
+from homolog.core.plugins import offered
 from homolog.datasets import mesh_files
 from homolog.shapes import (
     Shape,
@@ -117,24 +117,27 @@ def test_read_must_be_a_function():
         register_format(".tri", read=read_tri, write="x")
 
 
-def test_installed_packages_bring_formats_and_their_faults_are_warned_of(monkeypatch):
-    class Entry:
-        def __init__(self, value, function):
-            self.value, self.function = value, function
-
-        def load(self):
-            return self.function
-
-    def broken():
-        raise RuntimeError("out of order")
-
-    entries = [Entry("broken:formats", broken), Entry("fine:formats", lambda: register_format(".fine", read=read_tri))]
-    asked = []
-    monkeypatch.setattr(registry, "entry_points", lambda group: asked.append(group) or entries)
-    registry._load_installed.cache_clear()
-    with pytest.warns(RuntimeWarning, match="broken:formats are left out.*out of order"):
-        assert ".fine" in readable_suffixes()
-    readable_suffixes()
-    assert asked == ["homolog.formats"]
-    registry._load_installed.cache_clear()
-    assert importlib.metadata.entry_points is not registry.entry_points
+def test_installed_packages_bring_formats_and_their_faults_are_told(tmp_path, monkeypatch, caplog):
+    """One whose module cannot be imported, one whose function fails, and one that works."""
+    (tmp_path / "halfbroken.py").write_text(
+        "from homolog.shapes import register_format\n"
+        "def broken():\n    raise RuntimeError('out of order')\n"
+        "def fine():\n    register_format('.fine', read=print)\n"
+    )
+    info = tmp_path / "theirs-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
+    points = ["gone = no_such_module:formats", "broken = halfbroken:broken", "fine = halfbroken:fine"]
+    (info / "entry_points.txt").write_text("\n".join(["[homolog.formats]", *points]))
+    monkeypatch.syspath_prepend(tmp_path)
+    for cached in (offered, registry._load_installed):
+        cached.cache_clear()
+    try:
+        assert ".fine" in readable_suffixes() and ".fine" in readable_suffixes()
+    finally:
+        for cached in (offered, registry._load_installed):
+            cached.cache_clear()
+        sys.modules.pop("halfbroken", None)
+    first, second = caplog.messages
+    assert f"{points[0]} in homolog.formats of package theirs are left out (ModuleNotFoundError: No module" in first
+    assert f"{points[1]} in homolog.formats of package theirs are left out (RuntimeError: out of order)" in second

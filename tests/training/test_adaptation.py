@@ -68,7 +68,8 @@ def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_tho
 def test_the_loss_of_the_pair_falls(matcher, shapes, as_cloud):
     pair, _ = matcher.pair(*shapes, as_cloud=as_cloud)
     adapted, after = adapt_to_pair(matcher, pair, SETTINGS)
-    assert after.extractor.network is adapted.extractor.network
+    networks = after.extractor.network, adapted.extractor.network
+    assert all(torch.equal(*both) for both in zip(*(one.parameters() for one in networks), strict=True))
     assert loss_of(adapted, after) < 0.95 * loss_of(matcher, pair)
     for old, new in ((pair.source, after.source), (pair.target, after.target)):
         assert torch.equal(new.features, adapted.preprocess.features(new.operators))

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from homolog.core.errors import ArgumentError
+from homolog.core.plugins import offered
 from homolog.features import DiffusionNet, NetworkSettings
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.shapes import Shape
@@ -194,23 +195,59 @@ def test_functions_that_cannot_be_used(tmp_path, module, path, said):
     assert "\n" not in str(caught.value)
 
 
-def test_installed_losses_are_named_by_their_entry_points(tmp_path, module, pair):
+@pytest.fixture
+def offer(module):
+    """Install a package, as if it were, whose entry points are these lines."""
+
+    def install(lines):
+        info = module / "theirs-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[homolog.losses]\n{lines}\n")
+        offered.cache_clear()
+
+    yield install
+    offered.cache_clear()
+
+
+def test_installed_losses_are_named_by_their_entry_points(tmp_path, module, offer, pair):
     assert "theirs" not in installed_losses()
-    info = module / "theirs-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[homolog.losses]\ntheirs = mylosses:small\n")
-    installed_losses.cache_clear()
-    try:
-        settings = read_recipe(recipe_with(tmp_path, None, "[loss]\ntheirs = 2.0\n")).loss
-        assert not (module / "mylosses.trace").exists()
-        found = pair_losses(*pair, settings=replace(settings, map_eigenpairs=10))
-        needed = quantities(pair)
-        torch.testing.assert_close(found["theirs"], 2 * mapped(needed.c_xy, needed.c_yx))
-        with pytest.raises(ArgumentError, match=r"unknown key 'their'; did you mean 'theirs'"):
-            LossSettings(weights={"their": 2.0})
-    finally:
-        installed_losses.cache_clear()
+    offer("theirs = mylosses:small")
+    settings = read_recipe(recipe_with(tmp_path, None, "[loss]\ntheirs = 2.0\n")).loss
+    assert not (module / "mylosses.trace").exists()
+    found = pair_losses(*pair, settings=replace(settings, map_eigenpairs=10))
+    needed = quantities(pair)
+    torch.testing.assert_close(found["theirs"], 2 * mapped(needed.c_xy, needed.c_yx))
+    with pytest.raises(ArgumentError, match=r"unknown key 'their'; did you mean 'theirs'"):
+        LossSettings(weights={"their": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("target", "said"),
+    [
+        ("brokenlosses:small", "RuntimeError: out of order"),
+        ("nolosses:small", "No module named 'nolosses'"),
+        ("mylosses:number", "3 is not a callable"),
+    ],
+)
+def test_installed_losses_that_cannot_be_used_name_their_package(module, offer, target, said):
+    (module / "brokenlosses.py").write_text("raise RuntimeError('out of\\norder')\n")
+    offer(f"theirs = {target}")
+    with pytest.raises(
+        ArgumentError, match=rf"theirs = {target} in homolog.losses of package theirs.*{said}"
+    ) as caught:
+        losses_of(LossSettings(weights={"theirs": 1.0}))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(ArgumentError, match=r"'brokenlosses:small', cannot be used \(RuntimeError: out of order\)"):
+        losses_of(LossSettings(weights={"own": 1.0}, functions={"own": "brokenlosses:small"}))
+
+
+def test_an_installed_loss_called_like_a_built_in_one_is_told_of(offer, caplog):
+    offer("infonce = mylosses:small")
+    losses = losses_of(LossSettings())
+    assert losses_of(LossSettings()) == losses
+    (told,) = caplog.messages
+    assert "infonce = mylosses:small in homolog.losses of package theirs is left out, as Homolog has that name" in told
 
 
 def test_a_training_minimises_logs_and_validates_a_loss_of_one_s_own(meshes, small, tmp_path):

@@ -115,14 +115,14 @@ def transfer(
     transfers.check_output_names(files)
     side: Side = "target" if reverse else "source"
     match = homolog.Match.load(result)
-    match = match.inverse() if reverse else match
     if checker and kinds:
         raise ArgumentError(f"--checker and --{kinds[0]} write the same files; give one at a time")
     contents = bool(kinds) or not (files or checker)
     original = transfers.read_original(match, side, origin) if contents or origin is not None else None
     inputs = files if original is None else [*files, *original.files]
     check_folder(output, inputs=inputs, names=[*transfers.OUTPUT_NAMES, *(file.name for file in files)])
-    along = transfers.Transfer(match, source=None if original is None else original.shape)
+    forth = match.inverse() if reverse else match
+    along = transfers.Transfer(forth, source=None if original is None else original.shape)
     delivery = transfers.Delivery(along, axes=axes, texture_size=texture_size)
     for paths, add in (
         (array, delivery.add_array),

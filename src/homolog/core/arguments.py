@@ -23,6 +23,7 @@ _WAYS_TO = {
     "RegistrationSettings": "RegistrationSettings; make them with homolog.maps.RegistrationSettings(...), or leave "
     "them out",
     "Pair": "a Pair; make one with Matcher.pair, or of preprocessed shapes with Matcher.paired",
+    "Match": "a Match; make one with homolog.match, or read one with homolog.Match.load",
     "PairOptions": "PairOptions; make them with homolog.PairOptions(...), or give their fields by name",
     "MatcherSettings": "MatcherSettings; make them with homolog.MatcherSettings(...), or leave them out",
     "DiffusionNet": "a network; give weight files to Matcher.from_weights, or read them with homolog.load_weights",

@@ -7,7 +7,7 @@ from homolog.features.extractor import (
     FunctionFeatures,
     NetworkFeatures,
     as_extractor,
-    check_features,
+    checked_features,
     on_device,
 )
 from homolog.features.info import FeatureInfo, NetworkInput
@@ -29,7 +29,7 @@ __all__ = [
     "Orientation",
     "Orienter",
     "as_extractor",
-    "check_features",
+    "checked_features",
     "heat_decay",
     "load_weights",
     "on_device",

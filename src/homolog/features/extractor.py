@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -18,6 +20,8 @@ from homolog.features.orienter import Orienter
 from homolog.geometry import Basis, Operators
 from homolog.maps import heat_kernel_signature, wave_kernel_signature
 
+M = TypeVar("M", bound=nn.Module)
+
 # Published networks take signatures of the lowest eigenpairs, however many there are.
 _SIGNATURE_EIGENPAIRS = 128
 
@@ -29,9 +33,6 @@ class FeatureExtractor(Protocol):
     Features that follow from positions (``info.input == "xyz"``) are also asked for at other poses and at some of a
     shape's points, and are then given the ``Basis`` there: it has the same ``points``, ``mass``, ``eigenvalues`` and
     ``eigenvectors``.
-
-    Args:
-        info: what the extractor expects of shapes, and how its features are to be compared.
     """
 
     @property
@@ -81,9 +82,9 @@ class NetworkFeatures:
         return signature / (operators.mass[:, None] * signature.square()).sum(dim=0).sqrt()
 
     def to(self, device: torch.device) -> NetworkFeatures:
-        """The same on a device, in evaluation mode."""
+        """The same on a device, in evaluation mode; this one's network stays as it is."""
         orienter = None if self.orienter is None else self.orienter.to(device)
-        return replace(self, network=self.network.to(device).eval(), orienter=orienter)
+        return replace(self, network=_evaluating(self.network, device), orienter=orienter)
 
     def __repr__(self) -> str:
         settings = self.network.settings
@@ -108,10 +109,8 @@ class FunctionFeatures:
         Raises:
             ArgumentError: if the function does not give one finite row per point.
         """
-        points = operators.points
-        features = torch.as_tensor(self.function(operators), dtype=points.dtype, device=points.device)
-        check_features(self.info.name, features, len(points))
-        return features
+        name = f"{self.info.name!r} of {function_name(self.function)}"
+        return checked_features(name, self.function(operators), operators.points, operators.n_points)
 
 
 @dataclass(frozen=True)
@@ -131,18 +130,29 @@ class GivenFeatures:
         )
 
 
-def check_features(name: str, features: Tensor, n_points: int) -> None:
-    """Refuse features that are not one row of finite numbers per point.
+def checked_features(name: str, values: Any, points: Float[Tensor, "m 3"], n_points: int) -> Float[Tensor, "n d"]:
+    """Features as a tensor, checked to be one row of finite numbers per point.
+
+    Args:
+        name: of the features or of what gave them, for errors.
+        values: a tensor, an array, or rows of numbers.
+        points: of the precision and on the device that the features get.
+        n_points: how many rows there must be.
 
     Raises:
         ArgumentError: naming what was found.
     """
+    wanted = f"but must have one row of numbers per point, ({n_points}, d)"
+    try:
+        given = values if isinstance(values, Tensor) else np.array(values)
+        features = torch.as_tensor(given, dtype=points.dtype, device=points.device)
+    except (TypeError, ValueError, RuntimeError):
+        raise ArgumentError(f"features {name} are a {type(values).__name__} without numbers, {wanted}") from None
     if features.ndim != 2 or len(features) != n_points or not features.shape[1]:
-        raise ArgumentError(
-            f"features {name!r} have shape {tuple(features.shape)}, but must have one row per point, ({n_points}, d)"
-        )
+        raise ArgumentError(f"features {name} have shape {tuple(features.shape)}, {wanted}")
     if not torch.isfinite(features).all():
-        raise ArgumentError(f"features {name!r} hold NaN or infinite numbers, but must be finite")
+        raise ArgumentError(f"features {name} hold NaN or infinite numbers, but must be finite")
+    return features
 
 
 def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureExtractor:
@@ -150,13 +160,13 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
 
     Args:
         features: a ``FeatureExtractor``; a ``DiffusionNet``; a ``FeatureInfo`` of features that are given with each
-            pair; or a function of ``Operators``, such as any
-            ``torch.nn.Module`` that is called with them, which gives (n, d).
-        info: what it expects of shapes. By default a DiffusionNet is taken to be trained on upright shapes, and the
-            features of a function not to follow the pose.
+            pair; or a function of ``Operators``, such as any ``torch.nn.Module`` that is called with them, which gives
+            (n, d). A ``Matcher`` works with a copy of a module, in evaluation mode and on its own device.
+        info: what it expects of shapes, in place of what an extractor says itself. By default a DiffusionNet is taken
+            to be trained on upright shapes, and the features of a function not to follow the pose.
 
     Raises:
-        ArgumentError: if it is nothing of the kind.
+        ArgumentError: if it is nothing of the kind, or there are two ``FeatureInfo``.
 
     Examples:
         >>> import homolog
@@ -168,9 +178,13 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
     if isinstance(features, DiffusionNet):
         return NetworkFeatures(features, info or FeatureInfo())
     if isinstance(features, FeatureInfo):
+        if info is not None:
+            raise ArgumentError("features is a FeatureInfo, and info is another; leave info out")
         return GivenFeatures(features)
-    if isinstance(features, FeatureExtractor):
+    if isinstance(features, FeatureExtractor) and info is None:
         return features
+    if isinstance(features, NetworkFeatures | FunctionFeatures | GivenFeatures):
+        return replace(features, info=info or features.info)
     if callable(features):
         name = function_name(features)
         return FunctionFeatures(features, info or FeatureInfo(name=name, input="operators", upright=False))
@@ -181,9 +195,23 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
 
 
 def on_device(extractor: FeatureExtractor, device: torch.device) -> FeatureExtractor:
-    """The extractor with its parameters, if it has any, on a device and in evaluation mode."""
+    """The extractor with a copy of its network, if it has any, on a device and in evaluation mode."""
     if isinstance(extractor, NetworkFeatures):
         return extractor.to(device)
     if isinstance(extractor, FunctionFeatures) and isinstance(extractor.function, nn.Module):
-        extractor.function.to(device).eval()
+        return replace(extractor, function=_evaluating(extractor.function, device))
+    if isinstance(extractor, nn.Module):
+        return _evaluating(extractor, device)
     return extractor
+
+
+def _evaluating(network: M, device: torch.device) -> M:
+    # A copy, as whoever gave the network may be training it, or hold it on another device.
+    try:
+        own = copy.deepcopy(network)
+    except Exception as error:
+        raise ArgumentError(
+            f"a {type(network).__name__} cannot be copied ({' '.join(str(error).split())}); "
+            "give a function that calls it, such as lambda shape: network(shape)"
+        ) from error
+    return own.to(device).eval()

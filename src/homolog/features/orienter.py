@@ -10,6 +10,7 @@ objects ("Normalized object coordinate space", CVPR 2019), Scarvelis et al. orie
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -91,4 +92,4 @@ class Orienter:
 
     def to(self, device: torch.device) -> Orienter:
         """The same on a device, in evaluation mode."""
-        return replace(self, network=self.network.to(device).eval())
+        return replace(self, network=copy.deepcopy(self.network).to(device).eval())

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError
@@ -31,6 +35,17 @@ def options_of(options: PairOptions | None, words: dict[str, Any]) -> PairOption
     except TypeError:
         unknown = next(name for name in words if name not in PairOptions.__dataclass_fields__)
         raise TypeError(f"match() got an unexpected keyword argument {unknown!r}") from None
+
+
+def check_two_arrays(features: Any) -> None:
+    """Refuse features that are not one array for each shape; the arrays themselves are checked with the shapes."""
+    several = isinstance(features, Sequence | np.ndarray | Tensor) and not isinstance(features, str)
+    if not several or len(features) != 2:
+        found = f"{len(features)} of them" if several else f"a {type(features).__name__}"
+        raise ArgumentError(
+            f"features given with a pair are {found}, but must be two arrays, (of_source, of_target); "
+            "a function or a network is given to homolog.match or Matcher"
+        )
 
 
 def read_inputs(source: Any, target: Any, timings: Timings) -> tuple[tuple[Shape, Shape], dict[Side, dict[str, str]]]:

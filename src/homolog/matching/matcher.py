@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
 from homolog.matching.choice import chosen_method, extractor_for, method_between
-from homolog.matching.inputs import options_of, read_inputs, with_inputs
+from homolog.matching.inputs import check_two_arrays, options_of, read_inputs, with_inputs
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match
 from homolog.matching.search import orient
@@ -132,7 +133,7 @@ class Matcher:
         target: Any,
         options: PairOptions | None = None,
         *,
-        features: tuple[ArrayLike, ArrayLike] | None = None,
+        features: Sequence[ArrayLike] | None = None,
         timings: Timings | None = None,
         **words: Any,
     ) -> Match:
@@ -142,12 +143,12 @@ class Matcher:
             source: a mesh or cloud in any state, never changed: a shape, a path, or whatever ``as_shape`` takes.
             target: another.
             options: what is known of the two.
-            features: of the points of both as given (n, d), in place of the matcher's own.
+            features: of the points of both as given, two arrays (n, d), in place of the matcher's own.
             timings: collects time and memory of each step.
             **words: the fields of ``PairOptions``, such as ``partial="source"``, in place of ``options``.
 
         Raises:
-            ArgumentError: if something given is not a shape, such a word, or a factor.
+            ArgumentError: if something given is not a shape, such a word, a factor, or features of both.
             ShapeError: if a shape cannot be used, or ``strict`` forbids it.
         """
         timings = timings or Timings()
@@ -160,7 +161,7 @@ class Matcher:
         target: Any,
         options: PairOptions | None = None,
         *,
-        features: tuple[ArrayLike, ArrayLike] | None = None,
+        features: Sequence[ArrayLike] | None = None,
         timings: Timings | None = None,
         **words: Any,
     ) -> tuple[Pair, dict[Side, dict[str, str]]]:
@@ -168,6 +169,8 @@ class Matcher:
         timings = timings or Timings()
         options = options_of(options, words)
         check_supported(self._method, options)  # before anything is computed
+        if features is not None:
+            check_two_arrays(features)
         (first, second), files = read_inputs(source, target, timings)
         pair = Pair.of(
             first,

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from statistics import fmean
+from typing import Any
 
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.geometry import Surface
 from homolog.maps import coverage, cycle_error, dirichlet_energy, flipped_triangles
-from homolog.pairs import PreprocessedShape
+from homolog.pairs import SIDES, PreprocessedShape
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,17 @@ class MapQuality:
     def to_dict(self) -> dict[str, dict[str, float | None] | None]:
         """Figures for JSON, side by side."""
         return asdict(self)
+
+    @classmethod
+    def from_dict(cls, figures: Mapping[str, Any]) -> MapQuality:
+        """What ``to_dict`` gave; anything else is a KeyError, a TypeError or a ValueError."""
+        return cls(*(None if figures[side] is None else _quality_of(figures[side]) for side in SIDES))
+
+
+def _quality_of(figures: Mapping[str, Any]) -> Quality:
+    flips = figures["flipped_triangles"]
+    numbers = {name: float(figures[name]) for name in MEASURES if name != "flipped_triangles"}
+    return Quality(**numbers, flipped_triangles=None if flips is None else float(flips))
 
 
 def quality(

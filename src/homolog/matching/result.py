@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
@@ -15,6 +16,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.versions import versions
 from homolog.geometry import Operators, OperatorSettings, compute_operators
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
 # What shows a match stands above it, and is loaded when it is asked for.
 _VIEWING = "homolog.viewing"
+# The entries of a report that speak of source and target. Inputs do as well, but hold names of files, which stay.
+_SIDED = ("quality", "options", "matched", "timings", "warnings")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -49,7 +53,8 @@ class Match:
         report: inputs, options, settings, and what was repaired, for JSON.
 
     Raises:
-        ArgumentError: if an array is not of the length that its shape asks for, or an index is that of no point.
+        ArgumentError: if an array is not of the length that its shape asks for, an index is that of no point, or a
+            confidence is not from 0 to 1.
 
     Examples:
         >>> import homolog
@@ -78,12 +83,8 @@ class Match:
             indices = check_point_map(name, getattr(self, name), n_points=shape.n_points, n_others=other.n_points)
             object.__setattr__(self, name, indices)
             trust = getattr(self, f"{side}_confidence")
-            trust = (indices >= 0).astype(float) if trust is None else np.asarray(trust)
-            if trust.shape != indices.shape:
-                raise ArgumentError(
-                    f"{side}_confidence has shape {trust.shape}, but must have one entry per point, ({len(indices)},)"
-                )
-            object.__setattr__(self, f"{side}_confidence", trust)
+            trust = (indices >= 0) if trust is None else trust
+            object.__setattr__(self, f"{side}_confidence", _checked_confidence(side, trust, len(indices)))
 
     @classmethod
     def of(cls, pair: Pair, maps: PointMaps) -> Match:
@@ -126,7 +127,7 @@ class Match:
         return replace(match, report=_report(pair, match))
 
     def inverse(self) -> Match:
-        """The same maps with source and target exchanged; the report stays as it is."""
+        """The same maps with source and target exchanged, in warnings and report too."""
         return replace(
             self,
             source=self.target,
@@ -135,7 +136,9 @@ class Match:
             target_to_source=self.source_to_target,
             source_confidence=self.target_confidence,
             target_confidence=self.source_confidence,
+            warnings=_exchanged(self.warnings),
             quality=None if self.quality is None else self.quality.inverse(),
+            report=_exchanged_report(self.report),
         )
 
     def compose(self, other: Match) -> Match:
@@ -147,8 +150,9 @@ class Match:
             other: whose source has the points of this match's target.
 
         Raises:
-            ArgumentError: if the shape in between has another number of points in the other match.
+            ArgumentError: if it is no match, or the shape in between has another number of points in it.
         """
+        check_kind("other", other, Match)
         if other.source.n_points != self.target.n_points:
             raise ArgumentError(
                 f"the other match begins at {other.source.name} with {other.source.n_points} points, but must begin at "
@@ -210,7 +214,7 @@ class Match:
 
         Args:
             path: where to.
-            base: the first index, 0 or 1; by default that of the table.
+            base: the first index of a file, 0 or 1; by default that of the table.
             direction: which map ``.txt`` and ``.vts`` hold: ``"target_to_source"``, for each target point its source
                 point, as the field's tables score it, or ``"source_to_target"``.
 
@@ -218,10 +222,16 @@ class Match:
             The files that were written.
 
         Raises:
-            ArgumentError: if there is no such format, or the path cannot be written to.
+            ArgumentError: if there is no such format, the path cannot be written to, or ``base`` or ``direction`` is
+                given for a folder, which always holds both maps with indices from 0.
         """
         if Path(path).suffix and not Path(path).is_dir():
             return [result_files.write_maps(path, self, base=base, direction=direction)]
+        if base is not None or direction != "target_to_source":
+            raise ArgumentError(
+                f"base and direction are for files of point maps, but {path} is a folder; leave them out, or give a "
+                "file's name, such as map.vts"
+            )
         return result_files.write_folder(path, self)
 
     @classmethod
@@ -299,6 +309,20 @@ def check_point_map(name: str, indices: Any, *, n_points: int, n_others: int) ->
     return found
 
 
+def _checked_confidence(side: str, given: Any, n_points: int) -> Float[np.ndarray, " n"]:
+    trust = np.asarray(given.detach().cpu() if isinstance(given, Tensor) else given)
+    if trust.dtype.kind not in "biuf":
+        raise ArgumentError(f"{side}_confidence holds {trust.dtype}, but must hold numbers from 0 to 1")
+    if trust.shape != (n_points,):
+        raise ArgumentError(
+            f"{side}_confidence has shape {trust.shape}, but must have one entry per point, ({n_points},)"
+        )
+    outside = trust[~((trust >= 0) & (trust <= 1))]
+    if len(outside):
+        raise ArgumentError(f"{side}_confidence holds {outside[0]}, but must hold numbers from 0 to 1")
+    return trust if trust.dtype.kind == "f" else trust.astype(float)
+
+
 def _check_maps(pair: Pair, maps: PointMaps) -> None:
     """Refuse what a method gave if it does not fit the repaired shapes."""
     method = pair.method.name
@@ -369,3 +393,23 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "matched": {f"{side}_{name}": n for side in SIDES for name, n in described.matched(side).items()},
         "versions": versions(),
     }
+
+
+def _exchanged_report(report: Mapping[str, Any]) -> dict[str, Any]:
+    """A report with source and target exchanged."""
+    told = {name: _exchanged(entry) if name in _SIDED else entry for name, entry in report.items()}
+    if "inputs" in report:
+        told["inputs"] = {_exchanged(side): shape for side, shape in report["inputs"].items()}
+    return told
+
+
+def _exchanged(entry: Any) -> Any:
+    """An entry of a report with the words source and target exchanged, in names such as ``source_up`` as well."""
+    if isinstance(entry, str):
+        words = re.split(r"(?<![a-z])(source|target)(?![a-z])", entry)
+        return "".join({"source": "target", "target": "source"}.get(word, word) for word in words)
+    if isinstance(entry, Mapping):
+        return {_exchanged(name): _exchanged(value) for name, value in entry.items()}
+    if isinstance(entry, list | tuple):
+        return type(entry)(map(_exchanged, entry))
+    return entry

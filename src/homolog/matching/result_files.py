@@ -8,16 +8,16 @@ from dataclasses import asdict, replace
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 from warnings import catch_warnings, simplefilter
-from zipfile import BadZipFile
 
 import numpy as np
 import scipy.io
 from jaxtyping import Int
 
-from homolog.core.errors import ArgumentError, DataError, bad_choice
+from homolog.core.errors import ArgumentError, DataError, HomologError, bad_choice
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, write_json
 from homolog.core.progress import Timings
 from homolog.matching.colours import matched_colours
+from homolog.matching.quality import MapQuality
 from homolog.pairs import SIDES, Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
 
@@ -32,6 +32,8 @@ _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_
 _DIRECTIONS = ("target_to_source", "source_to_target")
 # The first index of each format, as other programs write it.
 _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
+# No shape has so many points, and below it floating-point numbers are exact.
+_TOO_LARGE = 2**53
 
 
 def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = None) -> list[Path]:
@@ -59,6 +61,8 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
             write_shape(paths[1], drawable(match.source), colours=source_colours)
             write_shape(paths[2], drawable(match.target), colours=target_colours)
         told: dict[str, Any] = {"method": match.method, "warnings": list(match.warnings)}
+        if match.quality is not None:
+            told["quality"] = match.quality.to_dict()
         if timings is not None:
             told["timings"] = [asdict(timing) for timing in timings.finished]
         write_json(paths[3], {**match.report, **told})
@@ -83,6 +87,7 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
         **_read_arrays(root / MAPS),
         "method": report["method"],
         "warnings": tuple(report["warnings"]),
+        "quality": _quality(root / REPORT, report),
         "report": report,
     }
 
@@ -114,12 +119,19 @@ def _read_report(path: Path) -> dict[str, Any]:
     return dict(report)
 
 
+def _quality(path: Path, report: dict[str, Any]) -> MapQuality | None:
+    try:
+        return None if report.get("quality") is None else MapQuality.from_dict(report["quality"])
+    except (KeyError, TypeError, ValueError):
+        raise DataError(f"{path} has figures of quality that are not those of a match; match again") from None
+
+
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as stored:
             missing = [name for name in _ARRAYS if name not in stored.files]
             arrays = {name: stored[name] for name in _ARRAYS if name not in missing}
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
+    except Exception as error:  # whatever NumPy raises of a damaged file
         raise DataError(f"{path} cannot be read as the arrays of a match ({error}); match again") from None
     if missing:
         raise DataError(f"{path} has no array {missing[0]!r}; it must be what homolog match wrote")
@@ -188,27 +200,40 @@ def read_point_map(
                 values = _only(path, {name: stored[name] for name in stored.files}, direction)
         elif suffix == ".mat":
             stored = scipy.io.loadmat(file)
-            base = int(stored["first_index"].item()) if base is None and "first_index" in stored else base
-            named = {name: value for name, value in stored.items() if not name.startswith("_") and value.size > 1}
+            first = stored.pop("first_index", None)
+            base = int(first.item()) if base is None and first is not None else base
+            named = {name: value for name, value in stored.items() if not name.startswith("_")}
             values = _only(path, named, direction)
         else:
             with catch_warnings():
                 simplefilter("error")  # NumPy only warns of a file without a number
                 values = np.loadtxt(file, ndmin=1)
-    except (OSError, ValueError, EOFError, BadZipFile, NotImplementedError, TypeError, UserWarning) as error:
+    except HomologError:
+        raise
+    except Exception as error:  # whatever NumPy and SciPy raise of a damaged file
         raise DataError(f"{path} cannot be read as a point map ({' '.join(str(error).split())[:160]})") from None
-    values = np.squeeze(values)
-    if values.ndim != 1 or values.dtype.kind not in "iuf" or not np.array_equal(values, np.round(values)):
-        raise DataError(f"{path} does not hold one whole number per point, but {values.dtype} of shape {values.shape}")
-    return values.astype(np.int64) - (_BASES.get(suffix, 1) if base is None else base)
+    return _whole_numbers(path, values) - (_BASES.get(suffix, 1) if base is None else base)
 
 
-def _only(path: str | Path, arrays: dict[str, np.ndarray], direction: str) -> np.ndarray:
+def _only(path: str | Path, arrays: dict[str, Any], direction: str) -> Any:
     if direction in arrays:
         return arrays[direction]
-    if len(arrays) == 1:
-        return next(iter(arrays.values()))
+    # A single number beside a map tells something of it, but a map of one point is a single number, too.
+    maps = {name: array for name, array in arrays.items() if array.size > 1} or arrays
+    if len(maps) == 1:
+        return next(iter(maps.values()))
     raise DataError(f"{path} has no array {direction!r}, but {', '.join(sorted(arrays)) or 'none'}")
+
+
+def _whole_numbers(path: str | Path, given: Any) -> Int[np.ndarray, " n"]:
+    values = np.asarray(given)
+    if values.dtype.kind not in "iuf" or np.squeeze(values).ndim > 1:
+        raise DataError(f"{path} does not hold one whole number per point, but {values.dtype} of shape {values.shape}")
+    values = values.reshape(-1)
+    (wrong,) = np.nonzero((values != np.round(values)) | ~(np.abs(values.astype(float)) < _TOO_LARGE))
+    if len(wrong):
+        raise DataError(f"{path} holds {values[wrong[0]]}, but must hold one whole number per point, its index")
+    return values.astype(np.int64)
 
 
 def _checked_suffix(path: str | Path, *, reading: bool = False) -> str:

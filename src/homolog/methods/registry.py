@@ -7,11 +7,11 @@ function of a ``Pair``. Names are found without loading any of them.
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.metadata import entry_points
 from pkgutil import iter_modules
 from typing import Any
 
-from homolog.core.errors import bad_choice
+from homolog.core.errors import ArgumentError, bad_choice
+from homolog.core.plugins import described, fault, offered
 
 GROUP = "homolog.methods"
 """The group of entry points."""
@@ -29,21 +29,27 @@ def method_names() -> tuple[str, ...]:
         >>> "functional-map" in method_names()
         True
     """
-    return (AUTO, *dict.fromkeys((*_own(), *(point.name for point in entry_points(group=GROUP)))))
+    own = (AUTO, *_own())
+    return (*own, *offered(GROUP, own))
 
 
 def find_method(name: str) -> Any:
     """The method of a name.
 
     Raises:
-        ArgumentError: if there is none.
+        ArgumentError: if there is none, or the package that offers it cannot be loaded.
     """
     own = _own()
+    others = offered(GROUP, (AUTO, *own))
     if name in own:
         return import_module(own[name]).METHOD
-    for point in entry_points(group=GROUP, name=name):
-        return point.load()
-    raise bad_choice("method", str(name), method_names())
+    if name not in others:
+        raise bad_choice("method", str(name), method_names())
+    try:
+        return others[name].load()
+    except Exception as error:  # the cause tells whoever writes the package where it is
+        found = f"{described(others[name])} cannot be loaded ({fault(error)})"
+        raise ArgumentError(f"{found}; mend or uninstall it, or choose another method") from error
 
 
 def _own() -> dict[str, str]:

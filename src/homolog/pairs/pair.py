@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -93,7 +93,7 @@ class Pair:
         *,
         options: PairOptions | None = None,
         settings: MatcherSettings | None = None,
-        features: tuple[ArrayLike, ArrayLike] | None = None,
+        features: Sequence[ArrayLike] | None = None,
         timings: Timings | None = None,
     ) -> Pair:
         """Preprocess two shapes for each other: a partial one takes the scale of the full one, and comes second.

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from numpy.typing import ArrayLike
@@ -16,7 +15,8 @@ from homolog.core.arguments import check_kind
 from homolog.core.choices import Orient
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.progress import Timings
-from homolog.features import FeatureExtractor, Orientation, check_features
+from homolog.core.reprs import function_name
+from homolog.features import FeatureExtractor, Orientation, checked_features
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import rotation_angle
 from homolog.pairs.settings import OrientationSettings
@@ -192,11 +192,17 @@ class Preprocessor:
 
     @torch.no_grad()
     def features(self, operators: Operators) -> Float[Tensor, "n d"] | None:
-        """Features per point (n, d); zero on small components, of which operators know the position alone."""
+        """Features per point (n, d); zero on small components, of which operators know the position alone.
+
+        Raises:
+            ArgumentError: if the extractor does not give one finite row per point.
+        """
         check_kind("operators", operators, Operators)
         if self.extractor is None:
             return None
-        return self.extractor(operators) * operators.in_main_component[:, None]
+        name = f"{self.extractor.info.name!r} of {function_name(self.extractor)}"
+        found = checked_features(name, self.extractor(operators), operators.points, operators.n_points)
+        return found * operators.in_main_component[:, None]
 
 
 def _kept_if_near(orientation: Orientation, degrees: float) -> Orientation:
@@ -208,9 +214,8 @@ def _kept_if_near(orientation: Orientation, degrees: float) -> Orientation:
 
 def _of_points(features: ArrayLike, shape: Shape, repaired: Repaired, operators: Operators) -> Float[Tensor, "n d"]:
     """Features that a user gave for the points of a shape, at its clean points."""
-    values = torch.as_tensor(np.array(features), dtype=operators.points.dtype)
-    check_features(shape.name, values, shape.n_points)
-    return values[torch.from_numpy(repaired.kept)].to(operators.points.device)
+    values = checked_features(repr(shape.name), features, operators.points, shape.n_points)
+    return values[torch.from_numpy(repaired.kept).to(values.device)]
 
 
 def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:

@@ -7,14 +7,14 @@ import inspect
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Any, TypeVar
+from importlib.metadata import EntryPoint
+from typing import TYPE_CHECKING, TypeVar
 
 from jaxtyping import Float
 from torch import Tensor
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.plugins import described, fault, offered
 from homolog.maps import losses as formulas
 from homolog.maps import normalised
 from homolog.training.quantities import QUANTITIES, PairQuantities, TrainingShape
@@ -234,21 +234,24 @@ def losses_of(settings: LossSettings, more: Sequence[Loss] = ()) -> tuple[Loss, 
 def _named(name: str, weight: float, settings: LossSettings) -> Loss:
     if name in BUILTIN_LOSSES:
         return Loss.of(name, weight, BUILTIN_LOSSES[name].function)
-    path = settings.functions.get(name) or installed_losses()[name].value
-    module, _, attribute = path.partition(":")
+    path = settings.functions.get(name)
+    origin = described(installed_losses()[name]) if path is None else repr(path)
     try:
-        function: Any = getattr(importlib.import_module(module), attribute)
+        if path is None:
+            function = installed_losses()[name].load()
+        else:
+            module, _, attribute = path.partition(":")
+            function = getattr(importlib.import_module(module), attribute)
         return Loss.of(name, weight, function)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        if isinstance(error, ArgumentError):
-            raise
+    except ArgumentError:
+        raise
+    except Exception as error:  # importing a module raises whatever its lines do
         raise ArgumentError(
-            f"the function of the loss {name}, {path!r}, cannot be used ({error}); "
+            f"the function of the loss {name}, {origin}, cannot be used ({fault(error)}); "
             "give package.module:function of an installed package"
-        ) from None
+        ) from error
 
 
-@cache
 def installed_losses() -> dict[str, EntryPoint]:
     """The losses that installed packages offer under the entry-point group ``homolog.losses``. None is imported."""
-    return {point.name: point for point in entry_points(group=_GROUP)}
+    return offered(_GROUP, tuple(BUILTIN_LOSSES))

@@ -122,9 +122,10 @@ class LossSettings(Settings):
         for name in self.functions:
             if name in BUILTIN_LOSSES:
                 raise ArgumentError(f"[loss.functions] has {name!r}, which is a built-in loss; give yours another name")
+        known = [*BUILTIN_LOSSES, *self.functions, *installed_losses()]
         for name, weight in self.weights.items():
-            if name not in BUILTIN_LOSSES and name not in self.functions and name not in installed_losses():
-                keys = [*BUILTIN_LOSSES, *self.functions, *installed_losses(), *self.__dataclass_fields__]
+            if name not in known:
+                keys = [*known, *self.__dataclass_fields__]
                 raise ArgumentError(unknown_key(name, [key for key in keys if key != "weights"]))
             if not (is_real(weight) and weight >= 0):
                 raise bad_value(name, weight, "a number of at least 0")

@@ -50,8 +50,8 @@ def read_original(result: Match, side: Side, path: Path | None = None) -> Origin
     """Read one of the files that a match was made of.
 
     Args:
-        result: the match, with ``side`` for its source.
-        side: which of the two files, as the report calls it.
+        result: the match.
+        side: which of its two files.
         path: where it is now, if it was moved since.
 
     Raises:
@@ -66,7 +66,7 @@ def read_original(result: Match, side: Side, path: Path | None = None) -> Origin
         raise DataError(f"{file}, the {side} of this match, is not there; say with --from FILE where it is now")
     shape = read_shape(file)
     digest = sha256(*files_of_shape(file))
-    if recorded.get("sha256", digest) != digest or not _same_points(shape, result.source):
+    if recorded.get("sha256", digest) != digest or not _same_points(shape, getattr(result, side)):
         raise DataError(f"{file} is not the file that was matched, or was changed since; match it again")
     return Original(file, shape)
 

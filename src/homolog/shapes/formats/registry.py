@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import warnings
+import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, Literal
 
 from homolog.core.errors import ArgumentError, bad_value, needs_extra
+from homolog.core.plugins import described, fault, offered
 from homolog.shapes.shape import Shape
+
+_log = logging.getLogger(__name__)
 
 ENTRY_POINTS = "homolog.formats"
 """The group of entry points whose functions, called without arguments, register formats."""
@@ -114,11 +116,11 @@ def formats() -> dict[str, Format]:
 
 @cache
 def _load_installed() -> None:
-    for entry in entry_points(group=ENTRY_POINTS):
+    for point in offered(ENTRY_POINTS).values():
         try:
-            entry.load()()
+            point.load()()
         except Exception as error:  # noqa: PERF203  # a fault of another package must not stop this one
-            warnings.warn(f"the formats of {entry.value} are left out: {error!r}", RuntimeWarning, stacklevel=2)
+            _log.warning("the formats of %s are left out (%s)", described(point), fault(error))
 
 
 def imports_of(form: Format) -> AbstractContextManager[None]:
