@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 # What shows a match stands above it, and is loaded when it is asked for.
 _VIEWING = "homolog.viewing"
 # The entries of a report that speak of source and target. Inputs do as well, but hold names of files, which stay.
-_SIDED = ("quality", "options", "matched", "timings", "warnings")
+_SIDED = ("quality", "options", "orientation", "matched", "timings", "warnings")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
