@@ -13,7 +13,6 @@ from homolog.features import FeatureInfo
 from homolog.geometry import OperatorSettings, compute_operators, unit_frame
 from homolog.maps import normalised, sinkhorn_matches
 from homolog.matching import MapQuality, Match, Matcher, Quality, low_confidence_warnings
-from homolog.matching import orientation as orientation_module
 from homolog.methods.functional_map import functional_maps
 from homolog.pairs import (
     AlignmentSettings,
@@ -83,14 +82,6 @@ def test_as_cloud_keeps_the_points_that_no_face_uses(build, blobs):
     prepared = build("nearest-features").preprocess(few, as_cloud=True)
     assert prepared.repaired.shape.n_points == blobs.source.n_points and prepared.n_left_out == 0
     assert prepared.operators.scale == pytest.approx(unit_frame(blobs.source.as_cloud()).scale)
-
-
-def test_how_parts_stand_is_not_judged_by_their_features(build, blobs, monkeypatch):
-    monkeypatch.setattr(orientation_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
-    matcher = build("nearest-features", info=FeatureInfo(upright=True, map_eigenpairs=40))
-    whole, part = (matcher.match(blobs.source, blobs.target, partial=side) for side in (None, "target"))
-    assert "it lies on its side" in whole.warnings
-    assert "it lies on its side" not in part.warnings
 
 
 def test_as_cloud_of_a_cloud_is_the_cloud(build, blobs):
@@ -176,12 +167,11 @@ def test_steps_are_measured_in_order(build, blobs):
     names = [step.name for step in timings.finished]
     assert names == heard
     assert set(names) == {
-        *(f"{what} {side}" for what in ("repair", "operators of", "features of") for side in ("source", "target")),
+        *(f"{what} {side}" for what in ("repair", "operators of", "orientation of", "features of") for side in ("source", "target")),
         "map",
-        "check orientation",
     }
-    assert len(names) == 8
-    assert names[-2:] == ["map", "check orientation"]
+    assert len(names) == 9
+    assert names[-1] == "map"
     assert all(step.seconds > 0 and step.process_peak_mb > 10 for step in timings.finished)
 
 
@@ -192,22 +182,6 @@ def test_weights_from_a_file(build, blobs, weights):
     assert not matcher.extractor.network.training
     plain, found = build("auto").match(*blobs.of("mm")), matcher.match(*blobs.of("mm"))
     np.testing.assert_array_equal(found.source_to_target, plain.source_to_target)
-
-
-@pytest.mark.parametrize("method", ["auto", "functional-map", "nearest-features"])
-def test_orientation_warnings_reach_the_result(build, blobs, monkeypatch, method):
-    asked = []
-
-    def one_warning(features, source, target, *, scales, ups, device):
-        asked.append((source.name, target.name, scales, ups, device))
-        return ["it lies on its side"]
-
-    monkeypatch.setattr(orientation_module, "orientation_warnings", one_warning)
-    matcher = build(method, info=FeatureInfo(upright=True, map_eigenpairs=40))
-    found = matcher.match(blobs.source, blobs.target, source_up="x", target_up="z")
-    assert found.warnings[0] == "it lies on its side"
-    scales = pytest.approx((unit_frame(blobs.source).scale, unit_frame(blobs.target).scale))
-    assert asked == [("source", "target", scales, ("x", "z"), torch.device("cpu"))]
 
 
 def test_warnings_of_low_confidence_are_the_same_either_way_round_and_pass_over_points_without_a_counterpart():
@@ -241,22 +215,6 @@ def test_maps_that_tear_are_doubted_however_sure_they_are():
         assert "tears the shapes (Dirichlet energy" in warning
     unsure = replace(sure, source_confidence=np.zeros(2), quality=MapQuality(torn, torn))
     assert len(low_confidence_warnings(unsure)) == 1  # one warning is enough
-
-
-def test_orientation_does_not_matter_to_all_weights(build, blobs, monkeypatch):
-    monkeypatch.setattr(orientation_module, "orientation_warnings", lambda *args, **kwargs: ["it lies on its side"])
-    for method in ("auto", "functional-map", "nearest-features"):
-        assert build(method).match(blobs.source, blobs.target).warnings == ()
-
-
-def test_the_axiomatic_method_warns_by_its_own_lights(build, blobs, monkeypatch):
-    monkeypatch.setattr(orientation_module, "orientation_warnings", lambda *args, **kwargs: ["the network's view"])
-    monkeypatch.setattr(
-        orientation_module, "axiomatic_warnings", lambda source, target, *, ups: [f"{len(source.points)} turned {ups}"]
-    )
-    for matcher in (build("axiomatic", info=FeatureInfo(upright=True)), build("auto", with_network=False)):
-        found = matcher.match(blobs.source, blobs.target, target_up="x")
-        assert found.warnings[0] == "480 turned ('y', 'x')"
 
 
 @pytest.mark.parametrize("given", [None, OperatorSettings(n_eigenpairs=50)])

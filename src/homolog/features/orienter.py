@@ -68,7 +68,7 @@ class Orienter:
     def __call__(self, operators: Operators) -> tuple[Orientation, ...]:
         """Orientations that may be right, farther than 30 degrees from each other, the best first."""
         basis = operators.basis.truncated(ORIENTER_EIGENPAIRS)
-        basis = basis.sampled(some_points(basis.n_points, _SAMPLES).to(basis.points.device))
+        basis = with_outward_frames(basis.sampled(some_points(basis.n_points, _SAMPLES).to(basis.points.device)))
         starts = self._distinct(self._step(basis, rotation) for rotation in cube_rotations().to(basis.points))
         return tuple(self._distinct(self._followed(basis, start) for start in starts))
 
@@ -93,3 +93,18 @@ class Orienter:
     def to(self, device: torch.device) -> Orienter:
         """The same on a device, in evaluation mode."""
         return replace(self, network=copy.deepcopy(self.network).to(device).eval())
+
+
+def with_outward_frames(basis: Basis) -> Basis:
+    """The basis with tangent frames whose normals point away from the centre.
+
+    Normals of clouds have either sign, and some meshes are inside out. The network's gradients know the sign, so that it
+    must not depend on how a shape was sampled or stands.
+    """
+    along = torch.einsum("njk,kc->njc", basis.gradients, basis.coefficients(basis.points))
+    normals = torch.linalg.cross(along[:, 0], along[:, 1])
+    centre = (basis.mass[:, None] * basis.points).sum(dim=0) / basis.mass.sum()
+    inward = (normals * (basis.points - centre)).sum(dim=1) < 0
+    gradients = basis.gradients.clone()
+    gradients[inward, 1] *= -1
+    return replace(basis, gradients=gradients)
