@@ -93,6 +93,7 @@ def closest_point_rotations(
     points_y: Float[Tensor, "m 3"],
     *,
     steps: int = 8,
+    last_steps: int = 30,
     starts: Float[Tensor, "s 3 3"] | None = None,
 ) -> list[tuple[Float[Tensor, "3 3"], float]]:
     """Rotations about the centres that bring x near y as rigid bodies, the best first, each with its misfit.
@@ -104,7 +105,8 @@ def closest_point_rotations(
     Args:
         points_x: positions, centred, of unit area (n, 3).
         points_y: likewise (m, 3).
-        steps: of each start.
+        steps: from each start, after which those that came to the same are told apart.
+        last_steps: of each rotation that is left.
         starts: rotations to begin with; by default ``cube_rotations()``.
 
     Returns:
@@ -120,9 +122,14 @@ def closest_point_rotations(
         True
     """
     starts = cube_rotations().to(points_x) if starts is None else starts
-    found = [_iterated(points_x, points_y, start, steps) for start in starts]
-    found.sort(key=lambda item: item[1])
-    return [found[number] for number in distinct_rotations(rotation for rotation, _ in found)]
+    found = _ranked(_iterated(points_x, points_y, start, steps) for start in starts)
+    return _ranked(_iterated(points_x, points_y, rotation, last_steps) for rotation, _ in found)
+
+
+def _ranked(found: Iterable[tuple[Float[Tensor, "3 3"], float]]) -> list[tuple[Float[Tensor, "3 3"], float]]:
+    """The best of those that are nearly alike, by misfit."""
+    ranked = sorted(found, key=lambda item: item[1])
+    return [ranked[number] for number in distinct_rotations(rotation for rotation, _ in ranked)]
 
 
 def _iterated(

@@ -1,0 +1,86 @@
+"""Shapes are matched whichever way round they are."""
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation
+
+import homolog
+from homolog.core.errors import ArgumentError
+from homolog.datasets import demo_folder
+from homolog.maps import rotation_angle
+from homolog.pairs import PairOptions
+from homolog.shapes import Shape, rotation_about
+
+
+def turned(shape, rotation):
+    return Shape(shape.points @ np.asarray(rotation).T, shape.faces, name=shape.name)
+
+
+def error(match):
+    """Mean distance x100 on the demo source between true points and where they are mapped, in units of sqrt(area)."""
+    folder = demo_folder()
+    (source, target) = folder.names[:2]
+    on_source, on_target = (folder.template_correspondence(name) for name in (source, target))
+    points = homolog.demo_shapes()[0].points
+    away = points[match.target_to_source[on_target]] - points[on_source]
+    return 100 * np.linalg.norm(away, axis=1).mean() / homolog.geometry.surface_area(homolog.demo_shapes()[0]) ** 0.5
+
+
+def odd(seed):
+    return Rotation.random(random_state=seed).as_matrix()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_axiomatic_method_finds_the_way_round(seed):
+    source, target = homolog.demo_shapes()
+    upright = error(homolog.match(source, target, method="axiomatic"))
+    found = homolog.match(turned(source, odd(seed)), turned(target, odd(seed + 10)), method="axiomatic")
+    assert error(found) < upright + 1
+    trusted = homolog.match(turned(source, rotation_about(0, 180)), target, method="axiomatic", orient="given")
+    assert error(trusted) > 10
+
+
+def test_registration_begins_from_the_best_rotation(blobs):
+    shape = blobs.source
+    found = homolog.match(turned(shape, odd(3)), shape, method="registration")
+    identity = np.arange(shape.n_points)
+    assert (found.source_to_target == identity).mean() > 0.95
+    reported = found.report["orientation"]
+    recovered = torch.tensor(reported["source"]["rotation"]).double() @ torch.from_numpy(odd(3))
+    assert float(rotation_angle(recovered)) < 5
+    assert reported["target"] == {"rotation": np.eye(3).tolist(), "degrees": 0.0}
+    assert not reported["ambiguous"] and reported["margin"] > 0
+
+
+def test_indices_and_coordinates_stay_those_of_the_files(blobs):
+    source = turned(blobs.source, odd(5))
+    found = homolog.match(source, blobs.target, method="registration")
+    np.testing.assert_array_equal(found.source.points, source.points)
+    np.testing.assert_array_equal(found.target.points, blobs.target.points)
+
+
+def test_a_shape_that_looks_alike_from_several_sides_is_said_to_be_ambiguous():
+    box = trimesh.creation.box((1.0, 2.0, 0.5))
+    source, target = (Shape(np.array(trimesh.sample.sample_surface(box, 1500, seed=seed)[0])) for seed in (0, 1))
+    found = homolog.match(source, turned(target, rotation_about(1, 90)), method="registration")
+    assert found.report["orientation"]["ambiguous"]
+    assert any("ambiguous" in warning for warning in found.warnings)
+
+
+def test_the_inverse_exchanges_the_rotations(blobs):
+    found = homolog.match(turned(blobs.source, odd(3)), blobs.source, method="registration")
+    inverse = found.inverse()
+    assert inverse.report["orientation"]["target"] == found.report["orientation"]["source"]
+
+
+def test_features_that_are_given_belong_to_the_pose_that_is_given(blobs):
+    features = np.asarray(blobs.source.points), np.asarray(blobs.target.points)
+    found = homolog.match(blobs.source, blobs.target, features=features)
+    assert found.report["orientation"] is None
+
+
+def test_only_known_words_are_taken():
+    with pytest.raises(ArgumentError, match="orient is 'maybe'"):
+        PairOptions(orient="maybe")
