@@ -193,6 +193,24 @@ def test_a_method_by_function_saves_its_report(blobs, tmp_path):
     assert homolog.Match.load(tmp_path / "result").method == "nearest-points"
 
 
+def test_a_method_for_meshes_is_given_no_cloud(blobs):
+    """However the cloud comes about: as a file has it, by an option, or of a shape preprocessed before."""
+    method = FunctionMethod("flat", nearest_points, Supports(needs_features=False, refinement=False, clouds=False))
+    matcher = Matcher(settings=MatcherSettings(method=method), device="cpu")
+    mesh, cloud = blobs.source, blobs.target.as_cloud()
+    prepared = matcher.preprocess(mesh), matcher.preprocess(cloud)
+    for call, found in (
+        (lambda: matcher.match(mesh, cloud), f"{cloud.name} is a cloud"),
+        (lambda: homolog.match(cloud, mesh, method=method, device="cpu"), f"{cloud.name} is a cloud"),
+        (lambda: matcher.match("no such file", mesh, as_cloud="source"), "as_cloud is 'source'"),
+        (lambda: matcher.paired(*prepared), f"{cloud.name} is a cloud"),
+    ):
+        with pytest.raises(ArgumentError) as caught:
+            call()
+        assert str(caught.value) == f"{found}, but the method 'flat' matches meshes; use 'auto' for clouds"
+    assert matcher.match(mesh, blobs.target).method == "flat"
+
+
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
     """A package that offers a method, as if it were installed."""

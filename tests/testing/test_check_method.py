@@ -26,6 +26,11 @@ def test_a_small_method_passes():
     check_method(FunctionMethod("nearest-points", nearest_points, BY_POSITION))
 
 
+def test_a_method_for_full_meshes_passes():
+    only_meshes = Supports(needs_features=False, refinement=False, clouds=False, partial=False)
+    check_method(FunctionMethod("nearest-points", nearest_points, only_meshes))
+
+
 def indices_of_the_files(pair):
     """Takes the points as given, not as repaired: too many entries."""
     x, y = (torch.from_numpy(shape.given.points).float() for shape in (pair.x, pair.y))
@@ -72,3 +77,8 @@ def test_broken_methods_are_caught(function, words):
     torch.manual_seed(0)
     with pytest.raises(AssertionError, match=words):
         check_method(FunctionMethod("broken", function, BY_POSITION))
+
+
+def test_what_a_method_supports_is_said_in_one_way():
+    with pytest.raises(AssertionError, match=r"supports is a dict, not homolog.methods.Supports"):
+        check_method(FunctionMethod("broken", nearest_points, {"clouds": False}))
