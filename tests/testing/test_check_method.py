@@ -26,6 +26,18 @@ def test_a_small_method_passes():
     check_method(FunctionMethod("nearest-points", nearest_points, BY_POSITION))
 
 
+def test_a_method_that_is_refined_passes_without_features():
+    check_method(FunctionMethod("nearest-points", nearest_points, Supports(needs_features=False)))
+
+
+def test_a_method_that_compares_features_though_it_says_it_needs_none():
+    def compares(pair):
+        return nearest_points(pair) if pair.settings.refinement is None else pair.x.needed_features()
+
+    with pytest.raises(AssertionError, match="default settings, two meshes: body 1 has no features"):
+        check_method(FunctionMethod("broken", compares, BY_POSITION))
+
+
 def test_a_method_for_full_meshes_passes():
     only_meshes = Supports(needs_features=False, refinement=False, clouds=False, partial=False)
     check_method(FunctionMethod("nearest-points", nearest_points, only_meshes))

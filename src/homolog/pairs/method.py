@@ -21,7 +21,7 @@ class Supports:
         clouds: it can match shapes without faces.
         partial: it can match a partial shape with its full one.
         needs_features: it compares the features of an extractor; otherwise none are computed.
-        refinement: its maps are near-isometric, so that ZoomOut can refine them.
+        refinement: its maps are near-isometric, so that ZoomOut can refine them, guided by features if there are any.
     """
 
     clouds: bool = True

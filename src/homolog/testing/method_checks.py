@@ -33,7 +33,8 @@ def check_method(method: Any, *, features: Any = None) -> None:
 
     It is tried on small shapes: meshes, clouds and mixed pairs, and a partial shape, as far as it supports them. It
     must give maps of the right form, in the indices of the repaired shapes; change nothing; give equal maps for equal
-    input, whatever the order of points; and map a shape to itself. What it does not support must not reach it.
+    input, whatever the order of points; map a shape to itself; and run with the default settings, refinement included.
+    What it does not support must not reach it.
 
     Args:
         method: a ``Method``, the name of one, or a function of a ``Pair``.
@@ -63,19 +64,19 @@ class _Checked:
     method: Method
     features: Any = None
 
-    def matcher(self) -> Matcher:
+    def matcher(self, **settings: Any) -> Matcher:
         own = getattr(self.method, "features", None)
         needs = self.method.supports.needs_features and own is None
         given = (_positions_and_signatures if self.features is None else self.features) if needs else None
-        return Matcher(given, settings=MatcherSettings(method=self.method, refinement=None), device="cpu")
+        return Matcher(given, settings=MatcherSettings(method=self.method, **settings), device="cpu")
 
     def pair(self, source: Shape, target: Shape, **options: Any) -> Pair:
-        return self.matcher().pair(source, target, PairOptions(**options))[0]
+        return self.matcher(refinement=None).pair(source, target, PairOptions(**options))[0]
 
     def match(self, source: Shape, target: Shape, **options: Any) -> Match:
         pair = self.pair(source, target, **options)
         try:
-            return self.matcher().find(pair)
+            return self.matcher(refinement=None).find(pair)
         except HomologError as error:
             raise AssertionError(f"{source.name} to {target.name}: {error}") from None
 
@@ -164,6 +165,15 @@ def _a_shape_is_mapped_to_itself(checked: _Checked) -> None:
         _mostly_near(f"identity, {modality}", distances, shape)
 
 
+def _default_settings(checked: _Checked) -> None:
+    """What it finds is refined then, unless it says otherwise."""
+    for what, source, target in checked.cases():
+        try:
+            checked.matcher().match(source, target)
+        except HomologError as error:
+            raise AssertionError(f"default settings, {what}: {error}") from None
+
+
 def _what_it_does_not_support_is_refused(checked: _Checked) -> None:
     supports, body = checked.method.supports, _body(seed=1)
     cases: tuple[tuple[bool, str, Shape, dict[str, Any]], ...] = (
@@ -206,6 +216,7 @@ _CHECKS: tuple[Callable[[_Checked], None], ...] = (
     _indices_are_those_of_the_shapes,
     _names_of_points_do_not_matter,
     _a_shape_is_mapped_to_itself,
+    _default_settings,
     _what_it_does_not_support_is_refused,
     _partial_shapes,
 )
