@@ -34,7 +34,7 @@ def test_a_method_that_compares_features_though_it_says_it_needs_none():
     def compares(pair):
         return nearest_points(pair) if pair.settings.refinement is None else pair.x.needed_features()
 
-    with pytest.raises(AssertionError, match="default settings, two meshes: body 1 has no features"):
+    with pytest.raises(AssertionError, match="body 1 to body 2: body 1 has no features"):
         check_method(FunctionMethod("broken", compares, BY_POSITION))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,19 +64,21 @@ class _Checked:
     method: Method
     features: Any = None
 
-    def matcher(self, **settings: Any) -> Matcher:
+    def matcher(self, *, refined: bool = False) -> Matcher:
         own = getattr(self.method, "features", None)
         needs = self.method.supports.needs_features and own is None
         given = (_positions_and_signatures if self.features is None else self.features) if needs else None
-        return Matcher(given, settings=MatcherSettings(method=self.method, **settings), device="cpu")
+        settings = MatcherSettings(method=self.method)
+        return Matcher(given, settings=settings if refined else replace(settings, refinement=None), device="cpu")
 
     def pair(self, source: Shape, target: Shape, **options: Any) -> Pair:
-        return self.matcher(refinement=None).pair(source, target, PairOptions(**options))[0]
+        return self.matcher().pair(source, target, PairOptions(**options))[0]
 
-    def match(self, source: Shape, target: Shape, **options: Any) -> Match:
-        pair = self.pair(source, target, **options)
+    def match(self, source: Shape, target: Shape, *, refined: bool = False) -> Match:
+        matcher = self.matcher(refined=refined)
+        pair, _ = matcher.pair(source, target)
         try:
-            return self.matcher(refinement=None).find(pair)
+            return matcher.find(pair)
         except HomologError as error:
             raise AssertionError(f"{source.name} to {target.name}: {error}") from None
 
@@ -167,11 +169,8 @@ def _a_shape_is_mapped_to_itself(checked: _Checked) -> None:
 
 def _default_settings(checked: _Checked) -> None:
     """What it finds is refined then, unless it says otherwise."""
-    for what, source, target in checked.cases():
-        try:
-            checked.matcher().match(source, target)
-        except HomologError as error:
-            raise AssertionError(f"default settings, {what}: {error}") from None
+    for _, source, target in checked.cases():
+        checked.match(source, target, refined=True)
 
 
 def _what_it_does_not_support_is_refused(checked: _Checked) -> None:
