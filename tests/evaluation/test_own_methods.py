@@ -147,7 +147,7 @@ def test_a_folder_of_maps_is_scored_without_weights(folder, tmp_path, name, base
     given = None if name != "{}_{}.txt" or base == 0 else base
     found = evaluate(None, folder, ALL, match=MapsFolder(tmp_path / "maps", base=given))
     assert not found.errors.any() and len(found.pairs) == 3
-    assert found.method == "MapsFolder"
+    assert found.method == "maps"
 
 
 def test_matches_that_were_saved_are_scored_as_they_are(folder, tmp_path, make):
