@@ -362,6 +362,14 @@ def test_settings_out_of_range(make_settings, said):
     assert str(caught.value).startswith(said)
 
 
+def test_settings_are_shown_by_what_differs_from_the_default():
+    assert repr(MatcherSettings()) == "MatcherSettings()"
+    changed = MatcherSettings(method="axiomatic", refinement=None, warnings=WarningSettings(least_confidence=0.5))
+    shown = "MatcherSettings(method='axiomatic', refinement=None, warnings=WarningSettings(least_confidence=0.5))"
+    assert repr(changed) == shown
+    assert eval(shown) == changed
+
+
 def test_settings_at_the_edge_of_their_range():
     FunctionalMapSettings(n_eigenpairs=np.int64(1), n_eigenpairs_partial=1, regularisation=0)
     SoftMapSettings(temperature=np.float32(1e-9), iterations=1)

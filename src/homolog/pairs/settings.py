@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Annotated, Any, get_args
 
 import torch
@@ -172,6 +172,21 @@ class MatcherSettings(Settings):
         named = isinstance(self.method, str)
         name = self.method if named else getattr(self.method, "name", function_name(self.method))
         return asdict(replace(self, method=name))
+
+    def __repr__(self) -> str:
+        return _changes(self)
+
+
+def _changes(settings: Settings) -> str:
+    """Settings with those fields alone that differ from the default ones: there are too many to look through."""
+    usual = type(settings)()
+    values = {each.name: getattr(settings, each.name) for each in fields(settings)}
+    shown = (
+        f"{name}={_changes(value) if isinstance(value, Settings) else repr(value)}"
+        for name, value in values.items()
+        if value != getattr(usual, name)
+    )
+    return f"{type(settings).__name__}({', '.join(shown)})"
 
 
 def choose_device(device: Device | torch.device) -> torch.device:
