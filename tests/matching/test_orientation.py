@@ -33,7 +33,7 @@ def test_a_body_with_another_axis_up_is_named_with_that_axis(demo_operators, sid
     else:
         (warning,) = axiomatic_warnings(source, turned(target, axis, degrees))
     assert f"the {side} seems turned" in warning
-    assert f"give {up} as the {side}'s up axis" in warning
+    assert f"give {up} as the {side}'s up axis ({side}_up)" in warning
     assert "\n" not in warning
 
 
@@ -95,7 +95,7 @@ def test_the_advice_names_what_to_give_for_the_file_as_it_is(demo_operators, sid
         return axiomatic_warnings(*((moved, target) if side == "source" else (source, moved)), ups=ups)
 
     (warning,) = warned(given)
-    assert warning.endswith(f": its {true} seems to be up; give {true} as the {side}'s up axis")
+    assert warning.endswith(f": its {true} seems to be up; give {true} as the {side}'s up axis ({side}_up)")
     assert warned(true) == []
 
 
@@ -131,7 +131,7 @@ def test_so_it_does_with_a_network(demo, side, true, given):
         return warned(features, *clouds, ups=ups)
 
     (warning,) = told(given)
-    assert warning.endswith(f": its {true} seems to be up; give {true} as the {side}'s up axis")
+    assert warning.endswith(f": its {true} seems to be up; give {true} as the {side}'s up axis ({side}_up)")
     assert told(true) == []
 
 
@@ -154,10 +154,12 @@ def test_so_it_does_with_trained_weights(demo, reference, side, true, given):
         assert told(true) == []
         if side != "both":
             (warning,) = told(given)
-            assert warning.endswith(f"give {true} as the {side}'s up axis")
+            assert warning.endswith(f"give {true} as the {side}'s up axis ({side}_up)")
         elif (true, given) == ("z", "y") or given != "y":
             (warning,) = told(given)
-            assert warning.endswith(f"their {true} seems to be up; give {true} as their up axis")
+            assert warning.endswith(
+                f"their {true} seems to be up; give {true} as their up axis (source_up and target_up)"
+            )
 
 
 @pytest.mark.parametrize(("up", "axis", "forward"), [("y", "y", "+z"), ("x", "x", "+z"), ("z", "z", "-y")])
@@ -166,7 +168,7 @@ def test_a_turn_is_described_for_the_file_as_it_is(up, axis, forward):
     stood = upright_rotation(up)
     for degrees in (90, -90, 180):
         advice = Turn.of(rotation_about(1, degrees), up).advice
-        assert advice.startswith("it seems to face another way; turn the {file} by ")
+        assert advice.startswith("it seems to face another way; no option mends that: turn the {file} by ")
         assert advice.endswith(f"degrees about {axis}, so that it faces {forward}")
         said = int(advice.split(" by ")[1].split()[0])
         turned_file = rotation_about("xyz".index(axis), said)
@@ -188,7 +190,7 @@ def test_what_points_down_is_named_as_in_the_file(up):
             file_turn = rotation_about("xyz".index(about), int(said))
             np.testing.assert_array_equal(stood @ file_turn, turn @ stood)
         else:
-            assert advice.endswith(f"give {named} as {{whose}} up axis")
+            assert advice.endswith(f"give {named} as {{whose}} up axis ({{option}})")
 
 
 @pytest.mark.parametrize(("n", "enough"), [(1500, True), (600, True), (300, False), (100, False)])
@@ -216,4 +218,4 @@ def test_sparse_upright_bodies_raise_no_warning_with_trained_weights(demo, refer
             source, scale = cloud_of(demo.amber, n)
             lying = Shape(source.points @ rotation_about(0, 90).T), scale
             (warning,) = warned(network, lying, cloud_of(demo.boris, n, seed=1))
-            assert "give z as the source's up axis" in warning
+            assert "give z as the source's up axis (source_up)" in warning

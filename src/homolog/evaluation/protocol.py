@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import get_args
-
-import numpy as np
+from typing import Annotated
 
 from homolog.core.choices import Modalities, Side, Split
-from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.errors import ArgumentError
+from homolog.core.settings import Count, CountOrZero, NotNegative, Settings
 
 
 @dataclass(frozen=True)
-class Protocol:
+class Protocol(Settings):
     """What to evaluate.
 
     Args:
@@ -30,17 +29,14 @@ class Protocol:
     modality: Modalities = "mesh"
     split: Split = "test"
     pairs_file: str | None = None
-    n_pairs: int | None = None
+    n_pairs: Annotated[Count, "or None"] | None = None
     partial: bool = False
     pre_aligned: bool = False
-    noise: float = 0.0
-    seed: int = 0
+    noise: Annotated[NotNegative, "in units of sqrt(area)"] = 0.0
+    seed: CountOrZero = 0
 
-    def __post_init__(self) -> None:
-        if self.modality not in get_args(Modalities):
-            raise bad_choice("modality", self.modality, get_args(Modalities))
-        if not (np.isfinite(self.noise) and self.noise >= 0):
-            raise bad_value("noise", self.noise, "a number of at least 0, in units of sqrt(area)")
+    def check(self) -> None:
+        """Refuse what does not fit together."""
         if self.pre_aligned and not self.partial:
             raise ArgumentError("pre_aligned is for parts, but partial is False; set it, or leave pre_aligned out")
         if self.noise and self.modality == "mesh":

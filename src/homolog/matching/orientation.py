@@ -51,7 +51,8 @@ class Turn:
 
     Args:
         rotation: the turn as a matrix.
-        advice: what seems to be wrong and what to do, with places for ``{whose}``, ``{its}`` and ``{file}``.
+        advice: what seems to be wrong and what to do, with places for ``{whose}``, ``{its}``,
+            ``{option}`` and ``{file}``.
         tips: whether another axis comes to point up.
     """
 
@@ -70,8 +71,8 @@ def _advice(rotation: Float[np.ndarray, "3 3"], up: Up) -> str:
     stood = upright_rotation(up)
     points_up = _axis((rotation @ stood)[_VERTICAL])
     if points_up != up and not points_up.startswith("-"):
-        return f"{{its}} {points_up} seems to be up; give {points_up} as {{whose}} up axis"
-    turn = f"turn the {{file}} by {_in_words(stood.T @ rotation @ stood)}"
+        return f"{{its}} {points_up} seems to be up; give {points_up} as {{whose}} up axis ({{option}})"
+    turn = f"no option mends that: turn the {{file}} by {_in_words(stood.T @ rotation @ stood)}"
     if points_up == up:
         return f"it seems to face another way; {turn}, so that it faces {_axis(stood[_FORWARD], plus='+')}"
     return f"{{its}} {points_up} seems to be up; {turn}"
@@ -194,9 +195,11 @@ def _misfit(source: Operators, target: Operators) -> float:
 
 def _message(who: str, turn: Turn) -> str:
     if who == "both":
-        return "the shapes do not look upright: " + turn.advice.format(whose="their", its="their", file="files")
+        return "the shapes do not look upright: " + turn.advice.format(
+            whose="their", its="their", option="source_up and target_up", file="files"
+        )
     other = "target" if who == "source" else "source"
-    advice = turn.advice.format(whose=f"the {who}'s", its="its", file="file")
+    advice = turn.advice.format(whose=f"the {who}'s", its="its", option=f"{who}_up", file="file")
     return f"the {who} seems turned against the {other}: {advice}"
 
 
