@@ -186,7 +186,8 @@ def test_part_scale(homolog, files, tmp_path):
     (warning,) = (line for line in ended.err.splitlines() if "units" in line)
     assert warning.startswith("Warning: the partial shape's area is ")
     assert "--partial-scale" in warning
-    assert report(tmp_path / "wrong")["warnings"][0] == warning.removeprefix("Warning: ")
+    said = warning.removeprefix("Warning: ").replace("--partial-scale", "partial_scale")
+    assert report(tmp_path / "wrong")["warnings"][0] == said
     assert homolog(*other, "-o", tmp_path / "strict", "--strict").code == 2
     ended = homolog(*other, "--partial-scale", "0.001", "-o", tmp_path / "right")
     assert "units" not in ended.err
@@ -203,7 +204,7 @@ def test_a_match_that_fails_for_its_units_says_so(homolog, files, tmp_path, monk
     monkeypatch.setattr(Matcher, "find", raising(ShapeError("it falls into pieces")))
     ended = homolog("match", files.mesh, tmp_path / "large.ply", "--partial", "target", "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint()
-    assert "their units seem to differ; give partial_scale (--partial-scale)" in ended.err
+    assert "their units seem to differ; give --partial-scale, by how much" in ended.err
     ended = homolog("match", files.mesh, files.other, "--partial", "target", "-o", tmp_path / "out")
     assert ended.err == "Error: it falls into pieces\n"
 
@@ -213,8 +214,40 @@ def test_part_scales_that_cannot_be(homolog, files, tmp_path, options):
     partial = [] if options == ["2"] else ["--partial", "target"]
     ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--partial-scale", *options, *partial)
     assert ended.is_one_line_of_complaint(), ended
-    assert "partial_scale is " in ended.err
+    assert "--partial-scale is " in ended.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            ["--partial-scale", "2"],
+            "--partial-scale is 2.0, but neither shape is partial; say which one is by --partial ",
+        ),
+        (["--pre-aligned"], "--pre-aligned is True, but neither shape is partial"),
+        (["--partial", "source", "--method", "registration"], "--partial is 'source', but the method 'registration'"),
+    ],
+)
+def test_mistakes_are_told_by_the_options(homolog, files, tmp_path, options, said):
+    """And not by the arguments of the Python call, which a user of the command never sees."""
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", *options)
+    assert ended.is_one_line_of_complaint() and ended.err.startswith(f"Error: {said}")
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("give partial_scale, or partial='source'", "give --partial-scale, or --partial source"),
+        ("/a/partial_scale.ply: no, as source_up/x or target_up.off", None),
+        ("neither shape is partial; up is left out", None),
+        ("up is 'w', but must be one of x, y", "--up is 'w', but must be one of x, y"),
+    ],
+)
+def test_words_of_files_and_of_sentences_are_no_options(homolog, files, tmp_path, monkeypatch, said, told):
+    monkeypatch.setattr(Matcher, "match", raising(ShapeError(said)))
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out")
+    assert ended.err == f"Error: {told or said}\n"
 
 
 def test_weights_that_the_method_does_not_use_are_said_and_leave_no_trace(homolog, files, tmp_path, caplog):
@@ -314,7 +347,9 @@ def test_following_the_advice_on_the_up_axis_ends_the_warning(homolog, demo, dem
     write_shape(tmp_path / "lying.ply", lying)
     files = demo_folder / "off" / "amber.off", tmp_path / "lying.ply"
     ended = homolog("match", *files, "--target-up", "x", "-o", tmp_path / "out")
-    (up,) = re.findall(r"Warning: the target seems .* give ([xyz]) as the target's up axis\n", ended.err)
+    (up,) = re.findall(
+        r"Warning: the target seems .* give ([xyz]) as the target's up axis \(--target-up\)\n", ended.err
+    )
     assert "Warning" not in homolog("match", *files, "--target-up", up, "-o", tmp_path / "out").err
 
 

@@ -157,7 +157,7 @@ def without_faces(data):
 
 MISTAKES = {
     "no folder": (lambda d, t: [t / "gone"], "no shapes"),
-    "noise on meshes": (lambda d, t: [d, "--noise", "0.01"], "noise is for clouds"),
+    "noise on meshes": (lambda d, t: [d, "--noise", "0.01"], "--noise is for clouds, but --modality is 'mesh'"),
     "weights": (lambda d, t: [d, "--weights", "gone.pth"], "there are no weights"),
     "empty split": (lambda d, t: [d, "--split", "train"], "no shapes in split 'train'"),
     "blank split": (lambda d, t: [with_split(d, "\n")], "no shapes in split 'test'"),
@@ -165,7 +165,16 @@ MISTAKES = {
     "no pairs": (lambda d, t: [d, "--pairs", t / "gone.txt"], "no such list of pairs"),
     "truth": (lambda d, t: [with_long_truth(d)], "names vertex 163"),
     "no faces": (lambda d, t: [without_faces(d)], "one.off has no faces"),
-    "too many drawn": (lambda d, t: [d, "--n-pairs", 3], "n_pairs is 3"),
+    "too many drawn": (lambda d, t: [d, "--n-pairs", 3], "--n-pairs is 3, but"),
+    "maps and method": (
+        lambda d, t: [d, "--maps", d, "--method", "axiomatic"],
+        "leave --weights, --method and --adapt",
+    ),
+    "base alone": (lambda d, t: [d, "--base", 1], "--base is 1, but is about the files of --maps"),
+    "registration of parts": (
+        lambda d, t: [d, "--method", "registration", "--partial"],
+        "--partial is 'target', but the method 'registration' matches full shapes",
+    ),
     "json folder": (lambda d, t: [d, "--json", t / "gone" / "score.json"], "cannot be written"),
     "json is folder": (lambda d, t: [d, "--json", t], "cannot be written"),
 }
@@ -271,7 +280,8 @@ def test_evaluate_parts_as_their_set_has_them(homolog, parts_set, tmp_path, monk
         ("z", True, True, "mesh"),
     ]
     ended = homolog("evaluate", root, "--dataset", "shrec16_cuts", "--full", "--pre-aligned")
-    assert ended.is_one_line_of_complaint() and "pre_aligned is for parts" in ended.err
+    assert ended.is_one_line_of_complaint() and "--pre-aligned is for parts, but --partial is False" in ended.err
+    assert "leave --pre-aligned out" in ended.err
 
 
 def test_evaluate_parts(homolog, data, tmp_path):

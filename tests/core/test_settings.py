@@ -3,8 +3,10 @@
 import subprocess
 import sys
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import pytest
 
 from homolog.core.errors import ArgumentError
@@ -55,6 +57,17 @@ def test_values_arrive_in_the_annotated_types():
     assert replace(Inner(), number=2).number == 2
 
 
+def test_arrays_and_paths_arrive_as_lists_and_texts():
+    found = Outer(name=Path("a") / "b", inner=Inner(noise=np.array([1, 0.5]), number=np.int64(3)))
+    assert found == Outer(name=str(Path("a/b")), inner=Inner(noise=(1.0, 0.5), number=3))
+    with pytest.raises(ArgumentError, match=r"rate is \[1.0, 2.0\], but must be a number above 0"):
+        Inner(rate=np.array([1.0, 2.0]))
+
+
+def test_tuples_of_several_kinds_are_described_part_by_part():
+    assert described(tuple[Count, str]) == "a list of 2: a whole number of at least 1, a text in quotes"
+
+
 MISTAKES = {
     "rte": ({"inner": {"rte": 1}}, "f: [inner] has an unknown key 'rte'; did you mean 'rate'?"),
     "zzz": ({"plain": {"zzz": 1}}, "f: [plain] has an unknown key 'zzz'; it knows size"),
@@ -98,7 +111,7 @@ def test_mistakes_in_python_are_the_same_errors():
             Inner(**wrong)
     with pytest.raises(ArgumentError, match="rate is 0"):
         replace(Inner(), rate=0)
-    with pytest.raises(ArgumentError, match="inner is 3, but must be a section of Inner"):
+    with pytest.raises(ArgumentError, match=r"inner is 3, but must be Inner$"):
         Outer(inner=3)
 
 

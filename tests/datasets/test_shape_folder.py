@@ -2,12 +2,13 @@
 
 import itertools
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from homolog.core.errors import ArgumentError, DataError
-from homolog.datasets import ShapeFolder, drawn_pairs
+from homolog.datasets import ShapeFolder, drawn_pairs, read_description
 from homolog.shapes import write_shape
 
 
@@ -234,3 +235,9 @@ def test_every_pair_is_drawn_about_as_often():
 def test_more_pairs_than_there_are(count):
     with pytest.raises(ArgumentError, match=rf"n_pairs is {count}, but must be from 1 to the number of .*, 6"):
         drawn_pairs(itertools.product("abc", repeat=2), count, seed=0)
+
+
+def test_a_folder_is_shown_in_one_line(tmp_path):
+    folder = many(tmp_path, 25)
+    assert repr(folder) == f"ShapeFolder({str(tmp_path)!r}: 25 shapes, y up)"
+    assert " of faust_r, y up)" in repr(replace(folder, description=read_description("faust_r")))

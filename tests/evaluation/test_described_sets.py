@@ -13,6 +13,7 @@ from homolog.core.errors import DataError
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import Detection, Protocol, evaluate
 from homolog.matching import Match, Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, read_shape, stand_upright, upright_rotation, write_shape
 from homolog.synthesis import ViewSettings, write_view_dataset
 
@@ -33,6 +34,8 @@ class Ready:
 
 class Stub:
     """Answers by functions of the two prepared shapes: per target point a source point, and the other way."""
+
+    settings = MatcherSettings()
 
     def __init__(self, back, forth=None):
         self.back, self.forth = back, forth

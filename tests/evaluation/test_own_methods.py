@@ -147,7 +147,7 @@ def test_a_folder_of_maps_is_scored_without_weights(folder, tmp_path, name, base
     given = None if name != "{}_{}.txt" or base == 0 else base
     found = evaluate(None, folder, ALL, match=MapsFolder(tmp_path / "maps", base=given))
     assert not found.errors.any() and len(found.pairs) == 3
-    assert found.method == "MapsFolder"
+    assert found.method == "maps"
 
 
 def test_matches_that_were_saved_are_scored_as_they_are(folder, tmp_path, make):
@@ -220,3 +220,21 @@ def test_the_curve_as_a_picture(folder, tmp_path, suffix, begins):
     assert [path.name for path in tmp_path.glob("curve*")] == [f"curve{suffix}"]
     with pytest.raises(ArgumentError, match=r"'\.jpg', but must be one of \.png, \.pdf, \.svg"):
         plot_pck(tmp_path / "curve.jpg", {"mine": found})
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"split": "foo"}, "split is 'foo', but must be one of train, test, all"),
+        ({"modality": "clod"}, "modality is 'clod', but must be one of mesh, cloud, .*; did you mean 'cloud'"),
+        ({"noise": "x"}, "noise is 'x', but must be a number of at least 0, in units of sqrt"),
+        ({"n_pairs": 0}, "n_pairs is 0, but must be a whole number of at least 1, or None"),
+        ({"seed": -1}, "seed is -1, but must be a whole number of at least 0"),
+        ({"partial": "yes"}, "partial is 'yes', but must be true or false"),
+        ({"pairs_file": 5}, "pairs_file is 5, but must be a text"),
+    ],
+)
+def test_a_protocol_that_cannot_be_is_refused_as_it_is_made(values, said):
+    with pytest.raises(ArgumentError, match=f"^{said}") as caught:
+        Protocol(**values)
+    assert "\n" not in str(caught.value)

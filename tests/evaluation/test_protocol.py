@@ -12,7 +12,7 @@ from homolog.datasets import ShapeFolder
 from homolog.evaluation import Evaluation, PairErrors, Protocol, evaluate, geodesic_errors
 from homolog.geometry import compute_operators
 from homolog.matching import MapQuality, Match, Matcher, Quality
-from homolog.pairs import MatcherSettings
+from homolog.pairs import MatcherSettings, WarningSettings
 from homolog.shapes import Shape, face_areas, write_shape
 
 BASE_POINTS = 162
@@ -86,6 +86,8 @@ class Ready:
 
 class Stub:
     """Answers by a function of source and target name: per target vertex a source vertex. Forth is nonsense."""
+
+    settings = MatcherSettings()
 
     def __init__(self, answer, confidence=None):
         self.answer, self.confidence = answer, confidence
@@ -416,6 +418,13 @@ def test_pairs_are_matched_as_by_themselves(soiled_folder, monkeypatch, modality
     evaluate(matcher, soiled_folder, Protocol(modality=modality))
     np.testing.assert_array_equal(found[0].target_to_source, expected.target_to_source)
     np.testing.assert_array_equal(found[0].target_confidence, expected.target_confidence)
+
+
+@pytest.mark.parametrize(("least", "doubtful"), [(0.0, 0), (1.0, 4)])
+def test_the_settings_say_which_matches_are_doubtful(family, least, doubtful):
+    warnings = WarningSettings(least_confidence=least, most_dirichlet_energy=1e9)
+    matcher = Matcher(settings=MatcherSettings(method="axiomatic", warnings=warnings), device="cpu")
+    assert evaluate(matcher, family.folder, Protocol(split="all", n_pairs=4)).n_doubtful == doubtful
 
 
 # ---- pairs drawn at random

@@ -21,6 +21,7 @@ from homolog.pairs import (
     MatcherSettings,
     PairOptions,
     SoftMapSettings,
+    WarningSettings,
     choose_device,
 )
 from homolog.shapes import Shape
@@ -167,7 +168,11 @@ def test_steps_are_measured_in_order(build, blobs):
     names = [step.name for step in timings.finished]
     assert names == heard
     assert set(names) == {
-        *(f"{what} {side}" for what in ("repair", "operators of", "orientation of", "features of") for side in ("source", "target")),
+        *(
+            f"{what} {side}"
+            for what in ("repair", "operators of", "orientation of", "features of")
+            for side in ("source", "target")
+        ),
         "map",
     }
     assert len(names) == 9
@@ -277,16 +282,36 @@ def test_words_that_are_not_choices(build, blobs, call, words):
         (lambda: FunctionalMapSettings(n_eigenpairs_partial=True), "n_eigenpairs_partial is True"),
         (
             lambda: FunctionalMapSettings(regularisation=-1e-9),
-            "regularisation is -1e-09, but must be a finite number of at least 0",
+            "regularisation is -1e-09, but must be a number of at least 0",
         ),
         (lambda: FunctionalMapSettings(regularisation=np.nan), "regularisation is nan"),
-        (lambda: SoftMapSettings(temperature=0), "temperature is 0, but must be a finite number above 0, or None"),
+        (lambda: SoftMapSettings(temperature=0), "temperature is 0, but must be a number above 0, or None"),
         (lambda: SoftMapSettings(temperature="cold"), "temperature is 'cold'"),
         (lambda: SoftMapSettings(temperature=np.inf), "temperature is inf"),
         (lambda: SoftMapSettings(iterations=0), "iterations is 0, but must be a whole number of at least 1"),
-        (lambda: SoftMapSettings(normalise=1), "normalise is 1, but must be True or False"),
+        (lambda: SoftMapSettings(normalise=1), "normalise is 1, but must be true or false"),
         (lambda: AxiomaticSettings(n_eigenpairs=0), "n_eigenpairs is 0, but must be a whole number of at least 1"),
         (lambda: AlignmentSettings(steps=0), "steps is 0, but must be a whole number of at least 1"),
+        (
+            lambda: AlignmentSettings(similar="x"),
+            "similar is 'x', but must be a number of at least -1",
+        ),
+        (lambda: AlignmentSettings(scales=(1, 0)), "scales holds 0, but must be a list, each of them a number above 0"),
+        (lambda: AlignmentSettings(scales=()), "scales is empty, but must hold at least one"),
+        (lambda: AlignmentSettings(rotations=[]), "rotations is empty, but must hold at least one"),
+        (
+            lambda: AlignmentSettings(rotations=[(3, 90)]),
+            "rotations holds 3, but must be a list, each of them a list of 2: a whole number of at least 0 and of at "
+            "most 2, a number",
+        ),
+        (lambda: WarningSettings(least_confidence=2), "least_confidence is 2, but must be a number of at least 0 and"),
+        (lambda: WarningSettings(most_dirichlet_energy=None), "most_dirichlet_energy is None, but must be a number"),
+        (lambda: MatcherSettings(method=5), "method is 5, but must be the name of a method, or a function of a hom"),
+        (lambda: MatcherSettings(warnings={}), "warnings is {}, but must be WarningSettings"),
+        (
+            lambda: Matcher(settings=MatcherSettings(method="axiomatik"), device="cpu"),
+            "method is 'axiomatik', but must be one of auto, axiomatic",
+        ),
         (lambda: MatcherSettings(refinement="no"), "refinement is 'no', but must be RefinementSettings, or None"),
         (lambda: MatcherSettings(alignment=False), "alignment is False, but must be AlignmentSettings, or None"),
         (lambda: MatcherSettings(soft_map=None), "soft_map is None, but must be SoftMapSettings"),
@@ -297,6 +322,14 @@ def test_settings_out_of_range(make_settings, said):
     with pytest.raises(ArgumentError) as caught:
         make_settings()
     assert str(caught.value).startswith(said)
+
+
+def test_settings_are_shown_by_what_differs_from_the_default():
+    assert repr(MatcherSettings()) == "MatcherSettings()"
+    changed = MatcherSettings(method="axiomatic", refinement=None, warnings=WarningSettings(least_confidence=0.5))
+    shown = "MatcherSettings(method='axiomatic', refinement=None, warnings=WarningSettings(least_confidence=0.5))"
+    assert repr(changed) == shown
+    assert eval(shown) == changed
 
 
 def test_settings_at_the_edge_of_their_range():

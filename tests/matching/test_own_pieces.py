@@ -270,6 +270,57 @@ def test_a_method_by_function_saves_its_report(blobs, tmp_path):
     assert homolog.Match.load(tmp_path / "result").method == "nearest-points"
 
 
+def zoomed_out(maps, x, y, settings):
+    """ZoomOut as published, with the pairs of both maps: no samples, no features, one round after the other."""
+    y_to_x, x_to_y = (indices.tolist() for indices in (maps.y_to_x, maps.x_to_y))
+    for _, size, _ in settings.rounds(x.shape[1]):
+        phi_x, phi_y = x[:, :size].double(), y[:, :size].double()
+        pulled = torch.cat([phi_x[y_to_x], phi_x])
+        c_xy = torch.linalg.lstsq(torch.cat([phi_y, phi_y[x_to_y]]), pulled).solution
+        c_yx = torch.linalg.lstsq(pulled, torch.cat([phi_y, phi_y[x_to_y]])).solution
+        y_to_x = torch.cdist(phi_y, phi_x @ c_xy.T).argmin(dim=1).tolist()
+        x_to_y = torch.cdist(phi_x, phi_y @ c_yx.T).argmin(dim=1).tolist()
+    return np.array(y_to_x)
+
+
+@pytest.mark.parametrize("modality", ["mm", "cm"])
+def test_a_method_without_features_is_refined_without(blobs, modality):
+    method = FunctionMethod("nearest", nearest_points, Supports(needs_features=False))
+    shapes, settings = blobs.of(modality), MatcherSettings(method=method)
+    matcher = Matcher(settings=settings, device="cpu")
+    found = matcher.match(*shapes)
+    pair = matcher.pair(*shapes)[0]
+    phi = pair.x.operators.eigenvectors, pair.y.operators.eigenvectors
+    expected = zoomed_out(nearest_points(pair), *phi, settings.refinement)
+    assert np.mean(found.target_to_source == expected) > 0.97
+    assert np.mean(found.target_to_source == nearest_points(pair).y_to_x.numpy()) < 0.9
+    assert_same(homolog.match(*shapes, method=method, device="cpu"), found)
+
+
+def test_a_partial_shape_is_refined_without_features(blobs):
+    method = FunctionMethod("nearest", nearest_points, Supports(needs_features=False))
+    found = homolog.match(blobs.source, blobs.source, method=method, partial="target", pre_aligned=True, device="cpu")
+    assert np.mean(found.target_to_source == np.arange(blobs.source.n_points)) > 0.9
+
+
+def test_a_method_for_meshes_is_given_no_cloud(blobs):
+    """However the cloud comes about: as a file has it, by an option, or of a shape preprocessed before."""
+    method = FunctionMethod("flat", nearest_points, Supports(needs_features=False, refinement=False, clouds=False))
+    matcher = Matcher(settings=MatcherSettings(method=method), device="cpu")
+    mesh, cloud = blobs.source, blobs.target.as_cloud()
+    prepared = matcher.preprocess(mesh), matcher.preprocess(cloud)
+    for call, found in (
+        (lambda: matcher.match(mesh, cloud), f"{cloud.name} is a cloud"),
+        (lambda: homolog.match(cloud, mesh, method=method, device="cpu"), f"{cloud.name} is a cloud"),
+        (lambda: matcher.match("no such file", mesh, as_cloud="source"), "as_cloud is 'source'"),
+        (lambda: matcher.paired(*prepared), f"{cloud.name} is a cloud"),
+    ):
+        with pytest.raises(ArgumentError) as caught:
+            call()
+        assert str(caught.value) == f"{found}, but the method 'flat' matches meshes; use 'auto' for clouds"
+    assert matcher.match(mesh, blobs.target).method == "flat"
+
+
 @pytest.fixture
 def installed(tmp_path, monkeypatch):
     """A package that offers a method, as if it were installed."""

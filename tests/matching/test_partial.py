@@ -183,7 +183,7 @@ def test_a_part_in_other_units_is_named_and_scaled(build, cut, kind, as_cloud):
         area = factor**2 * unit_frame(cut.part).scale ** 2
         whole = unit_frame(cut.whole).scale ** 2
         assert f"the partial shape's area is {area:.3g}, the full one's {whole:.3g}:" in warning
-        assert "partial_scale (--partial-scale)" in warning
+        assert "give partial_scale, by how much" in warning
         assert "\n" not in warning
         _, plain = told_units(build, cut, 1.0, as_cloud)
         none, found = told_units(build, cut, factor, as_cloud, partial_scale=1 / factor)

@@ -8,8 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homolog.core.errors import DataError
-from homolog.shape_models import Figures, ModelSettings, Outcome, Registered, ShapeModelFolder, Subject, write_outputs
+from homolog.core.errors import ArgumentError, DataError
+from homolog.shape_models import (
+    Figures,
+    ModelSettings,
+    Outcome,
+    Registered,
+    ShapeModelFolder,
+    ShapeModelSettings,
+    Subject,
+    write_outputs,
+)
 from homolog.shape_models import model_files as model_files_module
 from homolog.shape_models import overview as overview_module
 from homolog.shape_models.registered_shapes import worst_first
@@ -304,3 +313,16 @@ def test_refused(placed, tmp_path, make):
         write_outputs(folder, template, [failed])
     with pytest.raises(DataError, match="has 42 points, but the template has 162"):
         write_outputs(folder, make.blob(2), outcomes)
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "said"),
+    [
+        (ModelSettings, {"seed": -1}, "seed is -1, but must be a whole number of at least 0"),
+        (ModelSettings, {"shapes_up": "w"}, "shapes_up is 'w', but must be one of x, y, z"),
+        (ShapeModelSettings, {"strict": "no"}, "strict is 'no', but must be true or false"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(kind, values, said):
+    with pytest.raises(ArgumentError, match=said):
+        kind(**values)

@@ -26,6 +26,23 @@ def test_a_small_method_passes():
     check_method(FunctionMethod("nearest-points", nearest_points, BY_POSITION))
 
 
+def test_a_method_that_is_refined_passes_without_features():
+    check_method(FunctionMethod("nearest-points", nearest_points, Supports(needs_features=False)))
+
+
+def test_a_method_that_compares_features_though_it_says_it_needs_none():
+    def compares(pair):
+        return nearest_points(pair) if pair.settings.refinement is None else pair.x.needed_features()
+
+    with pytest.raises(AssertionError, match="body 1 to body 2: body 1 has no features"):
+        check_method(FunctionMethod("broken", compares, BY_POSITION))
+
+
+def test_a_method_for_full_meshes_passes():
+    only_meshes = Supports(needs_features=False, refinement=False, clouds=False, partial=False)
+    check_method(FunctionMethod("nearest-points", nearest_points, only_meshes))
+
+
 def indices_of_the_files(pair):
     """Takes the points as given, not as repaired: too many entries."""
     x, y = (torch.from_numpy(shape.given.points).float() for shape in (pair.x, pair.y))
@@ -72,3 +89,8 @@ def test_broken_methods_are_caught(function, words):
     torch.manual_seed(0)
     with pytest.raises(AssertionError, match=words):
         check_method(FunctionMethod("broken", function, BY_POSITION))
+
+
+def test_what_a_method_supports_is_said_in_one_way():
+    with pytest.raises(AssertionError, match=r"supports is a dict, not homolog.methods.Supports"):
+        check_method(FunctionMethod("broken", nearest_points, {"clouds": False}))

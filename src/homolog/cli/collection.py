@@ -28,6 +28,7 @@ from homolog.cli.options import (
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar, say
+from homolog.cli.wording import in_options
 from homolog.core.choices import Up
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ def _summary(built: BuiltModel) -> None:
     warned = [outcome for outcome in registered if outcome.warnings]
     for outcome in warned:
         for warning in outcome.warnings:
-            say(f"Warning: {outcome.subject.name}: {warning}")
+            say(f"Warning: {outcome.subject.name}: {in_options(warning)}")
     others = folder.others([outcome.subject for outcome in outcomes])
     if others:
         say(f"Not given this time, and not counted: {len(others)} of the shapes in {folder.root / 'shapes'}.")

@@ -39,6 +39,7 @@ from homolog.core.choices import Modalities, Split, Turn, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import write_csv
 from homolog.core.versions import versions
+from homolog.methods import AUTO
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -107,7 +108,7 @@ def evaluate(
         ),
     ] = "none",
     orient: OrientOption = "auto",
-    method: MethodOption = "auto",
+    method: MethodOption = AUTO,
     weights: Weights = None,
     adapt: Adapt = 0,
     partial: Annotated[
@@ -187,8 +188,10 @@ def evaluate(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     _check(json, (csv, plot), [path for path in (data, maps, pairs) if path is not None])
-    if maps is not None and (weights is not None or adapt):
-        raise ArgumentError("--maps scores maps that are there already; leave --weights and --adapt out")
+    if maps is not None and (weights is not None or adapt or method != AUTO):
+        raise ArgumentError("--maps scores maps that are there already; leave --weights, --method and --adapt out")
+    if maps is None and base is not None:
+        raise ArgumentError(f"--base is {base}, but is about the files of --maps; add --maps DIR, or leave it out")
     check_inputs(weights=weights)
     known = homolog.datasets
     description = known.DatasetDescription() if dataset is None else known.read_description(dataset)

@@ -10,6 +10,8 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from homolog.cli.wording import speak_of
+
 OTHER = "Other"
 """The last group of options in a command's help."""
 
@@ -22,6 +24,11 @@ class Command(TyperCommand):
         params = _without_types_of_flags(super().get_params(ctx))
         params[-1].rich_help_panel = OTHER
         return params
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run it."""
+        speak_of(self.params)
+        return super().invoke(ctx)
 
 
 def _without_types_of_flags(params: list[Any]) -> list[Any]:

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import NoReturn
 
+from homolog.cli.wording import in_options
 from homolog.core.errors import HomologError
 from homolog.core.threads import tune_threads
 
@@ -53,7 +54,7 @@ def main() -> None:
         _hear(_interrupt)
         status = app(prog_name="homolog", standalone_mode=False)
     except HomologError as error:
-        _fail(str(error))
+        _fail(in_options(str(error)))
     except _Interrupted as interrupted:
         _end(_INTERRUPTED, interrupted.exit_code)
     except BrokenPipeError:

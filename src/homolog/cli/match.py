@@ -34,6 +34,7 @@ from homolog.cli.options import (
     set_verbosity,
 )
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say
+from homolog.cli.wording import in_options
 from homolog.core.choices import AsCloud, Side, Up
 from homolog.core.progress import Listener, Timings
 
@@ -176,7 +177,7 @@ def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> L
 
 def _summary(match: Match, timings: Timings, paths: list[Path], *, verbose: bool) -> None:
     for warning in match.warnings:
-        say(f"Warning: {warning}")
+        say(f"Warning: {in_options(warning)}")
     if verbose:
         for step in timings.finished:
             say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from functools import cache
+from os import PathLike, fspath
 from pathlib import Path
 from typing import (
     TYPE_CHECKING,
@@ -61,8 +62,8 @@ _LIMITS: tuple[tuple[type, str, str], ...] = (
 class Settings:
     """Base of settings: frozen dataclasses whose values are checked against their annotations as they are made.
 
-    Lists become tuples and whole numbers become floats where the annotations say so. ``typing.Annotated`` adds limits,
-    such as ``Annotated[int, Ge(1)]``; see also ``Positive``, ``Count`` and others in this module.
+    Lists become tuples, paths texts, and whole numbers floats where the annotations say so. ``typing.Annotated`` adds
+    limits, such as ``Annotated[int, Ge(1)]``; see also ``Positive``, ``Count`` and others in this module.
 
     Raises:
         ArgumentError: if a value is not as annotated, or ``check`` refuses it.
@@ -159,10 +160,13 @@ def _kind(annotation: Any) -> str:
     if words := _words_of(annotation):
         return f"one of {', '.join(map(repr, words))}"
     if get_origin(annotation) is tuple:
-        first, *others = get_args(annotation)
-        size = "a list" if others == [Ellipsis] else f"a list of {1 + len(others)}"
-        return f"{size}, each of them {described(first)}"
-    return _WORDS.get(get_origin(annotation) or annotation) or f"a section of {annotation.__name__}"
+        *kinds, last = get_args(annotation)
+        if last is Ellipsis:
+            return f"a list, each of them {described(kinds[0])}"
+        parts = [described(kind) for kind in (*kinds, last)]
+        alike = len(set(parts)) == 1
+        return f"a list of {len(parts)}{', each of them ' + parts[0] if alike else ': ' + ', '.join(parts)}"
+    return _WORDS.get(get_origin(annotation) or annotation) or str(annotation.__name__)
 
 
 def _parts(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
@@ -195,7 +199,7 @@ def _checked(settings: type, values: Mapping[str, Any]) -> dict[str, Any]:
     from pydantic import ValidationError
 
     try:
-        return _table_of(settings).validate_python({key: _tuples(value) for key, value in values.items()})
+        return _table_of(settings).validate_python({key: _plain(value) for key, value in values.items()})
     except ValidationError as error:
         raise argument_error(error, settings) from None
 
@@ -212,7 +216,9 @@ def _table_of(settings: type) -> TypeAdapter[dict[str, Any]]:
     return TypeAdapter(table)
 
 
-def _tuples(value: Any) -> Any:
-    if type(value).__module__ == "numpy" and hasattr(value, "item"):  # numpy's numbers count as Python's
-        return value.item()
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+def _plain(value: Any) -> Any:
+    if isinstance(value, PathLike):
+        return fspath(value)
+    if type(value).__module__ == "numpy" and hasattr(value, "tolist"):  # numpy's numbers count as Python's
+        value = value.tolist()
+    return tuple(map(_plain, value)) if isinstance(value, list) else value

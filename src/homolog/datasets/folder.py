@@ -58,6 +58,10 @@ class ShapeFolder:
     full: tuple[str, ...] = ()
     seed: int = 0
 
+    def __repr__(self) -> str:
+        of = f" of {self.description.name}" if self.description.name else ""
+        return f"ShapeFolder({str(self.root)!r}: {len(self.names)} shapes{of}, {self.up} up)"
+
     @classmethod
     def open(
         cls, root: str | Path, description: DatasetDescription | str | Path | None = None, *, up: Up | None = None

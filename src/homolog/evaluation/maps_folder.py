@@ -39,6 +39,7 @@ class MapsFolder:
         self.folder, self.base = expanded(folder), base
         if not self.folder.is_dir():
             raise DataError(f"{folder} is not a folder; give one with a file per pair, such as SOURCE_TARGET.txt")
+        self.__name__ = self.folder.resolve().name  # what reports call the method
 
     def file(self, source: str, target: str) -> Path | None:
         """The file of a pair, by the names of its shapes; None if there is none."""

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
-from typing import get_args
+from typing import Annotated
 
 import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from homolog.core.choices import Modalities, Orient, Side, Split, Turn
-from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.errors import ArgumentError
+from homolog.core.settings import Count, CountOrZero, NotNegative, Settings
 from homolog.shapes import rotation_about
 
 
 @dataclass(frozen=True)
-class Protocol:
+class Protocol(Settings):
     """What to evaluate.
 
     Args:
@@ -36,20 +37,16 @@ class Protocol:
     modality: Modalities = "mesh"
     split: Split = "test"
     pairs_file: str | None = None
-    n_pairs: int | None = None
+    n_pairs: Annotated[Count, "or None"] | None = None
     partial: bool = False
     pre_aligned: bool = False
-    noise: float = 0.0
+    noise: Annotated[NotNegative, "in units of sqrt(area)"] = 0.0
     turn: Turn = "none"
     orient: Orient = "auto"
-    seed: int = 0
+    seed: CountOrZero = 0
 
-    def __post_init__(self) -> None:
-        for name, choices in (("modality", Modalities), ("turn", Turn), ("orient", Orient)):
-            if getattr(self, name) not in get_args(choices):
-                raise bad_choice(name, getattr(self, name), get_args(choices))
-        if not (np.isfinite(self.noise) and self.noise >= 0):
-            raise bad_value("noise", self.noise, "a number of at least 0, in units of sqrt(area)")
+    def check(self) -> None:
+        """Refuse what does not fit together."""
         if self.pre_aligned and not self.partial:
             raise ArgumentError("pre_aligned is for parts, but partial is False; set it, or leave pre_aligned out")
         if self.pre_aligned and self.turn != "none":

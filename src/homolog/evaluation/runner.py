@@ -24,7 +24,7 @@ from homolog.evaluation.protocol import Protocol
 from homolog.evaluation.result import Evaluation, PairErrors
 from homolog.geometry import unit_frame
 from homolog.matching import Match, Matcher, check_point_map, low_confidence_warnings
-from homolog.pairs import SIDES, Pair, PairOptions, PreprocessedShape, Side
+from homolog.pairs import SIDES, Pair, PairOptions, PreprocessedShape, Side, WarningSettings
 from homolog.shapes import Modality, Shape, add_noise, repair
 
 # Name, side if that matters, whether it is a cloud, and whose scale it takes if not its own.
@@ -77,7 +77,7 @@ def evaluate(
 
     Args:
         matcher: makes the maps; operators and features of each shape are computed once, those of a partial shape once
-            for each full one. None where ``match`` makes them.
+            for each full one. Its settings say which matches count as doubtful. None where ``match`` makes the maps.
         folder: shapes with ground truth.
         protocol: which shapes, as what; by default the meshes of the test split.
         match: a method of one's own.
@@ -105,7 +105,8 @@ def evaluate(
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
     if matcher is None and match is None:
         raise ArgumentError("matcher is None, but maps must come from a matcher or from match; give one of them")
-    run = _Run(folder, protocol, pairs, metrics or {}, progress or ignore)
+    warnings = WarningSettings() if matcher is None else matcher.settings.warnings
+    run = _Run(folder, protocol, pairs, metrics or {}, progress or ignore, warnings)
     source = _ByFunction(run, match) if match is not None else _ByMatcher(run, matcher, match_pair)
     return run.evaluation(source)
 
@@ -120,8 +121,10 @@ class _Run:
         pairs: tuple[PairOfNames, ...],
         metrics: Mapping[str, Metric],
         progress: Progress,
+        warnings: WarningSettings,
     ) -> None:
         self.folder, self.protocol, self.pairs, self.metrics, self.progress = folder, protocol, pairs, metrics, progress
+        self.warnings = warnings
         names = dict.fromkeys(name for pair in pairs for name in pair)
         self.shapes = {name: folder.shape(name) for name in names}
         self.frame = cache(lambda name: unit_frame(repair(self.shapes[name]).shape))  # many parts may share one
@@ -221,7 +224,7 @@ class _Run:
             confidences=match.target_confidence[truth.target],
             missing=None if known is None else Detection.of(match.source_to_target[known.points] < 0, ~known.present),
             quality=match.quality,
-            doubtful=match.quality is not None and bool(low_confidence_warnings(match)),
+            doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: float(metric(scored)) for name, metric in self.metrics.items()},
         )
 

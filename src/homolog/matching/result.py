@@ -29,7 +29,8 @@ from homolog.shapes import Shape, repair
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-# What shows a match stands above it, and is loaded when it is asked for.
+# What shows a match stands above it, so that it is loaded by its name, and only when it is asked for: users and
+# notebooks look for a picture at the match itself.
 _VIEWING = "homolog.viewing"
 # The entries of a report that speak of source and target. Inputs do as well, but hold names of files, which stay.
 _SIDED = ("quality", "options", "orientation", "matched", "timings", "warnings")

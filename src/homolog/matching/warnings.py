@@ -33,7 +33,7 @@ def unit_warnings(pair: Pair) -> tuple[str, ...]:
     exchanged = ", or name the other shape as the partial one" if area > full_area else ""
     return (
         f"the partial shape's area is {area:.3g}, the full one's {full_area:.3g}: their units seem to differ; "
-        "give partial_scale (--partial-scale), by how much the partial shape's lengths are to be multiplied"
+        "give partial_scale, by how much the partial shape's lengths are to be multiplied"
         f"{exchanged}",
     )
 

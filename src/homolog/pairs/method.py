@@ -10,6 +10,7 @@ from homolog.pairs.options import PairOptions
 
 if TYPE_CHECKING:
     from homolog.pairs.pair import Pair, PointMaps
+    from homolog.pairs.preprocessing import PreprocessedShape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,7 +21,7 @@ class Supports:
         clouds: it can match shapes without faces.
         partial: it can match a partial shape with its full one.
         needs_features: it compares the features of an extractor; otherwise none are computed.
-        refinement: its maps are near-isometric, so that ZoomOut can refine them.
+        refinement: its maps are near-isometric, so that ZoomOut can refine them, guided by features if there are any.
     """
 
     clouds: bool = True
@@ -53,8 +54,13 @@ class Method(Protocol):
         ...
 
 
-def check_supported(method: Method, options: PairOptions) -> None:
-    """Refuse a partial shape where the method knows full shapes alone.
+def check_supported(method: Method, options: PairOptions, *shapes: PreprocessedShape) -> None:
+    """Refuse a partial shape where the method knows full shapes alone, and a cloud where it knows meshes alone.
+
+    Args:
+        method: what is to find maps.
+        options: what is known of both shapes.
+        *shapes: both, once they are preprocessed: a file may be a cloud, and repair may leave one.
 
     Raises:
         ArgumentError: naming the method, and what to give in its place.
@@ -64,3 +70,10 @@ def check_supported(method: Method, options: PairOptions) -> None:
             f"partial is {options.partial!r}, but the method {method.name!r} matches full shapes; "
             "use 'auto' for partial ones"
         )
+    if method.supports.clouds:
+        return
+    clouds = [f"{shape.name} is a cloud" for shape in shapes if shape.modality == "cloud"]
+    if options.as_cloud is not None:
+        clouds = [f"as_cloud is {options.as_cloud!r}"]
+    if clouds:
+        raise ArgumentError(f"{clouds[0]}, but the method {method.name!r} matches meshes; use 'auto' for clouds")

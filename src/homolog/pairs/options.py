@@ -62,7 +62,8 @@ class PairOptions:
             for name, unset in (("partial_scale", 1), ("pre_aligned", False)):
                 if getattr(self, name) != unset:
                     raise ArgumentError(
-                        f"{name} is {getattr(self, name)!r}, but neither shape is partial; say which one is, by partial"
+                        f"{name} is {getattr(self, name)!r}, but neither shape is partial; say which one is by "
+                        "partial='source' or partial='target'"
                     )
 
     def is_cloud(self, side: Side) -> bool:

@@ -72,7 +72,7 @@ class Pair:
         orientation: which way round they were found to be; None where nothing was looked for.
 
     Raises:
-        ArgumentError: if a shape is partial, and the method knows full shapes alone.
+        ArgumentError: if a shape is partial or a cloud, and the method knows full shapes or meshes alone.
     """
 
     source: PreprocessedShape
@@ -145,7 +145,7 @@ class Pair:
         return cls(source_found, target_found, options, settings, method, preprocessor.extractor)
 
     def __post_init__(self) -> None:
-        check_supported(self.method, self.options)
+        check_supported(self.method, self.options, self.source, self.target)
 
     @property
     def x(self) -> PreprocessedShape:

@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, get_args
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Annotated, Any, get_args
 
 import torch
+from annotated_types import Ge, Le
 
-from homolog.core.arguments import is_count, is_real
 from homolog.core.choices import Device
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.reprs import function_name
+from homolog.core.settings import Count, NotNegative, Positive, Settings
 from homolog.geometry import OperatorSettings
 from homolog.maps import ConfidenceSettings, RefinementSettings, RegistrationSettings
 
-_Rule = tuple[Callable[[Any], bool], str]
-_COUNT: _Rule = (is_count, "a whole number of at least 1")
-_COUNT_OR_NONE: _Rule = (lambda value: value is None or is_count(value), "a whole number of at least 1, or None")
-_POSITIVE: _Rule = (lambda value: is_real(value) and value > 0, "a finite number above 0")
-_POSITIVE_OR_NONE: _Rule = (
-    lambda value: value is None or (is_real(value) and value > 0),
-    "a finite number above 0, or None",
-)
-_NOT_NEGATIVE: _Rule = (lambda value: is_real(value) and value >= 0, "a finite number of at least 0")
-_FLAG: _Rule = (lambda value: isinstance(value, bool), "True or False")
-
-
-def _check(settings: object, **rules: _Rule) -> None:
-    for name, (holds, allowed) in rules.items():
-        value = getattr(settings, name)
-        if not holds(value):
-            raise bad_value(name, value, allowed)
+# A temperature or a size that the features decide, where none is given.
+_CountOrNone = Annotated[Count, "or None"] | None
+_PositiveOrNone = Annotated[Positive, "or None"] | None
 
 
 @dataclass(frozen=True, kw_only=True)
-class FunctionalMapSettings:
+class FunctionalMapSettings(Settings):
     """The functional map that fits features (Ren et al., "Structured regularization of functional map computations").
 
     Args:
@@ -44,16 +30,13 @@ class FunctionalMapSettings:
         regularisation: weight of the resolvent mask, from 0; 100 as in the paper.
     """
 
-    n_eigenpairs: int | None = None
-    n_eigenpairs_partial: int | None = None
-    regularisation: float = 100.0
-
-    def __post_init__(self) -> None:
-        _check(self, n_eigenpairs=_COUNT_OR_NONE, n_eigenpairs_partial=_COUNT_OR_NONE, regularisation=_NOT_NEGATIVE)
+    n_eigenpairs: _CountOrNone = None
+    n_eigenpairs_partial: _CountOrNone = None
+    regularisation: NotNegative = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class SoftMapSettings:
+class SoftMapSettings(Settings):
     """The soft map between features.
 
     Args:
@@ -63,16 +46,13 @@ class SoftMapSettings:
             that the paper's authors published.
     """
 
-    temperature: float | None = None
-    iterations: int = 10
+    temperature: _PositiveOrNone = None
+    iterations: Count = 10
     normalise: bool = True
-
-    def __post_init__(self) -> None:
-        _check(self, temperature=_POSITIVE_OR_NONE, iterations=_COUNT, normalise=_FLAG)
 
 
 @dataclass(frozen=True, kw_only=True)
-class AxiomaticSettings:
+class AxiomaticSettings(Settings):
     """The axiomatic method: wave kernel signatures and smoothed positions. Chosen on training pairs of upright people.
 
     Args:
@@ -81,16 +61,13 @@ class AxiomaticSettings:
         position_weight: of the three coordinates against each channel of the signature, all of unit norm.
     """
 
-    n_eigenpairs: int = 15
-    regularisation: float = 1000.0
-    position_weight: float = 30.0
-
-    def __post_init__(self) -> None:
-        _check(self, n_eigenpairs=_COUNT, regularisation=_NOT_NEGATIVE, position_weight=_NOT_NEGATIVE)
+    n_eigenpairs: Count = 15
+    regularisation: NotNegative = 1000.0
+    position_weight: NotNegative = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class AlignmentSettings:
+class AlignmentSettings(Settings):
     """The similarity alignment of a partial shape with the full one. New here.
 
     Args:
@@ -106,14 +83,14 @@ class AlignmentSettings:
         rotations: axis (0 to 2) and degrees of the rotations to start from; the first is none.
     """
 
-    steps: int = 4
-    partial_samples: int = 1000
-    full_samples: int = 2500
-    similar: float = 0.94
-    followed: int = 2
-    margin: float = 0.01
-    scales: tuple[float, ...] = (0.8, 1.25, 0.63, 1.6, 0.5, 2.0, 0.4, 2.5, 0.32, 3.2)
-    rotations: tuple[tuple[int, float], ...] = (
+    steps: Count = 4
+    partial_samples: Count = 1000
+    full_samples: Count = 2500
+    similar: Annotated[float, Ge(-1), Le(1)] = 0.94
+    followed: Count = 2
+    margin: NotNegative = 0.01
+    scales: tuple[Positive, ...] = (0.8, 1.25, 0.63, 1.6, 0.5, 2.0, 0.4, 2.5, 0.32, 3.2)
+    rotations: tuple[tuple[Annotated[int, Ge(0), Le(2)], float], ...] = (
         (1, 0),
         (1, 180),
         (1, 270),
@@ -124,12 +101,15 @@ class AlignmentSettings:
         (2, -60),
     )
 
-    def __post_init__(self) -> None:
-        _check(self, steps=_COUNT, partial_samples=_COUNT, full_samples=_COUNT, followed=_COUNT, margin=_NOT_NEGATIVE)
+    def check(self) -> None:
+        """Refuse to start from nowhere."""
+        for name in ("scales", "rotations"):
+            if not getattr(self, name):
+                raise ArgumentError(f"{name} is empty, but must hold at least one; alignment=None aligns nothing")
 
 
 @dataclass(frozen=True, kw_only=True)
-class OrientationSettings:
+class OrientationSettings(Settings):
     """The search for the way round of two full shapes. New here; the weights were chosen on pairs of training shapes.
 
     Hypotheses are rotations. Each gives a coarse map of samples, and the one of least misfit is taken: the mean
@@ -150,33 +130,19 @@ class OrientationSettings:
         least_degrees: a shape that the orienter would turn by less stays as it is given.
     """
 
-    samples: int = 500
-    hypotheses: int = 6
-    map_eigenpairs: int = 50
-    cycle: float = 1.0
-    handedness: float = 0.1
-    orienter: float = 1.0
-    orienter_margin: float = 0.05
-    margin: float = 0.01
-    least_degrees: float = 30.0
-
-    def __post_init__(self) -> None:
-        _check(
-            self,
-            samples=_COUNT,
-            hypotheses=_COUNT,
-            map_eigenpairs=_COUNT,
-            cycle=_NOT_NEGATIVE,
-            handedness=_NOT_NEGATIVE,
-            orienter=_NOT_NEGATIVE,
-            orienter_margin=_NOT_NEGATIVE,
-            margin=_NOT_NEGATIVE,
-            least_degrees=_NOT_NEGATIVE,
-        )
+    samples: Count = 500
+    hypotheses: Count = 6
+    map_eigenpairs: Count = 50
+    cycle: NotNegative = 1.0
+    handedness: NotNegative = 0.1
+    orienter: NotNegative = 1.0
+    orienter_margin: NotNegative = 0.05
+    margin: NotNegative = 0.01
+    least_degrees: NotNegative = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class WarningSettings:
+class WarningSettings(Settings):
     """When a match is said to be doubtful.
 
     Args:
@@ -186,12 +152,12 @@ class WarningSettings:
             all above 8 were off by more than 6 % of sqrt(area), and all but one of those below by less than 8 %.
     """
 
-    least_confidence: float = 0.35
-    most_dirichlet_energy: float = 8.0
+    least_confidence: Annotated[float, Ge(0), Le(1)] = 0.35
+    most_dirichlet_energy: NotNegative = 8.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class MatcherSettings:
+class MatcherSettings(Settings):
     """How maps are made from features.
 
     Args:
@@ -211,7 +177,7 @@ class MatcherSettings:
         operators: what operators to compute; by default those that the features were trained with.
 
     Raises:
-        ArgumentError: if one of them is of another kind or size.
+        ArgumentError: if one of them is of another kind.
 
     Examples:
         >>> import homolog
@@ -225,17 +191,16 @@ class MatcherSettings:
     axiomatic: AxiomaticSettings = field(default_factory=AxiomaticSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
-    alignment: AlignmentSettings | None = field(default_factory=AlignmentSettings)
-    refinement: RefinementSettings | None = field(default_factory=RefinementSettings)
+    alignment: Annotated[AlignmentSettings, "or None"] | None = field(default_factory=AlignmentSettings)
+    refinement: Annotated[RefinementSettings, "or None"] | None = field(default_factory=RefinementSettings)
     confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
     warnings: WarningSettings = field(default_factory=WarningSettings)
-    operators: OperatorSettings | None = None
+    operators: Annotated[OperatorSettings, "or None"] | None = None
 
-    def __post_init__(self) -> None:
-        for name, kind, optional in _PARTS:
-            value = getattr(self, name)
-            if not (isinstance(value, kind) or (optional and value is None)):
-                raise bad_value(name, value, f"{kind.__name__}{', or None' if optional else ''}")
+    def check(self) -> None:
+        """Refuse a method that is no name and cannot be called; whether there is one of that name, ``Matcher`` says."""
+        if not (isinstance(self.method, str) or callable(self.method)):
+            raise bad_value("method", self.method, "the name of a method, or a function of a homolog.pairs.Pair")
 
     def to_dict(self) -> dict[str, Any]:
         """All of them for JSON; a method of one's own by its name."""
@@ -243,19 +208,20 @@ class MatcherSettings:
         name = self.method if named else getattr(self.method, "name", function_name(self.method))
         return asdict(replace(self, method=name))
 
+    def __repr__(self) -> str:
+        return _changes(self)
 
-_PARTS: tuple[tuple[str, type, bool], ...] = (
-    ("functional_map", FunctionalMapSettings, False),
-    ("soft_map", SoftMapSettings, False),
-    ("axiomatic", AxiomaticSettings, False),
-    ("registration", RegistrationSettings, False),
-    ("orientation", OrientationSettings, False),
-    ("alignment", AlignmentSettings, True),
-    ("refinement", RefinementSettings, True),
-    ("confidence", ConfidenceSettings, False),
-    ("warnings", WarningSettings, False),
-    ("operators", OperatorSettings, True),
-)
+
+def _changes(settings: Settings) -> str:
+    """Settings with those fields alone that differ from the default ones: there are too many to look through."""
+    usual = type(settings)()
+    values = {each.name: getattr(settings, each.name) for each in fields(settings)}
+    shown = (
+        f"{name}={_changes(value) if isinstance(value, Settings) else repr(value)}"
+        for name, value in values.items()
+        if value != getattr(usual, name)
+    )
+    return f"{type(settings).__name__}({', '.join(shown)})"
 
 
 def choose_device(device: Device | torch.device) -> torch.device:

@@ -12,6 +12,7 @@ from typing import Any
 from homolog.core.arguments import check_count
 from homolog.core.errors import HomologError
 from homolog.core.progress import Progress, ignore
+from homolog.core.settings import Settings
 from homolog.core.tasks import run_tasks
 from homolog.matching import Matcher
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
@@ -21,7 +22,7 @@ from homolog.shapes import Shape, Up, read_hashed_shape
 
 
 @dataclass(frozen=True)
-class ShapeModelSettings:
+class ShapeModelSettings(Settings):
     """How shapes are matched to the template, besides the matcher's own settings.
 
     Args:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from scipy.stats import rankdata
 
+from homolog.core.settings import CountOrZero, Settings
 from homolog.matching import position_colours
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shapes import Shape, Up, drawable, stand_upright
@@ -17,7 +18,7 @@ from homolog.statistics import Aligned, ShapeModel, generalised_procrustes, prin
 
 
 @dataclass(frozen=True)
-class ModelSettings:
+class ModelSettings(Settings):
     """Settings of the statistics.
 
     Args:
@@ -28,7 +29,7 @@ class ModelSettings:
     """
 
     scale: bool = False
-    seed: int = 0
+    seed: CountOrZero = 0
     template_up: Up = "y"
     shapes_up: Up = "y"
 

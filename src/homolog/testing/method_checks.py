@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,11 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
-from homolog.core.errors import HomologError
+from homolog.core.errors import ArgumentError, HomologError
 from homolog.geometry import Operators
 from homolog.maps import wave_kernel_signature
 from homolog.matching import Match, Matcher
-from homolog.methods import Method, as_method, find_method
+from homolog.methods import Method, Supports, as_method, find_method
 from homolog.pairs import MatcherSettings, Pair, PairOptions, PointMaps
 from homolog.shapes import Shape
 
@@ -33,7 +33,8 @@ def check_method(method: Any, *, features: Any = None) -> None:
 
     It is tried on small shapes: meshes, clouds and mixed pairs, and a partial shape, as far as it supports them. It
     must give maps of the right form, in the indices of the repaired shapes; change nothing; give equal maps for equal
-    input, whatever the order of points; and map a shape to itself.
+    input, whatever the order of points; map a shape to itself; and run with the default settings, refinement included.
+    What it does not support must not reach it.
 
     Args:
         method: a ``Method``, the name of one, or a function of a ``Pair``.
@@ -49,6 +50,8 @@ def check_method(method: Any, *, features: Any = None) -> None:
     """
     method = as_method(find_method(method) if isinstance(method, str) else method)
     assert isinstance(method.name, str) and method.name, "name: a method must have one"
+    kind = type(method.supports).__name__
+    assert isinstance(method.supports, Supports), f"supports is a {kind}, not homolog.methods.Supports"
     checked = _Checked(method, features)
     for check in _CHECKS:
         check(checked)
@@ -61,19 +64,21 @@ class _Checked:
     method: Method
     features: Any = None
 
-    def matcher(self) -> Matcher:
+    def matcher(self, *, refined: bool = False) -> Matcher:
         own = getattr(self.method, "features", None)
         needs = self.method.supports.needs_features and own is None
         given = (_positions_and_signatures if self.features is None else self.features) if needs else None
-        return Matcher(given, settings=MatcherSettings(method=self.method, refinement=None), device="cpu")
+        settings = MatcherSettings(method=self.method)
+        return Matcher(given, settings=settings if refined else replace(settings, refinement=None), device="cpu")
 
     def pair(self, source: Shape, target: Shape, **options: Any) -> Pair:
         return self.matcher().pair(source, target, PairOptions(**options))[0]
 
-    def match(self, source: Shape, target: Shape, **options: Any) -> Match:
-        pair = self.pair(source, target, **options)
+    def match(self, source: Shape, target: Shape, *, refined: bool = False) -> Match:
+        matcher = self.matcher(refined=refined)
+        pair, _ = matcher.pair(source, target)
         try:
-            return self.matcher().find(pair)
+            return matcher.find(pair)
         except HomologError as error:
             raise AssertionError(f"{source.name} to {target.name}: {error}") from None
 
@@ -162,6 +167,29 @@ def _a_shape_is_mapped_to_itself(checked: _Checked) -> None:
         _mostly_near(f"identity, {modality}", distances, shape)
 
 
+def _default_settings(checked: _Checked) -> None:
+    """What it finds is refined then, unless it says otherwise."""
+    for _, source, target in checked.cases():
+        checked.match(source, target, refined=True)
+
+
+def _what_it_does_not_support_is_refused(checked: _Checked) -> None:
+    supports, body = checked.method.supports, _body(seed=1)
+    cases: tuple[tuple[bool, str, Shape, dict[str, Any]], ...] = (
+        (supports.clouds, "a cloud", body.as_cloud(), {}),
+        (supports.clouds, "as_cloud", body, {"as_cloud": "both"}),
+        (supports.partial, "a partial shape", body, {"partial": "target"}),
+    )
+    for supported, what, target, options in cases:
+        if supported:
+            continue
+        try:
+            checked.pair(body, target, **options)
+        except ArgumentError:
+            continue
+        raise AssertionError(f"supports: it does not support {what}, but is given one")
+
+
 def _partial_shapes(checked: _Checked) -> None:
     if not checked.method.supports.partial:
         return
@@ -187,6 +215,8 @@ _CHECKS: tuple[Callable[[_Checked], None], ...] = (
     _indices_are_those_of_the_shapes,
     _names_of_points_do_not_matter,
     _a_shape_is_mapped_to_itself,
+    _default_settings,
+    _what_it_does_not_support_is_refused,
     _partial_shapes,
 )
 
