@@ -341,20 +341,8 @@ def test_up(homolog, files, tmp_path, up, turn):
     np.testing.assert_array_equal(read_shape(tmp_path / "told" / "source.ply").points, turned.points)
 
 
-def test_following_the_advice_on_the_up_axis_ends_the_warning(homolog, demo, demo_folder, tmp_path):
-    """It names what to give for the file as it is, whatever was given; tests of the orientation try every axis."""
-    lying = replace(demo.boris, points=demo.boris.points @ rotation_about(0, 90).T)
-    write_shape(tmp_path / "lying.ply", lying)
-    files = demo_folder / "off" / "amber.off", tmp_path / "lying.ply"
-    ended = homolog("match", *files, "--target-up", "x", "-o", tmp_path / "out")
-    (up,) = re.findall(
-        r"Warning: the target seems .* give ([xyz]) as the target's up axis \(--target-up\)\n", ended.err
-    )
-    assert "Warning" not in homolog("match", *files, "--target-up", up, "-o", tmp_path / "out").err
-
-
 def test_warnings_are_shown_and_kept(homolog, files, tmp_path, monkeypatch):
-    monkeypatch.setattr(matcher_module, "pair_orientation_warnings", lambda *args: ("it lies on its side",))
+    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args: ("it lies on its side",))
     ended = homolog("match", files.mesh, files.other, "-o", tmp_path)
     assert ended.code == 0
     assert "Warning: it lies on its side\n" in ended.err

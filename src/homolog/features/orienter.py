@@ -98,7 +98,7 @@ class Orienter:
 def with_outward_frames(basis: Basis) -> Basis:
     """The basis with tangent frames whose normals point away from the centre.
 
-    Normals of clouds have either sign, and some meshes are inside out. The network's gradients know the sign, so that it
+    Normals of clouds have either sign, and some meshes are inside out. The network's gradients know the sign, which
     must not depend on how a shape was sampled or stands.
     """
     along = torch.einsum("njk,kc->njc", basis.gradients, basis.coefficients(basis.points))

@@ -43,7 +43,8 @@ def handedness(
     counts = near.sum(dim=1)[:, None, None]
     own = _covariances(near, counts, points, points)
     across = _covariances(near, counts, points, images)
-    return _signed_sizes(across).sum() / _signed_sizes(own).sum().clamp(min=torch.finfo(points.dtype).tiny)
+    found: Tensor = _signed_sizes(across).sum() / _signed_sizes(own).sum().clamp(min=torch.finfo(points.dtype).tiny)
+    return found
 
 
 def _covariances(
@@ -51,10 +52,11 @@ def _covariances(
 ) -> Float[Tensor, "n 3 3"]:
     """Covariance of a and b over each point's neighbourhood."""
     products = (a[:, :, None] * b[:, None, :]).flatten(1)
-    means = (near @ torch.cat([products, a, b], dim=1)).unsqueeze(1) / counts
-    return means[:, 0, :9].unflatten(1, (3, 3)) - means[:, 0, 9:12, None] * means[:, 0, None, 12:]
+    mean_products = (near @ products).reshape(-1, 3, 3) / counts
+    mean_a, mean_b = (near @ values / counts[:, 0] for values in (a, b))
+    return mean_products - mean_a[:, :, None] * mean_b[:, None, :]
 
 
 def _signed_sizes(matrices: Float[Tensor, "n 3 3"]) -> Float[Tensor, " n"]:
-    determinants = torch.linalg.det(matrices)
+    determinants: Tensor = torch.linalg.det(matrices)
     return determinants.sign() * determinants.abs() ** (1 / 3)

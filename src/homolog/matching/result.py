@@ -367,7 +367,7 @@ def _orientation(pair: Pair) -> dict[str, Any] | None:
     """The rotations that were found, from the shapes with their given axis up, and how sure they are."""
     if pair.orientation is None:
         return None
-    rotations = {
+    rotations: dict[str, Any] = {
         side: {"rotation": shape.rotation.tolist(), "degrees": round(float(rotation_angle(shape.rotation)), 1)}
         for side, shape in zip(SIDES, (pair.source, pair.target), strict=True)
     }

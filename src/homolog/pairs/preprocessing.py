@@ -162,7 +162,8 @@ class Preprocessor:
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(torch.as_tensor(centre))
-        orientations, rotation = (), torch.eye(3)
+        orientations: tuple[Orientation, ...] = ()
+        rotation = torch.eye(3)
         with timings.measure(f"orientation of {label}"):
             if orient == "auto" and features is None and centre is None:
                 orientations = self.orientations(operators, partial=partial)
