@@ -17,7 +17,7 @@ import torch
 from homolog.core.errors import ArgumentError
 from homolog.core.files import made_folder, sha256, write_json
 from homolog.core.versions import versions
-from homolog.features import FeatureInfo, save_weights
+from homolog.features import FeatureInfo, Orienter, load_weights, save_weights
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
 from homolog.training.losses import Loss
@@ -106,8 +106,20 @@ class RunFolder:
         save_checkpoint(self.path / "best.safetensors", state, self.recipe, self._digest, losses=self.losses)
         self._export(state)
 
-    def save_report(self, state: TrainingState, device: torch.device) -> None:
-        """Write the report."""
+    def lacks_orienter(self) -> bool:
+        """Whether the weights are without the orienter that the recipe asks for."""
+        wanted = self.recipe.upright and self.recipe.orienter.steps > 0
+        return wanted and load_weights(self.path / WEIGHTS).orienter is None
+
+    def add_orienter(self, orienter: Orienter) -> None:
+        """Write the weights anew, with an orienter."""
+        found = load_weights(self.path / WEIGHTS)
+        save_weights(self.path / WEIGHTS, found.network, found.info, orienter=orienter)
+
+    def save_report(
+        self, state: TrainingState, device: torch.device, *, orienter: dict[str, float] | None = None
+    ) -> None:
+        """Write the report, with steps and loss of the orienter once there is one."""
         report = {
             "recipe": asdict(self.recipe),
             "losses": {loss.name: loss.weight for loss in self.losses},
@@ -120,6 +132,7 @@ class RunFolder:
             "minutes": state.seconds / 60,
             "best_validation_loss": state.best,
             "validations": state.records,
+            "orienter": orienter,
             "versions": versions(),
         }
         write_json(self.path / "report.json", report)

@@ -189,6 +189,23 @@ class OptimiserSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class OrienterSettings(Settings):
+    """The orienter: a small network that tells how to turn a shape, learned after the other from the same shapes.
+
+    Weights with ``upright = false`` need none, and get none.
+
+    Args:
+        steps: updates of its weights; 0 for no orienter.
+        shapes_per_step: shapes whose mean gradient makes a step.
+        learning_rate: the highest; it rises over 100 steps and falls in a cosine.
+    """
+
+    steps: Annotated[CountOrZero, "0 for no orienter"] = 4000
+    shapes_per_step: Count = 4
+    learning_rate: Positive = 2e-3
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainingSettings(Settings):
     """How long, and in what portions.
 
@@ -293,6 +310,7 @@ class Recipe(Settings):
         augmentation: of the network's input.
         optimiser: how weights follow gradients.
         training: how long.
+        orienter: which turns shapes before they are matched.
         validation: how it is watched.
         partial: present where one shape of each pair is partial.
 
@@ -316,6 +334,7 @@ class Recipe(Settings):
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     training: TrainingSettings = field(default_factory=TrainingSettings)
+    orienter: OrienterSettings = field(default_factory=OrienterSettings)
     validation: ValidationSettings = field(default_factory=ValidationSettings)
     partial: PartialSettings | None = None
 

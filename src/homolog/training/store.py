@@ -26,8 +26,8 @@ from homolog.training.samples import Samples, at_subsets, subsets
 from homolog.training.sampling import SampledShape
 from homolog.training.settings import Recipe
 
-# Stands for the mesh where others are numbers of cloud variants.
-_MESH = -1
+MESH = -1
+"""Stands for the mesh where others are numbers of cloud variants."""
 
 
 class _Memory:
@@ -73,7 +73,7 @@ class ShapeStore:
     def __init__(
         self, shapes: TrainingSet, recipe: Recipe, operators: OperatorSource, device: torch.device | str = "cpu"
     ) -> None:
-        self.shapes, self.operators, self.device = shapes, operators, device
+        self.shapes, self.recipe, self.operators, self.device = shapes, recipe, operators, device
         self.variants = cloud_variants(recipe.clouds)
         self._seed, self._settings, self._operator_settings = recipe.seed, recipe.samples, recipe.operators
         self._workers = recipe.data.workers
@@ -105,7 +105,7 @@ class ShapeStore:
         cloud = clouds.bases[sampled.subset]
         if cloud_on_mesh:
             cloud = cloud.moved(clouds.centre)
-        meshes = clouds.meshes or self.samples(sampled.name, _MESH).bases
+        meshes = clouds.meshes or self.samples(sampled.name, MESH).bases
         pairing = clouds.pairings[sampled.subset] if clouds.pairings else None
         is_partial = self.variants[sampled.variant].is_partial
         return TrainingShape(sampled.name, meshes[sampled.subset], cloud, pairing, is_partial)
@@ -125,7 +125,7 @@ class ShapeStore:
         return samples
 
     def _prepare(self, name: str) -> str:
-        for variant in (_MESH, *range(len(self.variants))):
+        for variant in (MESH, *range(len(self.variants))):
             if self._memory.is_full:
                 self._operators_of(self._cloud(name, variant).shape)
             else:
@@ -138,7 +138,7 @@ class ShapeStore:
         if cloud.weights is not None:
             return self._sample_apart(name, operators, cloud.weights, is_partial=self.variants[variant].is_partial)
         basis = operators.basis
-        indices = subsets(basis, self._settings) if variant == _MESH else self.samples(name, _MESH).indices
+        indices = subsets(basis, self._settings) if variant == MESH else self.samples(name, MESH).indices
         return Samples(indices, at_subsets(basis, indices, self.device), points=basis.points.to(self.device))
 
     def _sample_apart(self, name: str, cloud: Operators, weights: sparse.csr_array, *, is_partial: bool) -> Samples:
@@ -149,7 +149,7 @@ class ShapeStore:
         """
         meshes: tuple[Basis, ...] = ()
         if is_partial:
-            columns = self.samples(name, _MESH).indices
+            columns = self.samples(name, MESH).indices
             rows = tuple(nearest_rows(weights, subset) for subset in columns)
         else:
             rows = subsets(cloud.basis, self._settings)
@@ -171,7 +171,7 @@ class ShapeStore:
     def _cloud(self, name: str, variant: int) -> Cloud:
         """One of a shape's clouds, or the mesh itself."""
         mesh = self._mesh(name)
-        if variant == _MESH:
+        if variant == MESH:
             return Cloud(mesh, None)
         seed = zlib.crc32(f"{self._seed} {name} {variant}".encode())
         try:
