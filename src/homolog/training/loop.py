@@ -118,11 +118,14 @@ def train(
         if is_first_process():
             folder.make(resume=resume)
             until_the_end.enter_context(folder.held())
+            if recipe.data.align:  # before there are others, which would wait
+                folder.align(progress or ignore)
         fabric.launch()
         until_the_end.enter_context(process_group())
         report = progress if progress is not None and fabric.is_global_zero else ignore
-        store = ShapeStore(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
+        source = operators or OperatorCache.default().operators
         with shared_errors():
+            store = ShapeStore(shapes, recipe, source, fabric.device, rotations=folder.rotations())
             state = folder.load(fabric.device, weights=weights)
         with shared_errors():
             store.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)

@@ -12,12 +12,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from jaxtyping import Float
 
-from homolog.core.errors import ArgumentError
+from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.files import made_folder, sha256, write_json
+from homolog.core.progress import Progress
 from homolog.core.versions import versions
 from homolog.features import FeatureInfo, Orienter, load_weights, save_weights
+from homolog.training.alignment import Aligned, aligned
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
 from homolog.training.losses import Loss
@@ -34,7 +38,7 @@ class RunFolder:
     """Where a training keeps its files.
 
     Checkpoints are ``last.safetensors`` and ``best.safetensors``, weights to use ``weights.safetensors``; there are
-    ``report.json`` for people, and TensorBoard's files.
+    ``report.json`` for people, and TensorBoard's files. ``alignment.json`` says how shapes were turned, if they were.
 
     Args:
         path: of the folder.
@@ -88,6 +92,26 @@ class RunFolder:
             yield
         finally:
             lock.release()
+
+    def align(self, progress: Progress) -> None:
+        """Find how to turn the shapes to stand alike, and write it down, unless that was done before."""
+        if self.rotations().keys() != set(self.shapes.used):
+            found = aligned(self.shapes, progress)
+            write_json(self._alignment, {name: asdict(how) for name, how in found.items()})
+
+    def rotations(self) -> dict[str, Float[np.ndarray, "3 3"]]:
+        """By which the shapes are to be turned, by name; none where they are not aligned."""
+        if not (self.recipe.data.align and self._alignment.is_file()):
+            return {}
+        try:
+            found = json.loads(self._alignment.read_text(encoding="utf-8"))
+            return {name: np.array(Aligned(**how).rotation).reshape(3, 3) for name, how in found.items()}
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            raise TrainingError(f"{self._alignment} is damaged ({error}); remove it, and give --resume") from None
+
+    @property
+    def _alignment(self) -> Path:
+        return self.path / "alignment.json"
 
     def load(self, device: torch.device | str, *, weights: str | Path | None = None) -> TrainingState:
         """The state of the latest checkpoint, or a new one where there is none, with these weights if any are given."""

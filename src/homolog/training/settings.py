@@ -31,6 +31,8 @@ class DataSettings(Settings):
         leave_out: patterns such as ``"*_shape_1?"``. Shapes with such names are neither trained nor validated on.
         up: which axis of the files points up; shapes are turned so that +y does. If absent, the axis that the dataset's
             description names, or y.
+        align: turn all shapes first so that they stand as the most central of them does, by their form alone. For full
+            shapes that do not stand alike.
         clouds: train on shapes without faces, too. Their operators as clouds then stand for a mesh's.
         memory_gb: memory for the preprocessed shapes, in gigabytes. Those beyond it are read again from the disk cache.
         workers: threads that read and sample shapes while earlier steps are computed.
@@ -39,6 +41,7 @@ class DataSettings(Settings):
     split: Split = "train"
     leave_out: tuple[str, ...] = ()
     up: Up | None = None
+    align: bool = False
     clouds: bool = False
     memory_gb: Positive = 4.0
     workers: Count = 1
@@ -348,6 +351,8 @@ class Recipe(Settings):
         if self.partial is not None and registration:
             allowed = "0 with a section [partial], as registration is of full shapes"
             raise bad_value("[loss] registration", registration, allowed)
+        if self.partial is not None and self.data.align:
+            raise bad_value("[data] align", True, "false with a section [partial], as only full shapes can be aligned")
         # Coefficients of positions from as many samples as eigenpairs are off by a tenth, from twice as many by 2 %.
         if 0 < points < 2 * n:
             allowed = f"0 for all, or at least twice [operators] n_eigenpairs, {2 * n}"

@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 import zlib
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sparse
 import torch
+from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.core.progress import Progress
@@ -28,6 +29,13 @@ from homolog.training.settings import Recipe
 
 MESH = -1
 """Stands for the mesh where others are numbers of cloud variants."""
+
+
+def unit_mesh(shapes: TrainingSet, name: str) -> tuple[Shape, Frame]:
+    """A clean shape, centred and of unit area, and its frame in the coordinates of its file."""
+    shape = repair(shapes.shape(name)).shape
+    frame = unit_frame(shape)
+    return Shape(frame.to_unit(shape.points), shape.faces, name=shape.name), frame
 
 
 class _Memory:
@@ -68,16 +76,24 @@ class ShapeStore:
         recipe: how they are sampled, and which clouds there are.
         operators: where operators come from; an ``OperatorCache``'s, or every miss computes them anew.
         device: where bases are kept.
+        rotations: by which shapes are turned as they are read, each (3, 3), by name; see ``alignment``.
     """
 
     def __init__(
-        self, shapes: TrainingSet, recipe: Recipe, operators: OperatorSource, device: torch.device | str = "cpu"
+        self,
+        shapes: TrainingSet,
+        recipe: Recipe,
+        operators: OperatorSource,
+        device: torch.device | str = "cpu",
+        *,
+        rotations: Mapping[str, Float[np.ndarray, "3 3"]] | None = None,
     ) -> None:
         self.shapes, self.recipe, self.operators, self.device = shapes, recipe, operators, device
         self.variants = cloud_variants(recipe.clouds)
         self._seed, self._settings, self._operator_settings = recipe.seed, recipe.samples, recipe.operators
         self._workers = recipe.data.workers
         self._mesh = lru_cache(maxsize=2 * self._workers)(self._read_mesh)
+        self._rotations = rotations or {}
         self._frames: dict[str, Frame] = {}
         self._memory = _Memory(recipe.data.memory_gb * 2**30)
 
@@ -180,11 +196,10 @@ class ShapeStore:
             raise DataError(f"[clouds] {self.variants[variant]} cannot be made of {name}: {error}") from None
 
     def _read_mesh(self, name: str) -> Shape:
-        """A clean mesh of unit area: what its clouds are made with is in these units."""
-        shape = repair(self.shapes.shape(name)).shape
-        frame = unit_frame(shape)
-        self._frames[name] = frame
-        return Shape(frame.to_unit(shape.points), shape.faces, name=shape.name)
+        """A clean mesh of unit area, turned: what its clouds are made with is in these units."""
+        shape, self._frames[name] = unit_mesh(self.shapes, name)
+        rotation = self._rotations.get(name)
+        return shape if rotation is None else Shape(shape.points @ rotation.T, shape.faces, name=shape.name)
 
     def _operators_of(self, shape: Shape) -> Operators:
         return self.operators(shape, settings=self._operator_settings, scale=1.0)
