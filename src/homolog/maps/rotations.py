@@ -140,7 +140,7 @@ def joint_rotations(
     minimum spanning tree of the misfits, so that each shape is brought near one like it (Boyer et al., "A new fully
     automated approach for aligning and comparing shapes", The Anatomical Record 2015). Up to 60 shapes, each is
     compared with each, and the medoid is the shape of the least total misfit. Of more, each is compared with 20
-    landmarks drawn from them, always the same ones, one of which is the medoid. A pair of 400 points each takes a tenth of a second.
+    landmarks drawn from them, always the same ones, one of which is the medoid. A pair takes a tenth of a second.
 
     Args:
         points: of each shape, centred, of unit area (n, 3); 400 are enough.

@@ -155,7 +155,8 @@ class ShapeStore:
             return self._sample_apart(name, operators, cloud.weights, is_partial=self.variants[variant].is_partial)
         basis = operators.basis
         indices = subsets(basis, self._settings) if variant == MESH else self.samples(name, MESH).indices
-        return Samples(indices, at_subsets(basis, indices, self.device), points=basis.points.to(self.device))
+        bases, centre = at_subsets(basis, indices, self.device), torch.zeros(3, device=self.device)
+        return Samples(indices, bases, points=basis.points.to(self.device), centre=centre)
 
     def _sample_apart(self, name: str, cloud: Operators, weights: sparse.csr_array, *, is_partial: bool) -> Samples:
         """Subsets of a cloud whose points are not the mesh's, each with the points of the mesh that belong to them.
