@@ -57,15 +57,15 @@ def test_weights_keep_it_bit_for_bit(learnt, small, tmp_path):
 
 
 def test_the_same_seed_gives_the_same_one_and_leaves_torchs_own_seed_alone(meshes, small, device):
+    """Bit for bit on a CPU; GPUs add up in any order."""
     torch.manual_seed(5)
-    before = torch.get_rng_state()
+    before, recipe, three = torch.get_rng_state(), small(clouds={"cut": [0.5]}), OrienterSettings(steps=3)
     one, other, third = (
-        train_orienter(
-            store_of(meshes, small(clouds={"cut": [0.5]}), device), ("ape", "bee"), OrienterSettings(steps=3), seed=seed
-        )[0]
+        weights_of(train_orienter(store_of(meshes, recipe, device), ("ape", "bee"), three, seed=seed)[0])
         for seed in (0, 0, 1)
     )
-    assert torch.equal(weights_of(one), weights_of(other)) and not torch.equal(weights_of(one), weights_of(third))
+    assert torch.equal(one, other) if device.type == "cpu" else torch.allclose(one, other, atol=1e-3)
+    assert not torch.allclose(one, third, atol=1e-3)
     assert torch.equal(torch.get_rng_state(), before)
 
 

@@ -43,8 +43,8 @@ def train_orienter(
 
     A shape is stretched, jittered, shifted and turned at random, and the network predicts where its points were before.
     Partial clouds are given about their own centre, and predicted where they lie on the full shape. New here; see
-    ``homolog.features.orienter`` for its relatives. The same arguments give the same orienter on the same machine, and
-    no random state but its own is used.
+    ``homolog.features.orienter`` for its relatives. On a CPU the same arguments give the same orienter, and no random
+    state but its own is used.
 
     Args:
         store: gives the shapes.
