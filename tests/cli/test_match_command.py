@@ -4,7 +4,6 @@ import hashlib
 import json
 import pickle
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest

@@ -27,6 +27,7 @@ network = {width = 8, blocks = 1, out_channels = 8}
 operators = {n_eigenpairs = 16}
 loss = {map_eigenpairs = 8}
 training = {steps = 2}
+orienter = {steps = 2}
 validation = {shapes = 0, pairs = 1}
 """
 

@@ -34,7 +34,8 @@ def read_short_recipe(recipe):
     if recipe not in builtin_recipes():
         return whole
     validation = replace(whole.validation, every=STEPS, score_every=0, shapes=2, pairs=1)
-    return replace(whole, training=replace(whole.training, steps=STEPS), validation=validation)
+    short, none = replace(whole.training, steps=STEPS), replace(whole.orienter, steps=0)
+    return replace(whole, training=short, orienter=none, validation=validation)
 
 
 def synthesize_few(output, number, settings, *, processes, progress):

@@ -50,6 +50,7 @@ SMALL = {
     "operators": {"n_eigenpairs": 24},
     "loss": {"map_eigenpairs": 12},
     "training": {"steps": 6, "checkpoint_minutes": 0},
+    "orienter": {"steps": 0},
     "validation": {"shapes": 0, "pairs": 2, "every": 3},
 }
 

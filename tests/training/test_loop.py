@@ -425,7 +425,7 @@ def test_where_one_process_fails_all_do_and_the_first_one_says_it(as_toml, tmp_p
 @pytest.mark.parametrize(("steps", "tolerance"), [(1, 1e-4), (5, 0.02)])
 def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path, steps, tolerance):
     """The same gradients at first; later, what rounding made of them, which Adam's first steps enlarge."""
-    changes = {"training": {"steps": steps, "pairs_per_step": 4}, "validation": {"pairs": 0}}
+    changes = {"training": {"steps": steps, "pairs_per_step": 4}, "validation": {"pairs": 0}, "orienter": {"steps": 2}}
     (tmp_path / "four.toml").write_text(as_toml(**changes))
     loop.train(small(**changes), meshes, tmp_path / "one", device="cpu")
     options = [meshes, "-o", tmp_path / "two", "--device", "cpu", "--processes", "2"]
@@ -439,6 +439,7 @@ def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path, s
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.splitlines() == [str(tmp_path / "two" / "weights.safetensors")]
     assert ended.stderr.count(f"Trained {steps} steps") == 1
+    assert load_weights(tmp_path / "two" / "weights.safetensors").orienter is not None
     one, two = tensors_of(tmp_path / "one"), tensors_of(tmp_path / "two")
     for name, tensor in one.items():
         if name.startswith("exp_avg."):  # a tenth of the first gradient, or a running mean of all

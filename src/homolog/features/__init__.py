@@ -11,7 +11,7 @@ from homolog.features.extractor import (
     on_device,
 )
 from homolog.features.info import FeatureInfo, NetworkInput
-from homolog.features.orienter import ORIENTER_EIGENPAIRS, ORIENTER_NETWORK, Orientation, Orienter
+from homolog.features.orienter import ORIENTER_EIGENPAIRS, ORIENTER_NETWORK, Orientation, Orienter, with_outward_frames
 from homolog.features.weights import load_weights, save_weights
 
 __all__ = [
@@ -35,4 +35,5 @@ __all__ = [
     "on_device",
     "pretrained_weights",
     "save_weights",
+    "with_outward_frames",
 ]

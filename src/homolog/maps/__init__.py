@@ -23,6 +23,7 @@ from homolog.maps.rotations import (
     closest_point_rotations,
     cube_rotations,
     distinct_rotations,
+    joint_rotations,
     rotation_angle,
 )
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
@@ -48,6 +49,7 @@ __all__ = [
     "functional_map_from_point_map",
     "handedness",
     "heat_kernel_signature",
+    "joint_rotations",
     "local_stretch",
     "most_similar",
     "nearest_neighbour",

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from homolog.core.arrays import takes_arrays
+from homolog.core.errors import ArgumentError
+from homolog.core.progress import Progress, ignore
+
+# Up to so many shapes each is compared with each, which takes some minutes; of more, each with so many landmarks.
+_ALL_PAIRS, _LANDMARKS = 60, 20
 
 
 @cache
@@ -130,6 +136,78 @@ def _ranked(found: Iterable[tuple[Float[Tensor, "3 3"], float]]) -> list[tuple[F
     """The best of those that are nearly alike, by misfit."""
     ranked = sorted(found, key=lambda item: item[1])
     return [ranked[number] for number in distinct_rotations(rotation for rotation, _ in ranked)]
+
+
+def joint_rotations(
+    points: Sequence[Float[Tensor, "n 3"]], *, progress: Progress = ignore
+) -> list[tuple[Float[Tensor, "3 3"], float]]:
+    """Rotations that bring several shapes to stand as their medoid does, with the misfit of each to its neighbour.
+
+    Pairs of shapes are aligned as rigid bodies (``closest_point_rotations``), and the rotations are followed along the
+    minimum spanning tree of the misfits, so that each shape is brought near one like it (Boyer et al., "A new fully
+    automated approach for aligning and comparing shapes", The Anatomical Record 2015). Up to 60 shapes, each is
+    compared with each, and the medoid is the shape of the least total misfit. Of more, each is compared with 20
+    landmarks drawn from them, always the same ones, one of which is the medoid. A pair takes a tenth of a second.
+
+    Args:
+        points: of each shape, centred, of unit area (n, 3); 400 are enough.
+        progress: called with the number of pairs that are done.
+
+    Returns:
+        For each shape the rotation R, at which ``points @ R.T`` stand as the medoid does, and the misfit to the shape
+        that it was brought near: the root of the mean squared distances of closest points, there and back. The medoid
+        has the identity and 0.
+
+    Raises:
+        ArgumentError: without shapes.
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import cube_rotations, joint_rotations, rotation_angle
+        >>> points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
+        >>> points = points - points.mean(dim=0)
+        >>> turns = cube_rotations()[[0, 7, 11]]
+        >>> found = joint_rotations([points @ turn.T for turn in turns])
+        >>> [bool(rotation_angle(R @ turn @ turns[0].T) < 1) for (R, _), turn in zip(found, turns)]
+        [True, True, True]
+    """
+    if not points:
+        raise ArgumentError("joint_rotations needs the points of a shape, but got none; give those of at least one")
+    central = _landmarks(len(points))
+    pairs = sorted({(max(i, j), min(i, j)) for i in range(len(points)) for j in central if i != j})
+    misfits = np.full((len(points),) * 2, np.inf)
+    np.fill_diagonal(misfits, 0.0)
+    turns: dict[tuple[int, int], Tensor] = {}
+    for done, (i, j) in enumerate(pairs, 1):
+        turns[i, j], squared = closest_point_rotations(points[i], points[j])[0]
+        turns[j, i] = turns[i, j].T
+        misfits[i, j] = misfits[j, i] = squared**0.5
+        progress(done, len(pairs), "aligning shapes")
+    medoid = central[misfits[:, central].sum(axis=0).argmin()]
+    found = {medoid: (torch.eye(3).to(points[0]), 0.0)}
+    for child, parent in _spanning_tree(misfits, medoid):
+        found[child] = found[parent][0] @ turns[child, parent], float(misfits[child, parent])
+    return [found[number] for number in range(len(points))]
+
+
+def _landmarks(count: int) -> list[int]:
+    """The shapes with which all are compared."""
+    if count <= _ALL_PAIRS:
+        return list(range(count))
+    drawn: list[int] = torch.randperm(count, generator=torch.Generator().manual_seed(0))[:_LANDMARKS].tolist()
+    return drawn
+
+
+def _spanning_tree(distances: Float[np.ndarray, "n n"], root: int) -> Iterable[tuple[int, int]]:
+    """Edges (child, parent) of the minimum spanning tree, from the root on (Prim, 1957)."""
+    nearest, parents = distances[root].copy(), np.full(len(distances), root)
+    outside = set(range(len(distances))) - {root}
+    while outside:
+        child = min(outside, key=lambda number: (nearest[number], number))
+        outside.remove(child)
+        yield child, int(parents[child])
+        closer = distances[child] < nearest
+        nearest[closer], parents[closer] = distances[child][closer], child
 
 
 def _iterated(

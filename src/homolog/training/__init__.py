@@ -6,6 +6,7 @@ from homolog.training.distributed import is_started_by_another
 from homolog.training.loop import is_first_process, train
 from homolog.training.losses import BUILTIN_LOSSES, Loss, losses_of
 from homolog.training.objective import pair_losses
+from homolog.training.orienter import train_orienter
 from homolog.training.quantities import QUANTITIES, PairQuantities, TrainingShape
 from homolog.training.recipes import builtin_recipes, find_recipe, read_recipe
 from homolog.training.run_folder import WEIGHTS
@@ -15,6 +16,7 @@ from homolog.training.settings import (
     DataSettings,
     LossSettings,
     OptimiserSettings,
+    OrienterSettings,
     PartialSettings,
     Recipe,
     SampleSettings,
@@ -34,6 +36,7 @@ __all__ = [
     "Loss",
     "LossSettings",
     "OptimiserSettings",
+    "OrienterSettings",
     "PairQuantities",
     "PartialSettings",
     "Recipe",
@@ -52,4 +55,5 @@ __all__ = [
     "pair_losses",
     "read_recipe",
     "train",
+    "train_orienter",
 ]

@@ -28,12 +28,12 @@ def _turn(settings: AugmentationSettings, generator: torch.Generator | None) -> 
     if settings.turn == "none":
         return torch.eye(3)
     if settings.turn == "any":
-        return _rotation(torch.randn(4, generator=generator, device=_device(generator)).cpu())
+        return rotation_of(torch.randn(4, generator=generator, device=_device(generator)).cpu())
     half = torch.deg2rad(settings.degrees * (2 * _uniform(1, generator)[0] - 1)) / 2
-    return _rotation(torch.stack([half.cos(), torch.zeros(()), half.sin(), torch.zeros(())]))
+    return rotation_of(torch.stack([half.cos(), torch.zeros(()), half.sin(), torch.zeros(())]))
 
 
-def _rotation(quaternion: Float[Tensor, 4]) -> Float[Tensor, "3 3"]:
+def rotation_of(quaternion: Float[Tensor, 4]) -> Float[Tensor, "3 3"]:
     """The rotation of a quaternion of any length; those in random directions give all rotations as likely."""
     w, x, y, z = quaternion / quaternion.norm()
     rows = (

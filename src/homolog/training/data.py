@@ -111,8 +111,12 @@ class TrainingSet:
     @property
     def used(self) -> tuple[str, ...]:
         """The names of all shapes in any pair."""
-        paired = itertools.chain.from_iterable((*self.pairs, *self.held_out))
-        return tuple(sorted({*paired, *(() if self.pairs else self.names)}))
+        return tuple(sorted({*self.trained, *itertools.chain.from_iterable(self.held_out)}))
+
+    @property
+    def trained(self) -> tuple[str, ...]:
+        """The names of all shapes that are trained on, in any pair."""
+        return tuple(sorted(set(itertools.chain.from_iterable(self.pairs)))) or self.names
 
 
 def _full_and_other_files(

@@ -28,6 +28,7 @@ from homolog.training.distributed import process_group, shared_errors
 from homolog.training.interrupts import Interrupts, deferred_interrupts
 from homolog.training.losses import TOTAL, Loss, losses_of
 from homolog.training.objective import pair_losses
+from homolog.training.orienter import train_orienter
 from homolog.training.pairs import PairLoader, TrainingPair
 from homolog.training.prefetch import prefetched
 from homolog.training.run_folder import RunFolder, weights_info
@@ -65,7 +66,8 @@ def train(
     Cao and Bernard, "Self-Supervised Learning for Multimodal Non-Rigid 3D Shape Matching", CVPR 2023.
 
     With several processes this starts the others itself, by the command that started this one; every one computes some
-    of a step's pairs, and all take the step with the mean gradient. Ctrl-C and SIGTERM save a checkpoint first.
+    of a step's pairs, and all take the step with the mean gradient. Ctrl-C and SIGTERM save a checkpoint first. After
+    the last step the first process trains the orienter, see ``train_orienter``, where the weights have none yet.
 
     Args:
         recipe: what to do.
@@ -116,18 +118,23 @@ def train(
         if is_first_process():
             folder.make(resume=resume)
             until_the_end.enter_context(folder.held())
+            if recipe.data.align:  # before there are others, which would wait
+                folder.align(progress or ignore)
         fabric.launch()
         until_the_end.enter_context(process_group())
         report = progress if progress is not None and fabric.is_global_zero else ignore
-        store = ShapeStore(shapes, recipe, operators or OperatorCache.default().operators, fabric.device)
+        source = operators or OperatorCache.default().operators
         with shared_errors():
+            store = ShapeStore(shapes, recipe, source, fabric.device, rotations=folder.rotations())
             state = folder.load(fabric.device, weights=weights)
         with shared_errors():
             store.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
+        keep_freed_memory()
         if state.step < recipe.training.steps:
-            keep_freed_memory()
             with deferred_interrupts() as interrupts:
                 _Training(fabric, folder, store, objective, state, report).run(interrupts)
+        if fabric.is_global_zero and folder.lacks_orienter():
+            _add_orienter(folder, store, state, report)
         return state
 
 
@@ -163,6 +170,19 @@ def _fabric(settings: TrainingSettings, device: Device, processes: int, machines
         strategy="auto" if processes * machines == 1 else "ddp",
         precision="bf16-mixed" if settings.precision == "bf16" else "32-true",
     )
+
+
+def _add_orienter(folder: RunFolder, store: ShapeStore, state: TrainingState, progress: Progress) -> None:
+    """Train the orienter that the weights lack, and write it into them and into the report."""
+    settings, names = folder.recipe.orienter, folder.shapes.trained
+    try:
+        orienter, loss = train_orienter(store, names, settings, seed=folder.recipe.seed, progress=progress)
+    except BaseException as error:
+        if not isinstance(error, Exception):  # Ctrl-C and the like
+            _log.warning("Stopped before the orienter was trained; --resume trains it.")
+        raise
+    folder.add_orienter(orienter.to(torch.device("cpu")))
+    folder.save_report(state, torch.device(store.device), orienter={"steps": settings.steps, "loss": loss})
 
 
 class _Training:

@@ -12,12 +12,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from jaxtyping import Float
 
-from homolog.core.errors import ArgumentError
+from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.files import made_folder, sha256, write_json
+from homolog.core.progress import Progress
 from homolog.core.versions import versions
-from homolog.features import FeatureInfo, save_weights
+from homolog.features import FeatureInfo, Orienter, load_weights, save_weights
+from homolog.training.alignment import Aligned, aligned
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
 from homolog.training.losses import Loss
@@ -34,7 +38,7 @@ class RunFolder:
     """Where a training keeps its files.
 
     Checkpoints are ``last.safetensors`` and ``best.safetensors``, weights to use ``weights.safetensors``; there are
-    ``report.json`` for people, and TensorBoard's files.
+    ``report.json`` for people, and TensorBoard's files. ``alignment.json`` says how shapes were turned, if they were.
 
     Args:
         path: of the folder.
@@ -89,6 +93,26 @@ class RunFolder:
         finally:
             lock.release()
 
+    def align(self, progress: Progress) -> None:
+        """Find how to turn the shapes to stand alike, and write it down, unless that was done before."""
+        if self.rotations().keys() != set(self.shapes.used):
+            found = aligned(self.shapes, progress)
+            write_json(self._alignment, {name: asdict(how) for name, how in found.items()})
+
+    def rotations(self) -> dict[str, Float[np.ndarray, "3 3"]]:
+        """By which the shapes are to be turned, by name; none where they are not aligned."""
+        if not (self.recipe.data.align and self._alignment.is_file()):
+            return {}
+        try:
+            found = json.loads(self._alignment.read_text(encoding="utf-8"))
+            return {name: np.array(Aligned(**how).rotation).reshape(3, 3) for name, how in found.items()}
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            raise TrainingError(f"{self._alignment} is damaged ({error}); remove it, and give --resume") from None
+
+    @property
+    def _alignment(self) -> Path:
+        return self.path / "alignment.json"
+
     def load(self, device: torch.device | str, *, weights: str | Path | None = None) -> TrainingState:
         """The state of the latest checkpoint, or a new one where there is none, with these weights if any are given."""
         if self.last.is_file():
@@ -106,8 +130,20 @@ class RunFolder:
         save_checkpoint(self.path / "best.safetensors", state, self.recipe, self._digest, losses=self.losses)
         self._export(state)
 
-    def save_report(self, state: TrainingState, device: torch.device) -> None:
-        """Write the report."""
+    def lacks_orienter(self) -> bool:
+        """Whether the weights are without the orienter that the recipe asks for."""
+        wanted = self.recipe.upright and self.recipe.orienter.steps > 0
+        return wanted and load_weights(self.path / WEIGHTS).orienter is None
+
+    def add_orienter(self, orienter: Orienter) -> None:
+        """Write the weights anew, with an orienter."""
+        found = load_weights(self.path / WEIGHTS)
+        save_weights(self.path / WEIGHTS, found.network, found.info, orienter=orienter)
+
+    def save_report(
+        self, state: TrainingState, device: torch.device, *, orienter: dict[str, float] | None = None
+    ) -> None:
+        """Write the report, with steps and loss of the orienter once there is one."""
         report = {
             "recipe": asdict(self.recipe),
             "losses": {loss.name: loss.weight for loss in self.losses},
@@ -120,6 +156,7 @@ class RunFolder:
             "minutes": state.seconds / 60,
             "best_validation_loss": state.best,
             "validations": state.records,
+            "orienter": orienter,
             "versions": versions(),
         }
         write_json(self.path / "report.json", report)

@@ -31,6 +31,8 @@ class DataSettings(Settings):
         leave_out: patterns such as ``"*_shape_1?"``. Shapes with such names are neither trained nor validated on.
         up: which axis of the files points up; shapes are turned so that +y does. If absent, the axis that the dataset's
             description names, or y.
+        align: turn all shapes first so that they stand as the most central of them does, by their form alone. For full
+            shapes that do not stand alike.
         clouds: train on shapes without faces, too. Their operators as clouds then stand for a mesh's.
         memory_gb: memory for the preprocessed shapes, in gigabytes. Those beyond it are read again from the disk cache.
         workers: threads that read and sample shapes while earlier steps are computed.
@@ -39,6 +41,7 @@ class DataSettings(Settings):
     split: Split = "train"
     leave_out: tuple[str, ...] = ()
     up: Up | None = None
+    align: bool = False
     clouds: bool = False
     memory_gb: Positive = 4.0
     workers: Count = 1
@@ -189,6 +192,23 @@ class OptimiserSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class OrienterSettings(Settings):
+    """The orienter: a small network that tells how to turn a shape, learned after the other from the same shapes.
+
+    Weights with ``upright = false`` need none, and get none.
+
+    Args:
+        steps: updates of its weights; 0 for no orienter.
+        shapes_per_step: shapes whose mean gradient makes a step.
+        learning_rate: the highest; it rises over 100 steps and falls in a cosine.
+    """
+
+    steps: Annotated[CountOrZero, "0 for no orienter"] = 4000
+    shapes_per_step: Count = 4
+    learning_rate: Positive = 2e-3
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainingSettings(Settings):
     """How long, and in what portions.
 
@@ -293,6 +313,7 @@ class Recipe(Settings):
         augmentation: of the network's input.
         optimiser: how weights follow gradients.
         training: how long.
+        orienter: which turns shapes before they are matched.
         validation: how it is watched.
         partial: present where one shape of each pair is partial.
 
@@ -316,6 +337,7 @@ class Recipe(Settings):
     augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     training: TrainingSettings = field(default_factory=TrainingSettings)
+    orienter: OrienterSettings = field(default_factory=OrienterSettings)
     validation: ValidationSettings = field(default_factory=ValidationSettings)
     partial: PartialSettings | None = None
 
@@ -329,6 +351,8 @@ class Recipe(Settings):
         if self.partial is not None and registration:
             allowed = "0 with a section [partial], as registration is of full shapes"
             raise bad_value("[loss] registration", registration, allowed)
+        if self.partial is not None and self.data.align:
+            raise bad_value("[data] align", True, "false with a section [partial], as only full shapes can be aligned")
         # Coefficients of positions from as many samples as eigenpairs are off by a tenth, from twice as many by 2 %.
         if 0 < points < 2 * n:
             allowed = f"0 for all, or at least twice [operators] n_eigenpairs, {2 * n}"

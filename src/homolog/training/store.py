@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 import zlib
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sparse
 import torch
+from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.core.progress import Progress
@@ -26,8 +27,15 @@ from homolog.training.samples import Samples, at_subsets, subsets
 from homolog.training.sampling import SampledShape
 from homolog.training.settings import Recipe
 
-# Stands for the mesh where others are numbers of cloud variants.
-_MESH = -1
+MESH = -1
+"""Stands for the mesh where others are numbers of cloud variants."""
+
+
+def unit_mesh(shapes: TrainingSet, name: str) -> tuple[Shape, Frame]:
+    """A clean shape, centred and of unit area, and its frame in the coordinates of its file."""
+    shape = repair(shapes.shape(name)).shape
+    frame = unit_frame(shape)
+    return Shape(frame.to_unit(shape.points), shape.faces, name=shape.name), frame
 
 
 class _Memory:
@@ -68,16 +76,24 @@ class ShapeStore:
         recipe: how they are sampled, and which clouds there are.
         operators: where operators come from; an ``OperatorCache``'s, or every miss computes them anew.
         device: where bases are kept.
+        rotations: by which shapes are turned as they are read, each (3, 3), by name; see ``alignment``.
     """
 
     def __init__(
-        self, shapes: TrainingSet, recipe: Recipe, operators: OperatorSource, device: torch.device | str = "cpu"
+        self,
+        shapes: TrainingSet,
+        recipe: Recipe,
+        operators: OperatorSource,
+        device: torch.device | str = "cpu",
+        *,
+        rotations: Mapping[str, Float[np.ndarray, "3 3"]] | None = None,
     ) -> None:
-        self.shapes, self.operators, self.device = shapes, operators, device
+        self.shapes, self.recipe, self.operators, self.device = shapes, recipe, operators, device
         self.variants = cloud_variants(recipe.clouds)
         self._seed, self._settings, self._operator_settings = recipe.seed, recipe.samples, recipe.operators
         self._workers = recipe.data.workers
         self._mesh = lru_cache(maxsize=2 * self._workers)(self._read_mesh)
+        self._rotations = rotations or {}
         self._frames: dict[str, Frame] = {}
         self._memory = _Memory(recipe.data.memory_gb * 2**30)
 
@@ -105,7 +121,7 @@ class ShapeStore:
         cloud = clouds.bases[sampled.subset]
         if cloud_on_mesh:
             cloud = cloud.moved(clouds.centre)
-        meshes = clouds.meshes or self.samples(sampled.name, _MESH).bases
+        meshes = clouds.meshes or self.samples(sampled.name, MESH).bases
         pairing = clouds.pairings[sampled.subset] if clouds.pairings else None
         is_partial = self.variants[sampled.variant].is_partial
         return TrainingShape(sampled.name, meshes[sampled.subset], cloud, pairing, is_partial)
@@ -125,7 +141,7 @@ class ShapeStore:
         return samples
 
     def _prepare(self, name: str) -> str:
-        for variant in (_MESH, *range(len(self.variants))):
+        for variant in (MESH, *range(len(self.variants))):
             if self._memory.is_full:
                 self._operators_of(self._cloud(name, variant).shape)
             else:
@@ -138,8 +154,9 @@ class ShapeStore:
         if cloud.weights is not None:
             return self._sample_apart(name, operators, cloud.weights, is_partial=self.variants[variant].is_partial)
         basis = operators.basis
-        indices = subsets(basis, self._settings) if variant == _MESH else self.samples(name, _MESH).indices
-        return Samples(indices, at_subsets(basis, indices, self.device), points=basis.points.to(self.device))
+        indices = subsets(basis, self._settings) if variant == MESH else self.samples(name, MESH).indices
+        bases, centre = at_subsets(basis, indices, self.device), torch.zeros(3, device=self.device)
+        return Samples(indices, bases, points=basis.points.to(self.device), centre=centre)
 
     def _sample_apart(self, name: str, cloud: Operators, weights: sparse.csr_array, *, is_partial: bool) -> Samples:
         """Subsets of a cloud whose points are not the mesh's, each with the points of the mesh that belong to them.
@@ -149,7 +166,7 @@ class ShapeStore:
         """
         meshes: tuple[Basis, ...] = ()
         if is_partial:
-            columns = self.samples(name, _MESH).indices
+            columns = self.samples(name, MESH).indices
             rows = tuple(nearest_rows(weights, subset) for subset in columns)
         else:
             rows = subsets(cloud.basis, self._settings)
@@ -171,7 +188,7 @@ class ShapeStore:
     def _cloud(self, name: str, variant: int) -> Cloud:
         """One of a shape's clouds, or the mesh itself."""
         mesh = self._mesh(name)
-        if variant == _MESH:
+        if variant == MESH:
             return Cloud(mesh, None)
         seed = zlib.crc32(f"{self._seed} {name} {variant}".encode())
         try:
@@ -180,11 +197,10 @@ class ShapeStore:
             raise DataError(f"[clouds] {self.variants[variant]} cannot be made of {name}: {error}") from None
 
     def _read_mesh(self, name: str) -> Shape:
-        """A clean mesh of unit area: what its clouds are made with is in these units."""
-        shape = repair(self.shapes.shape(name)).shape
-        frame = unit_frame(shape)
-        self._frames[name] = frame
-        return Shape(frame.to_unit(shape.points), shape.faces, name=shape.name)
+        """A clean mesh of unit area, turned: what its clouds are made with is in these units."""
+        shape, self._frames[name] = unit_mesh(self.shapes, name)
+        rotation = self._rotations.get(name)
+        return shape if rotation is None else Shape(shape.points @ rotation.T, shape.faces, name=shape.name)
 
     def _operators_of(self, shape: Shape) -> Operators:
         return self.operators(shape, settings=self._operator_settings, scale=1.0)

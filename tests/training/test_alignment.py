@@ -1,0 +1,95 @@
+"""Shapes that do not stand alike are turned before they are trained on."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from homolog.core.errors import ArgumentError, TrainingError
+from homolog.features import load_weights
+from homolog.maps import rotation_angle
+from homolog.shapes import Shape, read_shape, write_shape
+from homolog.training import alignment, loop
+from homolog.training.sampling import SampledShape
+
+
+@pytest.fixture(scope="module")
+def turned(meshes, tmp_path_factory):
+    """The meshes made longer, each turned at random, and how."""
+    root, turns = tmp_path_factory.mktemp("turned"), {}
+    for number, file in enumerate(sorted((meshes / "off").iterdir())):
+        shape, turns[file.stem] = read_shape(file), Rotation.random(random_state=number).as_matrix()
+        write_shape(root / file.name, Shape(shape.points * [1, 1.6, 0.6] @ turns[file.stem].T, shape.faces))
+    return root, turns
+
+
+@pytest.fixture(scope="module")
+def trained(turned, small, tmp_path_factory):
+    """A short training on aligned shapes, and its store."""
+    recipe, run, kept = small(data={"align": True}, training={"steps": 1}), tmp_path_factory.mktemp("r") / "run", []
+    told = []
+
+    class Store(loop.ShapeStore):
+        def prepare(self, *arguments):
+            kept.append(self)
+            super().prepare(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "ShapeStore", Store)
+        loop.train(recipe, turned[0], run, device="cpu", progress=lambda *step: told.append(step))
+    assert told[0] == (1, 6, "aligning shapes")
+    return recipe, run, kept[0]
+
+
+def test_the_store_gives_shapes_that_stand_alike(trained, turned):
+    """As the one that none is turned for, both in the list and in what is trained on."""
+    _, run, store = trained
+    listed = json.loads((run / "alignment.json").read_text())
+    (root,) = (name for name, how in listed.items() if how["misfit"] == 0)
+    for name, how in listed.items():
+        turn = np.array(how["rotation"]) @ turned[1][name] @ turned[1][root].T
+        assert rotation_angle(torch.tensor(turn)) < 15
+        files = torch.tensor(read_shape(turned[0] / f"{name}.off").points)
+        given = store.shape(SampledShape(name, 0, 0)).mesh.points.double()
+        expected = (files - files.mean(dim=0)) @ torch.tensor(how["rotation"]).double().T / store.frame(name).scale
+        assert torch.cdist(given, expected).amin(dim=1).max() < 1e-3
+
+
+def test_a_resumed_training_reads_how_shapes_were_turned(trained, turned, monkeypatch):
+    recipe, run, _ = trained
+    monkeypatch.setattr(alignment, "joint_rotations", None)
+    assert loop.train(recipe, turned[0], run, device="cpu", resume=True).step == 1
+    file = run / "alignment.json"
+    whole = file.read_text()
+    for damage in (whole[:40], "[]", '{"ape": 3}', whole.replace("misfit", "fit")):
+        file.write_text(damage)
+        with pytest.raises(TrainingError, match=r"alignment\.json is damaged .*; remove it") as caught:
+            loop.train(recipe, turned[0], run, device="cpu", resume=True)
+        assert "\n" not in str(caught.value)
+    file.write_text(whole)
+
+
+def test_with_other_shapes_or_without_alignment_a_training_cannot_go_on(trained, turned, small):
+    _, run, _ = trained
+    with pytest.raises(TrainingError, match=r"data\.align = True, but the recipe has False"):
+        loop.train(small(training={"steps": 1}), turned[0], run, device="cpu", resume=True)
+
+
+def test_weights_do_not_say_how_shapes_were_turned(trained):
+    assert load_weights(trained[1] / "weights.safetensors").info.upright
+
+
+def test_shapes_unlike_all_others_are_named(caplog):
+    alignment._warn_of_outliers({"a": 0.0, "b": 0.02, "c": 0.03, "d": 0.07, "e": 0.03})
+    assert "d: unlike all other shapes (misfit above 0.060)" in caplog.text
+    caplog.clear()
+    alignment._warn_of_outliers({"a": 0.0, "b": 0.02, "c": 0.03})
+    alignment._warn_of_outliers({"a": 0.0})
+    assert not caplog.text
+
+
+def test_partial_shapes_are_not_aligned(small):
+    with pytest.raises(ArgumentError, match=r"\[data\] align is True, but must be false with a section \[partial\]"):
+        small(data={"align": True}, partial={})
