@@ -102,6 +102,7 @@ def test_report(homolog, files, tmp_path):
         "as_cloud": "target",
         "partial": "target",
         "partial_scale": 1.0,
+        "orient": "auto",
         "pre_aligned": False,
         "source_up": "z",
         "target_up": "y",
@@ -324,6 +325,7 @@ def test_up(homolog, files, tmp_path, up, turn):
     highest = files.upright.points[:, 1].argmax()
     assert turned.points[highest, "xyz".index(up)] == files.upright.points[highest, 1]
     turned_file, features = tmp_path / "turned.off", ["--weights", files.weights, "--method", "nearest-features"]
+    features += ["--orient", "given"]
     for name, *arguments in (
         ("plain", files.mesh, files.other),
         ("told", turned_file, files.other, "--source-up", up),

@@ -68,7 +68,7 @@ def test_rigid_bodies_are_brought_together_from_any_rotation(points, seed):
     shuffled = (points @ rotation.T)[torch.randperm(300, generator=torch.Generator().manual_seed(seed))]
     (found, misfit), *others = closest_point_rotations(points, shuffled)
     assert float(rotation_angle(found @ rotation.T)) < 0.5
-    assert misfit == pytest.approx(0, abs=1e-6)
+    assert misfit == pytest.approx(0, abs=1e-5)
     assert all(other > misfit for _, other in others)
 
 

@@ -43,8 +43,8 @@ def train_orienter(
 ) -> tuple[Orienter, float]:
     """Train an orienter on shapes that stand alike: as meshes, and as each of the clouds of a recipe.
 
-    A shape is bent, stretched, jittered, shifted and turned at random, and the network predicts where its points were before.
-    Partial clouds are given about their own centre, and predicted where they lie on the full shape. New here; see
+    A shape is bent, stretched, jittered, shifted and turned, and the network predicts where its points were. Partial
+    clouds are given about their own centre, and predicted where they lie on the full shape. New here; see
     ``homolog.features.orienter`` for its relatives. On a CPU the same arguments give the same orienter, and no random
     state but its own is used.
 
