@@ -54,6 +54,9 @@ FUNCTIONS = [
     (maps.point_map_from_functional_map, (C_XY, *PHI)),
     (maps.registered_positions, POINTS),
     (maps.resolvent_mask, VALUES),
+    (maps.best_rotation, (POINTS[0], POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T)),
+    (maps.handedness, (POINTS[0], POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T)),
+    (maps.rotation_angle, (torch.eye(3),)),
     (maps.rigid_motion, (POINTS[0], POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T + 1)),
     (maps.sinkhorn_matches, FEATURES),
     (maps.wave_kernel_signature, (VALUES[0], PHI[0])),
@@ -68,8 +71,18 @@ FUNCTIONS = [
     (losses.registration_loss, (*FEATURES, *POINTS)),
     (losses.infonce_loss, (FEATURES[0], unit(50, 6, seed=9))),
 ]
-# These take operators, see below; surfaces, which are numpy; or are no functions.
-OTHERS = {"coverage", "coverage_density", "dirichlet_energy", "flipped_triangles", "overlap", "smoothed_positions"}
+# These take operators, see below; surfaces, which are numpy; lists; or are no functions.
+OTHERS = {
+    "closest_point_rotations",
+    "coverage",
+    "coverage_density",
+    "dirichlet_energy",
+    "distinct_rotations",
+    "flipped_triangles",
+    "joint_rotations",
+    "overlap",
+    "smoothed_positions",
+}
 
 
 def test_none_is_left_out():

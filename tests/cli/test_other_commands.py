@@ -74,6 +74,8 @@ def test_evaluate(homolog, data, tmp_path):
         "partial": False,
         "pre_aligned": False,
         "noise": 0.0,
+        "turn": "none",
+        "orient": "auto",
         "seed": 0,
     }
     assert found["features"]["name"] == "axiomatic"

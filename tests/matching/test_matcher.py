@@ -421,7 +421,7 @@ def test_the_axiomatic_method_has_its_own_operators_whatever_weights_are_given(b
     assert (
         given.extractor.info
         == none.extractor.info
-        == FeatureInfo(name="axiomatic", licence="none", input="operators", upright=False)
+        == FeatureInfo(name="axiomatic", licence="none", input="xyz", upright=False)
     )
     own = MatcherSettings(method="axiomatic", operators=OperatorSettings(70))
     assert Matcher(network, info, settings=own, device="cpu").preprocess.settings == OperatorSettings(70)

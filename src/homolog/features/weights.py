@@ -92,7 +92,8 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     except Exception as error:  # on damaged bytes the readers raise nearly anything
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise WeightsError(f"{path} does not hold weights of this network ({reason}); check the file") from None
-    if not all(torch.isfinite(tensor).all() for tensor in tensors.values()):
+    networks = [network] if orienter is None else [network, orienter.network]
+    if not all(torch.isfinite(tensor).all() for each in networks for tensor in each.state_dict().values()):
         raise WeightsError(f"{path} holds weights that are not finite; check the file")
     return NetworkFeatures(network, info, orienter)
 
