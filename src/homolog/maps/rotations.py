@@ -17,6 +17,8 @@ from homolog.core.progress import Progress, ignore
 
 # Up to so many shapes each is compared with each, which takes some minutes; of more, each with so many landmarks.
 _ALL_PAIRS, _LANDMARKS = 60, 20
+# Points that tell where a start leads, and how many of the rotations that they lead to are followed to the end.
+_FEW, _FOLLOWED = 200, 8
 
 
 @cache
@@ -109,7 +111,7 @@ def closest_point_rotations(
     shapes", The Anatomical Record 2015).
 
     Args:
-        points_x: positions, centred, of unit area (n, 3).
+        points_x: positions in random order, centred, of unit area (n, 3).
         points_y: likewise (m, 3).
         steps: from each start, after which those that came to the same are told apart.
         last_steps: of each rotation that is left.
@@ -128,7 +130,8 @@ def closest_point_rotations(
         True
     """
     starts = cube_rotations().to(points_x) if starts is None else starts
-    found = _ranked(_iterated(points_x, points_y, start, steps) for start in starts)
+    few_x, few_y = points_x[:_FEW], points_y[:_FEW]  # enough to tell where a start leads
+    found = _ranked(_iterated(few_x, few_y, start, steps) for start in starts)[:_FOLLOWED]
     return _ranked(_iterated(points_x, points_y, rotation, last_steps) for rotation, _ in found)
 
 
