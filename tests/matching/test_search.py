@@ -11,7 +11,7 @@ from homolog.core.errors import ArgumentError
 from homolog.datasets import demo_folder
 from homolog.maps import rotation_angle
 from homolog.pairs import PairOptions
-from homolog.shapes import Shape, rotation_about
+from homolog.shapes import Shape, mirrored, rotation_about
 
 
 def turned(shape, rotation):
@@ -84,3 +84,32 @@ def test_features_that_are_given_belong_to_the_pose_that_is_given(blobs):
 def test_only_known_words_are_taken():
     with pytest.raises(ArgumentError, match="orient is 'maybe'"):
         PairOptions(orient="maybe")
+
+
+@pytest.mark.parametrize("method", ["registration", "axiomatic"])
+def test_a_mirror_image_is_named_and_can_be_reflected(blobs, method):
+    shape = blobs.source
+    image = turned(mirrored(shape), odd(7))
+    found = homolog.match(shape, image, method=method)
+    assert any("mirror image" in warning for warning in found.warnings)
+    told = homolog.match(shape, image, method=method, mirror="target")
+    assert not any("mirror image" in warning for warning in told.warnings)
+    assert (told.source_to_target == np.arange(shape.n_points)).mean() > 0.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_body_is_no_mirror_image_of_itself_or_another(seed):
+    source, target = homolog.demo_shapes()
+    for other in (source, target):
+        found = homolog.match(source, turned(other, odd(seed)), method="registration")
+        assert not any("mirror image" in warning for warning in found.warnings)
+
+
+def test_alternatives_lead_to_other_maps(blobs):
+    matcher = homolog.Matcher(settings=homolog.MatcherSettings(method="registration"))
+    pair, _ = matcher.pair(turned(blobs.source, odd(3)), blobs.source)
+    best, second, third = matcher.alternatives(pair, 3)
+    np.testing.assert_array_equal(best.source_to_target, matcher.find(pair).source_to_target)
+    assert (best.source_to_target != second.source_to_target).mean() > 0.5
+    misfits = [match.report["orientation"]["misfit"] for match in (best, second, third)]
+    assert misfits == sorted(misfits)

@@ -40,7 +40,7 @@ from homolog.core.progress import Listener, Timings
 
 if TYPE_CHECKING:
     from homolog.matching import Match, Matcher
-    from homolog.pairs import PairOptions
+    from homolog.pairs import Pair
 
 # read, repair, operators, orientation and features for each shape, the map, and writing.
 STEPS = 12
@@ -62,6 +62,10 @@ def match(
         Up | None, typer.Option(help="The axis that points up in the target, if it differs.", rich_help_panel=INPUT)
     ] = None,
     orient: OrientOption = "auto",
+    mirror: Annotated[
+        Side | None,
+        typer.Option(help="This shape is a mirror image: reflect it before it is matched.", rich_help_panel=INPUT),
+    ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
     ] = False,
@@ -84,6 +88,15 @@ def match(
         ),
     ] = 1.0,
     pre_aligned: PreAligned = False,
+    alternatives: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            help="Also write the maps of other ways round, N in all, the likeliest first: DIR/alternative-2 and so on.",
+            min=1,
+            rich_help_panel=OUTPUT,
+        ),
+    ] = 1,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
     ] = Path("match"),
@@ -121,6 +134,8 @@ def match(
     if page is not None:
         check_file(page, inputs=(source, target))
     check_picture_file(picture, lines, picture_width, inputs=(source, target))
+    for number in range(2, alternatives + 1):
+        check_folder(output / f"alternative-{number}", names=homolog.matching.RESULT_FILES)
     options = homolog.PairOptions(
         as_cloud=as_cloud,
         partial=partial,
@@ -129,13 +144,19 @@ def match(
         source_up=source_up or up,
         target_up=target_up or up,
         orient=orient,
+        mirror=mirror,
         strict=strict,
     )
     with progress_bar(quiet=quiet, form=progress_form) as progress:
         timings = Timings(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
-        found = match_or_adapt(matcher, source, target, options, adapt, timings)
+        pair, files = matcher.pair(source, target, options, timings=timings)
+        matcher, pair = adapted(matcher, pair, adapt, timings)
+        found = homolog.matching.with_inputs(matcher.match_pair(pair, timings=timings), files, timings, adapt=adapt)
         paths = homolog.matching.write_folder(output, found, timings=timings)
+        others = matcher.alternatives(pair, alternatives)[1:] if alternatives > 1 else []
+        for number, other in enumerate(others, 2):
+            paths += homolog.matching.write_folder(output / f"alternative-{number}", other)
     if page is not None or picture is not None:
         scene = homolog.viewing.scene_of(found)
         if page is not None:
@@ -148,17 +169,13 @@ def match(
         _summary(found, timings, paths, verbose=verbose)
 
 
-def match_or_adapt(
-    matcher: Matcher, source: Path, target: Path, options: PairOptions, adapt: int, timings: Timings
-) -> Match:
-    """Match two files, after so many steps of test-time adaptation."""
-    if not adapt:
-        return matcher.match(source, target, options, timings=timings)
-    pair, files = matcher.pair(source, target, options, timings=timings)
-    settings = homolog.training.AdaptationSettings(steps=adapt)
+def adapted(matcher: Matcher, pair: Pair, steps: int, timings: Timings) -> tuple[Matcher, Pair]:
+    """Both after so many steps of test-time adaptation."""
+    if not steps:
+        return matcher, pair
+    settings = homolog.training.AdaptationSettings(steps=steps)
     with timings.measure("adapt"):
-        matcher, pair = homolog.training.adapt_to_pair(matcher, pair, settings, listener=timings.listener)
-    return homolog.matching.with_inputs(matcher.match_pair(pair, timings=timings), files, timings, adapt=adapt)
+        return homolog.training.adapt_to_pair(matcher, pair, settings, listener=timings.listener)
 
 
 def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> Listener:

@@ -18,9 +18,10 @@ from homolog.geometry import OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
 from homolog.matching.choice import chosen_method, extractor_for, method_between
 from homolog.matching.inputs import check_two_arrays, options_of, read_inputs, with_inputs
+from homolog.matching.mirror import mirror_warnings
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match
-from homolog.matching.search import orient
+from homolog.matching.search import orient, orientations
 from homolog.matching.warnings import blaming, low_confidence_warnings, orientation_warnings, unit_warnings
 from homolog.pairs import (
     Device,
@@ -193,7 +194,21 @@ class Matcher:
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        aligned = align_partial(orient(pair))
+        return self._matched(orient(pair))
+
+    @torch.no_grad()
+    def alternatives(self, pair: Pair, count: int) -> list[Match]:
+        """Matches of the likeliest ways round that lead to different maps, the best first; at most so many.
+
+        Args:
+            pair: two preprocessed shapes.
+            count: how many, at least 1.
+        """
+        return [self._matched(oriented) for oriented in orientations(pair, count)]
+
+    @staticmethod
+    def _matched(oriented: Pair) -> Match:
+        aligned = align_partial(oriented)
         return Match.of(aligned, refine(aligned, aligned.method(aligned)))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
@@ -201,8 +216,10 @@ class Matcher:
         timings = timings or Timings()
         units = unit_warnings(pair)
         with timings.measure("map"), blaming(units):
-            match = self.find(pair)
-        warnings = (*units, *orientation_warnings(match), *low_confidence_warnings(match, self.settings.warnings))
+            oriented = orient(pair)
+            match = self._matched(oriented)
+        checks = (*orientation_warnings(match), *mirror_warnings(oriented))
+        warnings = (*units, *checks, *low_confidence_warnings(match, self.settings.warnings))
         if pair.options.strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")
         return replace(match, warnings=warnings)

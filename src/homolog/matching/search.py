@@ -8,6 +8,7 @@ rigid bodies.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -57,29 +58,41 @@ class Hypothesis:
 
 @torch.no_grad()
 def orient(pair: Pair) -> Pair:
-    """The pair with its shapes turned so that they are the same way round.
+    """The pair with its shapes turned so that they are the same way round; see ``orientations``."""
+    return orientations(pair, 1)[0]
+
+
+@torch.no_grad()
+def orientations(pair: Pair, count: int) -> list[Pair]:
+    """The pair in up to so many ways round that lead to different maps, the likeliest first.
 
     As it is where one shape is partial, features do not follow the pose, or the options trust the files. Upright
     weights without an orienter are trusted to have got upright shapes: other rotations mislead their features.
     """
     if pair.options.orient == "given" or pair.is_partial or not pair.follows_pose:
-        return pair
+        return [pair]
     if pair.extractor is not None and pair.extractor.info.upright and not _has_orientations(pair):
-        return pair
-    best, orientation = _decided(ranked(pair), pair.settings.orientation)
+        return [pair]
+    found = _distinct(_ranked(pair, all_of_them=count > 1))
+    orientation = _certainty(found, pair.settings.orientation)
+    return [_turned(pair, hypothesis, orientation) for hypothesis in found[:count]]
+
+
+def _turned(pair: Pair, hypothesis: Hypothesis, orientation: PairOrientation) -> Pair:
     return replace(
         pair,
-        source=pair.source.turned(best.source, pair.extractor),
-        target=pair.target.turned(best.target, pair.extractor),
-        orientation=orientation,
+        source=pair.source.turned(hypothesis.source, pair.extractor),
+        target=pair.target.turned(hypothesis.target, pair.extractor),
+        orientation=replace(orientation, misfit=hypothesis.misfit),
     )
 
 
-def ranked(pair: Pair) -> list[Hypothesis]:
-    """What may be right, the least misfit first."""
+def _ranked(pair: Pair, *, all_of_them: bool) -> list[Hypothesis]:
+    """What may be right, the least misfit first; on demand also what the orienter finds unlikely."""
     settings = pair.settings.orientation
     if _has_orientations(pair):
-        hypotheses = _of_orienter(pair.source.orientations, pair.target.orientations, settings)
+        margin = math.inf if all_of_them else settings.orienter_margin
+        hypotheses = _of_orienter(pair.source.orientations, pair.target.orientations, settings, margin)
         if len(hypotheses) == 1:
             return hypotheses
         samples = Samples.of(pair)
@@ -94,21 +107,26 @@ def _has_orientations(pair: Pair) -> bool:
 
 
 def _of_orienter(
-    source: tuple[Orientation, ...], target: tuple[Orientation, ...], settings: OrientationSettings
+    source: tuple[Orientation, ...], target: tuple[Orientation, ...], settings: OrientationSettings, margin: float
 ) -> list[Hypothesis]:
     """The likely orientations of both, each with each, as long as they lead to different maps."""
     likely = (
-        [found for found in orientations if found.misfit < orientations[0].misfit + settings.orienter_margin]
+        [found for found in orientations if found.misfit <= orientations[0].misfit + margin]
         for orientations in (source, target)
     )
     pairs = sorted(product(*likely), key=lambda both: both[0].misfit + both[1].misfit)
+    weight = settings.orienter
+    found = [Hypothesis(one.rotation, other.rotation, weight * (one.misfit + other.misfit)) for one, other in pairs]
+    return _distinct(found)[: settings.hypotheses]
+
+
+def _distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+    """The best of those that lead to the same map."""
     kept: list[Hypothesis] = []
-    for of_source, of_target in pairs:
-        misfit = settings.orienter * (of_source.misfit + of_target.misfit)
-        hypothesis = Hypothesis(of_source.rotation, of_target.rotation, misfit)
+    for hypothesis in hypotheses:
         if not any(hypothesis.is_like(other) for other in kept):
             kept.append(hypothesis)
-    return kept[: settings.hypotheses]
+    return kept
 
 
 def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hypothesis]:
@@ -119,13 +137,12 @@ def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hy
     return [as_given, *others]
 
 
-def _decided(hypotheses: list[Hypothesis], settings: OrientationSettings) -> tuple[Hypothesis, PairOrientation]:
-    best = hypotheses[0]
-    others = [hypothesis.misfit for hypothesis in hypotheses if not hypothesis.is_like(best)]
-    if not others:
-        return best, PairOrientation(best.misfit)
-    margin = min(others) - best.misfit
-    return best, PairOrientation(best.misfit, min(others), margin, ambiguous=margin < settings.margin)
+def _certainty(distinct: list[Hypothesis], settings: OrientationSettings) -> PairOrientation:
+    best = distinct[0].misfit
+    if len(distinct) == 1:
+        return PairOrientation(best)
+    margin = distinct[1].misfit - best
+    return PairOrientation(best, distinct[1].misfit, margin, ambiguous=margin < settings.margin)
 
 
 @dataclass(frozen=True, eq=False)

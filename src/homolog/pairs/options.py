@@ -26,6 +26,7 @@ class PairOptions:
         source_up: which axis of the source points up.
         target_up: which axis of the target.
         orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
+        mirror: which of the two is a mirror image of what it should be, if one is, and is reflected first.
         strict: fail if a shape needs repair or a warning would be issued.
 
     Raises:
@@ -44,10 +45,11 @@ class PairOptions:
     source_up: Up = "y"
     target_up: Up = "y"
     orient: Orient = "auto"
+    mirror: Side | None = None
     strict: bool = False
 
     def __post_init__(self) -> None:
-        for name, allowed in (("as_cloud", get_args(AsCloud)), ("partial", SIDES)):
+        for name, allowed in (("as_cloud", get_args(AsCloud)), ("partial", SIDES), ("mirror", SIDES)):
             if getattr(self, name) is not None and getattr(self, name) not in allowed:
                 raise bad_choice(name, str(getattr(self, name)), allowed)
         for name, allowed in (("source_up", get_args(Up)), ("target_up", get_args(Up)), ("orient", get_args(Orient))):

@@ -132,6 +132,7 @@ class Pair:
                 features=None if features is None else features[SIDES.index(side)],
                 orient=options.orient,
                 partial=options.partial == side,
+                mirror=options.mirror == side,
                 strict=options.strict,
                 timings=timings,
                 label=side,

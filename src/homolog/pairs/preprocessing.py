@@ -20,7 +20,7 @@ from homolog.features import FeatureExtractor, Orientation, checked_features
 from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import rotation_angle
 from homolog.pairs.settings import OrientationSettings
-from homolog.shapes import Modality, Repaired, Shape, Up, repair, stand_upright
+from homolog.shapes import Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
 
 OperatorSource = Callable[..., Operators]
 """A function like ``compute_operators``: the operators of a clean shape, from wherever they come."""
@@ -129,6 +129,7 @@ class Preprocessor:
         features: ArrayLike | None = None,
         orient: Orient = "auto",
         partial: bool = False,
+        mirror: bool = False,
         strict: bool = False,
         timings: Timings | None = None,
         label: str = "shape",
@@ -145,6 +146,7 @@ class Preprocessor:
             features: of each point of the shape as given (n, d), in place of the extractor's.
             orient: ``"auto"`` turns the shape as the features' orienter, if they have one, finds it to stand.
             partial: the shape is partial: only features that know partial shapes tell how it stands.
+            mirror: reflect the shape first; points keep their numbers.
             strict: refuse a shape that needs repair.
             timings: collects time and memory of each step.
             label: what the steps call the shape.
@@ -156,7 +158,8 @@ class Preprocessor:
         check_kind(label, shape, Shape)
         timings = timings or Timings()
         with timings.measure(f"repair {label}"):
-            repaired, as_cloud = _repaired(stand_upright(shape, up), as_cloud=as_cloud)
+            upright = stand_upright(shape, up)
+            repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
             if strict:
                 _refuse_repairs(repaired)
         with timings.measure(f"operators of {label}"):

@@ -134,7 +134,7 @@ class OrientationSettings(Settings):
     hypotheses: Count = 6
     map_eigenpairs: Count = 50
     cycle: NotNegative = 1.0
-    handedness: NotNegative = 0.1
+    handedness: NotNegative = 0.3
     orienter: NotNegative = 1.0
     orienter_margin: NotNegative = 0.05
     margin: NotNegative = 0.01

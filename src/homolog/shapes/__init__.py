@@ -11,7 +11,7 @@ from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
 from homolog.shapes.topology import components, face_areas, face_vectors
-from homolog.shapes.upright import rotation_about, stand_upright, upright_rotation
+from homolog.shapes.upright import mirrored, rotation_about, stand_upright, upright_rotation
 from homolog.shapes.writing import write_shape
 
 __all__ = [
@@ -35,6 +35,7 @@ __all__ = [
     "farthest_points",
     "files_of_shape",
     "folder_suffixes",
+    "mirrored",
     "read_hashed_shape",
     "read_shape",
     "readable_suffixes",

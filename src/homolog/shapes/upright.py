@@ -32,6 +32,20 @@ def stand_upright(shape: Shape, up: Up) -> Shape:
     return shape if up == "y" else replace(shape, points=shape.points @ upright_rotation(up).T, space=None)
 
 
+def mirrored(shape: Shape) -> Shape:
+    """The mirror image of a shape, left for right (x); its faces keep their outside.
+
+    Examples:
+        >>> import homolog
+        >>> from homolog.shapes import mirrored
+        >>> shape = homolog.Shape([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, 0, 3]], [[0, 1, 2], [0, 3, 1]])
+        >>> mirrored(shape).points[1].tolist(), mirrored(shape).faces[0].tolist()
+        ([-1.0, 0.0, 0.0], [2, 1, 0])
+    """
+    faces = None if shape.faces is None else shape.faces[:, ::-1]
+    return replace(shape, points=shape.points * np.array([-1.0, 1.0, 1.0]), faces=faces, space=None)
+
+
 def upright_rotation(up: Up) -> Float[np.ndarray, "3 3"]:
     """The turn that ``stand_upright`` makes."""
     return {"x": rotation_about(2, 90), "y": np.eye(3), "z": rotation_about(0, -90)}[up]
