@@ -154,6 +154,7 @@ class Samples:
         y: of the target.
         extractor: of features; None to compare positions.
         refined: whether coarse maps are refined by ZoomOut.
+        handedness: weight of the handedness.
         settings: of the judgement.
     """
 
@@ -161,6 +162,7 @@ class Samples:
     y: Basis
     extractor: FeatureExtractor | None
     refined: bool
+    handedness: float
     settings: OrientationSettings
 
     @classmethod
@@ -168,7 +170,9 @@ class Samples:
         """The samples of a pair."""
         settings = pair.settings.orientation
         x, y = (_sampled(shape, settings.samples) for shape in (pair.source, pair.target))
-        return cls(x, y, pair.extractor, pair.near_isometric and pair.method.supports.refinement, settings)
+        weight = settings.handedness_upright if _has_orientations(pair) else settings.handedness
+        refined = pair.near_isometric and pair.method.supports.refinement
+        return cls(x, y, pair.extractor, refined, weight, settings)
 
     def judged(self, hypothesis: Hypothesis) -> Hypothesis:
         """The hypothesis with what its coarse map adds to its misfit."""
@@ -198,7 +202,7 @@ class Samples:
         displacement = (x - y[x_to_y]).norm(dim=1).mean() + (y - x[y_to_x]).norm(dim=1).mean()
         cycle = cycle_error(x, x_to_y, y_to_x).mean() + cycle_error(y, y_to_x, x_to_y).mean()
         kept = (handedness(x, y[x_to_y]) + handedness(y, x[y_to_x])) / 2
-        return float(displacement + settings.cycle * cycle - settings.handedness * kept)
+        return float(displacement + settings.cycle * cycle - self.handedness * kept)
 
 
 def _sampled(shape: PreprocessedShape, count: int) -> Basis:

@@ -122,7 +122,9 @@ class OrientationSettings(Settings):
         hypotheses: how many rotations get one.
         map_eigenpairs: eigenfunctions that coarse maps are refined with.
         cycle: weight of the cycle error.
-        handedness: weight of the handedness.
+        handedness: weight of the handedness, where the source is turned to the target as a rigid body.
+        handedness_upright: the same between ways in which an orienter may see a shape: those are often its front and
+            back, and left and right then decide.
         orienter: weight of the orienter's misfit.
         orienter_margin: what the orienter finds worse by more than this is not looked at any further.
         margin: what is better by less than this is not told apart: the given way round is then kept, and the pair is
@@ -134,7 +136,8 @@ class OrientationSettings(Settings):
     hypotheses: Count = 6
     map_eigenpairs: Count = 50
     cycle: NotNegative = 1.0
-    handedness: NotNegative = 0.3
+    handedness: NotNegative = 0.1
+    handedness_upright: NotNegative = 0.3
     orienter: NotNegative = 1.0
     orienter_margin: NotNegative = 0.05
     margin: NotNegative = 0.01
