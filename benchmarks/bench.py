@@ -45,6 +45,9 @@ from homolog.maps import (
     resolvent_mask,
     sinkhorn_matches,
 )
+from homolog.matching import Matcher, features_of_weights
+from homolog.matching.search import orient
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, farthest_points, read_shape, write_shape
 from homolog.training import AugmentationSettings, LossSettings, TrainingShape, pair_losses
 
@@ -56,6 +59,8 @@ STEPS = (
     "operators_mesh",
     "operators_cloud",
     "features",
+    "orientation",
+    "orientation_rigid",
     "functional_map",
     "mesh_map",
     "cloud_map",
@@ -190,6 +195,15 @@ def training_shape(shape: Shape, n_samples: int) -> TrainingShape:
     return TrainingShape(shape.name, mesh, cloud)
 
 
+def oriented(name: str, n_points: int) -> Callable[[], object]:
+    """Finding the way round of two bodies: by the orienter of the pretrained weights, or as rigid bodies."""
+    settings = MatcherSettings(method="axiomatic" if name == "orientation_rigid" else "auto")
+    matcher = Matcher(features_of_weights(None, settings), settings=settings)
+    pair, _ = matcher.pair(body("amber", n_points), body("boris", n_points))
+    operators = [shape.operators for shape in (pair.source, pair.target)]
+    return lambda: [*map(matcher.preprocess.orientations, operators), orient(pair)]
+
+
 def step(name: str, n_points: int) -> Callable[[], object]:
     """The function to time, everything it needs made beforehand."""
     if name.startswith("operators"):
@@ -207,6 +221,8 @@ def step(name: str, n_points: int) -> Callable[[], object]:
         return train_step(n_points)
     if name.startswith("network"):
         return network_pass(name, n_points)
+    if name.startswith("orientation"):
+        return oriented(name, n_points)
     pair = Pair(n_points)
     x, y = (normalised(f) for f in pair.features)
     return {
