@@ -326,7 +326,7 @@ class _ByMatcher:
             self.matcher.preprocess,
             run.given(pair, side),
             as_cloud=run.protocol.is_cloud(side),
-            orient=run.protocol.orient,
+            orient="given" if run.protocol.pre_aligned else run.protocol.orient,
             partial=side == self.options.partial,
         )
         scaled_by = run.scaled_by(pair, side)

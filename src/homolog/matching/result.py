@@ -365,13 +365,14 @@ def _composed(
 
 def _orientation(pair: Pair) -> dict[str, Any] | None:
     """The rotations that were found, from the shapes with their given axis up, and how sure they are."""
-    if pair.orientation is None:
+    if pair.orientation is None and not (pair.source.orientations or pair.target.orientations):
         return None
     rotations: dict[str, Any] = {
         side: {"rotation": shape.rotation.tolist(), "degrees": round(float(rotation_angle(shape.rotation)), 1)}
         for side, shape in zip(SIDES, (pair.source, pair.target), strict=True)
     }
-    return {**rotations, **asdict(pair.orientation)}
+    # Of a partial pair, the orienter told how the full shape stands, and nothing else was looked for.
+    return {**rotations, **({} if pair.orientation is None else asdict(pair.orientation))}
 
 
 def _report(pair: Pair, match: Match) -> dict[str, Any]:

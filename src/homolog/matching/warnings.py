@@ -40,8 +40,8 @@ def unit_warnings(pair: Pair) -> tuple[str, ...]:
 
 def orientation_warnings(match: Match) -> tuple[str, ...]:
     """Say if another way round of the shapes fits nearly as well as the one that was taken."""
-    found = match.report.get("orientation")
-    if found is None or not found["ambiguous"]:
+    found = match.report.get("orientation") or {}
+    if not found.get("ambiguous"):
         return ()
     return (
         "which way round the shapes are is ambiguous: another rotation leads to another map, and fits nearly as well; "
@@ -66,7 +66,7 @@ def low_confidence_warnings(match: Match, settings: WarningSettings | None = Non
     if energy > settings.most_dirichlet_energy:
         return (
             f"the match is doubtful: it tears the shapes (Dirichlet energy {energy:.0f}, of good maps 1 to 3); are "
-            "they of one kind, which any weights must know, and do both stand upright and face one way?",
+            "they of one kind, which any weights must know?",
         )
     return ()
 
