@@ -81,6 +81,24 @@ def test_features_that_are_given_belong_to_the_pose_that_is_given(blobs):
     assert found.report["orientation"] is None
 
 
+def test_pre_aligned_shapes_stay_as_they_lie():
+    source, target = (turned(shape, odd(4)) for shape in homolog.demo_shapes())
+    matcher = homolog.Matcher.from_weights("people")
+    for options, expected in (({}, True), ({"pre_aligned": True}, False)):
+        pair, _ = matcher.pair(source, target, partial="target", **options)
+        assert (float(rotation_angle(pair.source.rotation)) > 1) is expected
+        assert torch.equal(pair.target.rotation, torch.eye(3))
+
+
+def test_the_pretrained_weights_stand_bodies_up_in_any_pose_of_the_whole():
+    matcher = homolog.Matcher.from_weights("people")
+    for seed, shape in enumerate((*homolog.demo_shapes(), *(shape.as_cloud() for shape in homolog.demo_shapes()))):
+        found = matcher.preprocess(turned(shape, odd(seed)))
+        upright = found.rotation.double() @ torch.from_numpy(odd(seed))
+        assert float(rotation_angle(upright)) < 30
+        assert torch.equal(matcher.preprocess(shape).rotation, torch.eye(3))  # it stands upright already
+
+
 def test_only_known_words_are_taken():
     with pytest.raises(ArgumentError, match="orient is 'maybe'"):
         PairOptions(orient="maybe")

@@ -113,7 +113,7 @@ class Pair:
             ShapeError: if a shape cannot be used, or ``strict`` forbids it.
         """
         options = options or PairOptions()
-        # Features of another pose than the given one could not be computed, and pre-aligned shapes lie where they belong.
+        # Features that are given are those of the given pose, and pre-aligned shapes lie where they belong.
         if features is not None or options.pre_aligned:
             options = replace(options, orient="given")
         shapes: dict[Side, Shape] = {"source": source, "target": target}
