@@ -103,6 +103,7 @@ def test_report(homolog, files, tmp_path):
         "partial": "target",
         "partial_scale": 1.0,
         "orient": "auto",
+        "mirror": None,
         "pre_aligned": False,
         "source_up": "z",
         "target_up": "y",
@@ -245,7 +246,7 @@ def test_mistakes_are_told_by_the_options(homolog, files, tmp_path, options, sai
     ],
 )
 def test_words_of_files_and_of_sentences_are_no_options(homolog, files, tmp_path, monkeypatch, said, told):
-    monkeypatch.setattr(Matcher, "match", raising(ShapeError(said)))
+    monkeypatch.setattr(Matcher, "pair", raising(ShapeError(said)))
     ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out")
     assert ended.err == f"Error: {told or said}\n"
 

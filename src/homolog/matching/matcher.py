@@ -194,7 +194,7 @@ class Matcher:
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        return self._matched(orient(pair))
+        return _matched(orient(pair))
 
     @torch.no_grad()
     def alternatives(self, pair: Pair, count: int) -> list[Match]:
@@ -204,21 +204,15 @@ class Matcher:
             pair: two preprocessed shapes.
             count: how many, at least 1.
         """
-        return [self._matched(oriented) for oriented in orientations(pair, count)]
-
-    @staticmethod
-    def _matched(oriented: Pair) -> Match:
-        aligned = align_partial(oriented)
-        return Match.of(aligned, refine(aligned, aligned.method(aligned)))
+        return [_matched(oriented) for oriented in orientations(pair, count)]
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result and their units; see ``match``."""
         timings = timings or Timings()
         units = unit_warnings(pair)
         with timings.measure("map"), blaming(units):
-            oriented = orient(pair)
-            match = self._matched(oriented)
-        checks = (*orientation_warnings(match), *mirror_warnings(oriented))
+            match = self.find(pair)
+        checks = (*orientation_warnings(match), *mirror_warnings(pair, match))
         warnings = (*units, *checks, *low_confidence_warnings(match, self.settings.warnings))
         if pair.options.strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")
@@ -227,3 +221,9 @@ class Matcher:
     def __repr__(self) -> str:
         features = "no features" if self.extractor is None else repr(self.extractor.info.name)
         return f"Matcher({features}, method={self.settings.method!r}, device={str(self.device)!r})"
+
+
+def _matched(oriented: Pair) -> Match:
+    """The match of two shapes that are the same way round."""
+    aligned = align_partial(oriented)
+    return Match.of(aligned, refine(aligned, aligned.method(aligned)))
