@@ -10,7 +10,8 @@ from homolog.matching.quality import MEASURES, MapQuality, Quality
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_point_map
 from homolog.matching.result_files import RESULT_FILES, matched_name, read_point_map, write_folder
-from homolog.matching.warnings import low_confidence_warnings, unit_warnings
+from homolog.matching.search import orient
+from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, unit_warnings
 
 __all__ = [
     "MEASURES",
@@ -29,6 +30,8 @@ __all__ = [
     "matched_colours",
     "matched_name",
     "needs_features",
+    "orient",
+    "orientation_warnings",
     "position_colours",
     "read_point_map",
     "refine",
