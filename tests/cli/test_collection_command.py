@@ -74,6 +74,8 @@ def test_files_to_a_folder_and_on(homolog, shapes, tmp_path):
     assert "Not given this time, and not counted: 1 of the shapes in" in ended.err
     assert np.load(out / "points.npy").shape[0] == 1
     assert homolog("collection", *shapes, "-o", out, *OPTIONS, "-q").err == ""
+    ended = homolog("collection", *shapes, "-o", out, *OPTIONS, "--orient", "given")
+    assert ended.is_one_line_of_complaint() and "made in another way (matching)" in ended.err
 
 
 def test_a_bad_shape_is_a_line_and_the_exit_code(homolog, shapes, files, tmp_path):

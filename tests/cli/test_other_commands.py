@@ -57,6 +57,7 @@ def test_evaluate(homolog, data, tmp_path):
     assert ended.code == 0
     assert ended.err == ""
     assert "mean geodesic error x100" in ended.out
+    assert re.search(r"pairs exchanged left-right, turned over +. +0, 0 of 4", ended.out)
     found = strictly((tmp_path / "score.json").read_text())
     promised = ["mean_geodesic_error", "median_geodesic_error", "pck_auc", "pck_threshold", "pck", "pairs", "seconds"]
     for key in [*promised, "protocol", "features", "versions", "command", "data", "settings", "device", "method"]:

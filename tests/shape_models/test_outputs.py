@@ -76,6 +76,7 @@ def test_the_array_and_the_table(placed, tmp_path):
         if row["row"]:
             np.testing.assert_array_equal(points[int(row["row"])], read_shape(folder.shape_file(row["name"])).points)
             assert float(row["flipped_triangles"]) == 0.02 and float(row["distance_from_mean"]) > 0
+            assert row["ambiguous_orientation"] == "False"
     assert rows[1]["warnings"] == "not registered: none.ply is empty" and rows[1]["confidence"] == ""
     assert rows[1]["file"].endswith("none, really.ply")
     assert rows[3]["warnings"].startswith("the match has low confidence") and rows[2]["warnings"] == ""

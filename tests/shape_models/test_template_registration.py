@@ -6,9 +6,21 @@ import shutil
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
-from homolog.shape_models import Figures, ShapeModelFolder, ShapeModelSettings, Template, check_template, subjects_of
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
+from homolog.shape_models import (
+    Figures,
+    ShapeModelFolder,
+    ShapeModelSettings,
+    Template,
+    check_template,
+    register_all,
+    settings_record,
+    subjects_of,
+)
 from homolog.shape_models import batch as batch_module
 from homolog.shape_models import registration as registration_module
 from homolog.shapes import Shape, read_shape, write_shape
@@ -274,6 +286,39 @@ def test_shapes_that_are_turned(family, gathered, tmp_path, make):
     )
     assert outcome.warnings == ()
     assert np.linalg.norm(folder.points(["lying"], 162)[0] - true[1] @ turn.T, axis=1).mean() < 0.1
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_shapes_that_are_turned_at_random(family, tmp_path, seed):
+    """By registration, which compares positions: points lie on each shape where it is in its own file."""
+    template, files, true = family
+    turns = Rotation.random(len(files) + 1, random_state=seed).as_matrix()
+    stretch, mine = np.diag([1, 1.6, 0.6]), [tmp_path / file.name for file in (*files, template)]
+    for file, written, turn in zip((*files, template), mine, turns, strict=True):
+        shape = read_shape(file)
+        write_shape(written, Shape(shape.points @ stretch @ turn.T, shape.faces))
+    matcher, names = Matcher(settings=MatcherSettings(method="registration")), [file.stem for file in files]
+    expected, errors = true @ stretch @ turns[:-1].transpose(0, 2, 1), {}
+    for orient in ("auto", "given"):
+        settings = ShapeModelSettings(orient=orient)
+        folder = ShapeModelFolder.prepare(tmp_path / orient, settings_record("", matcher, settings))
+        register_all(read_shape(mine[-1]), subjects_of(mine[:-1]), folder, lambda: matcher, settings)
+        errors[orient] = np.linalg.norm(folder.points(names, 162) - expected, axis=2).mean(axis=1)
+    assert errors["auto"].max() < 0.1 and errors["given"].mean() > 0.5
+    for file in mine[:-1]:
+        shape, registered = read_shape(file), read_shape(tmp_path / "auto" / "shapes" / f"{file.stem}.ply")
+        assert on_triangles(registered.points, shape.points[shape.faces]).all()
+
+
+def test_an_ambiguous_orientation_is_told(tmp_path):
+    """Of a box, which looks alike from several sides: in the figures, and in words that collections have."""
+    box = trimesh.creation.box((1.0, 2.0, 0.5)).subdivide().subdivide().subdivide()
+    shape = Shape(box.vertices, box.faces, name="box")
+    template = Template(shape, Matcher(settings=MatcherSettings(method="registration")))
+    found = template.registered_to(Shape(shape.points @ Rotation.random(random_state=0).as_matrix(), shape.faces))
+    assert found.figures.ambiguous_orientation
+    (told,) = (warning for warning in found.warnings if "ambiguous" in warning)
+    assert "another registration" in told and "--orient given" in told and "--alternatives" not in told
 
 
 @pytest.mark.parametrize(("template_faces", "shape_faces"), [(True, False), (False, True), (False, False)])

@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import ArgumentError, TrainingError
-from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, Orientation
 from homolog.geometry import OperatorSettings
-from homolog.matching import Matcher
+from homolog.matching import Matcher, search
+from homolog.matching.search import Hypothesis
 from homolog.pairs import FunctionalMapSettings, MatcherSettings
-from homolog.shapes import Shape
+from homolog.shapes import Shape, rotation_about
 from homolog.training import AdaptationSettings, LossSettings, TrainingShape, adapt_to_pair, adaptation, pair_losses
 from homolog.training.settings import OptimiserSettings, SampleSettings
 
@@ -108,6 +110,55 @@ def test_every_step_is_reported(matcher, shapes):
     told = []
     adapt_to_pair(matcher, matcher.pair(*shapes)[0], SETTINGS, listener=told.append)
     assert told == [f"adapt, step {step} of 8" for step in range(1, 9)]
+
+
+class Guess:
+    """An orienter that has one answer for all shapes."""
+
+    def __init__(self, rotation):
+        self.rotation = torch.tensor(rotation).float()
+
+    def __call__(self, operators):
+        return (Orientation(self.rotation, 0.1),)
+
+    def to(self, device):
+        return self
+
+
+def test_turned_shapes_are_trained_on_as_they_are_matched(matcher, shapes, monkeypatch):
+    """The way round is decided once: before the first step, and for the match as well."""
+    guess = Guess(rotation_about(1, 90))
+    decided = [torch.tensor(Rotation.random(random_state=seed).as_matrix()).float() for seed in (0, 1)]
+    info = replace(matcher.extractor.info, upright=True)
+    asked, seen = [], []
+
+    def ranked(pair):
+        asked.append(pair)
+        return [Hypothesis(*decided)]
+
+    def losses(network, x, y, **options):
+        seen.append((x, y))
+        return pair_losses(network, x, y, **options)
+
+    monkeypatch.setattr(search, "ranked", ranked)
+    monkeypatch.setattr(adaptation, "pair_losses", losses)
+    oriented = matcher.with_extractor(replace(matcher.extractor, orienter=guess, info=info))
+    pair, _ = oriented.pair(*shapes)
+    torch.testing.assert_close(pair.source.rotation, guess.rotation)
+    adapted, after = adapt_to_pair(oriented, pair, replace(SETTINGS, steps=1))
+    found = adapted.match_pair(after).report["orientation"]
+    plain, _ = matcher.pair(*shapes, orient="given")
+    ((x, y),) = seen
+    for trained, side, given, turn in (
+        (x, "source", plain.source, decided[0]),
+        (y, "target", plain.target, decided[1]),
+    ):
+        there = given.operators.points @ turn.T
+        for basis in (trained.mesh, trained.cloud):
+            assert torch.cdist(basis.points, there).amin(dim=1).max() < 1e-3
+        torch.testing.assert_close(torch.tensor(found[side]["rotation"]), turn)
+        torch.testing.assert_close(getattr(after, side).operators.points, there, atol=1e-5, rtol=0)
+    assert asked == [pair]
 
 
 @pytest.mark.parametrize("steps", [0, -3])

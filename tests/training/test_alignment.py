@@ -1,6 +1,7 @@
 """Shapes that do not stand alike are turned before they are trained on."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -8,11 +9,16 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import ArgumentError, TrainingError
-from homolog.features import load_weights
+from homolog.datasets import ShapeFolder
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, load_weights
+from homolog.geometry import OperatorSettings
 from homolog.maps import rotation_angle
+from homolog.matching import Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.training import alignment, loop
 from homolog.training.sampling import SampledShape
+from homolog.training.validation import scores
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +61,38 @@ def test_the_store_gives_shapes_that_stand_alike(trained, turned):
         given = store.shape(SampledShape(name, 0, 0)).mesh.points.double()
         expected = (files - files.mean(dim=0)) @ torch.tensor(how["rotation"]).double().T / store.frame(name).scale
         assert torch.cdist(given, expected).amin(dim=1).max() < 1e-3
+
+
+def test_the_scores_are_of_shapes_that_are_turned_as_those_trained_on(meshes, tmp_path):
+    """Upright weights on turned shapes score as on the shapes before, if told how to turn them back."""
+    shutil.copytree(meshes, tmp_path / "turned")
+    turns = {}
+    for number, file in enumerate(sorted((tmp_path / "turned" / "off").iterdir())):
+        shape, turns[file.stem] = read_shape(file), Rotation.random(random_state=number).as_matrix()
+        write_shape(file, Shape(shape.points @ turns[file.stem].T, shape.faces))
+    torch.manual_seed(0)
+    network = DiffusionNet(NetworkSettings(width=16, out_channels=16, blocks=2))
+    settings = MatcherSettings(operators=OperatorSettings(24))
+    matcher = Matcher(network, FeatureInfo(map_eigenpairs=12), settings=settings, device="cpu")
+    back = {name: turn.T for name, turn in turns.items()}
+    before, told, untold = (
+        scores(matcher, ShapeFolder.open(folder), [("ape", "bee"), ("cat", "dog")], tmp_path / "pairs", rotations=how)
+        for folder, how in ((meshes, None), (tmp_path / "turned", back), (tmp_path / "turned", None))
+    )
+    assert told == pytest.approx(before, abs=1.0)
+    assert min(untold[way] - before[way] for way in before) > 3
+
+
+def test_a_training_scores_shapes_as_it_turned_them(meshes, small, tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(loop, "scores", lambda *given, rotations, **options: seen.append(rotations) or {})
+    recipe = small(data={"align": True}, training={"steps": 1}, validation={"score_every": 1, "score_pairs": 1})
+    loop.train(recipe, meshes, tmp_path / "run", device="cpu")
+    listed = json.loads((tmp_path / "run" / "alignment.json").read_text())
+    (rotations,) = seen
+    assert {name: rotation.tolist() for name, rotation in rotations.items()} == {
+        name: how["rotation"] for name, how in listed.items()
+    }
 
 
 def test_a_resumed_training_reads_how_shapes_were_turned(trained, turned, monkeypatch):

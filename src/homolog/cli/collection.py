@@ -17,6 +17,7 @@ from homolog.cli.options import (
     DeviceOption,
     MethodOption,
     NoCache,
+    OrientOption,
     Processes,
     Quiet,
     Seed,
@@ -57,6 +58,7 @@ def collection(
         Up | None,
         typer.Option(help="The axis that points up in the template, if it differs.", rich_help_panel=INPUT),
     ] = None,
+    orient: OrientOption = "auto",
     strict: Annotated[
         bool,
         typer.Option("--strict", help="Refuse shapes with anything to repair or to warn of.", rich_help_panel=INPUT),
@@ -105,6 +107,7 @@ def collection(
         shapes_up=up,
         template_as_cloud=as_cloud in ("template", "both"),
         shapes_as_cloud=as_cloud in ("shapes", "both"),
+        orient=orient,
         strict=strict,
     )
     model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)

@@ -166,7 +166,8 @@ def evaluate(
 
     The score is the mean geodesic error x100 of the map from target to source, over all points of all pairs together,
     in units of the square root of the source's area. For datasets of clouds it is the mean Euclidean distance in the
-    files' unit. For partial shapes, precision and recall of points without a counterpart are printed as well.
+    files' unit. For partial shapes, precision and recall of points without a counterpart are printed as well; for full
+    shapes with template correspondence, how many pairs are exchanged left for right, or turned over.
 
     With --dataset, the up axis, whether targets are partial and whether these are pre-aligned come from the dataset's
     description, unless options say otherwise.
@@ -284,6 +285,10 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
         count = f"{found['unmatched_points']}, counted as the diameter ({without:.2f} without them)"
         table.add_row("points without a match", count)
     table.add_row("method", found["method"])
+    if evaluation.exchanges is not None:
+        sides, over = (evaluation.exchanges[way] for way in ("left-right", "turned over"))
+        known = sum(evaluation.exchanges.values())
+        table.add_row("pairs exchanged left-right, turned over", f"{sides}, {over} of {known}")
     if evaluation.n_doubtful:
         table.add_row("doubtful matches", f"{evaluation.n_doubtful} of {len(evaluation.pairs)}")
     table.add_row("seconds (preparing, matching, measuring)", f"{found['seconds']['total']:.0f}")

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from homolog.datasets.checking import DatasetReport, check_dataset, counted
     from homolog.datasets.description import DatasetDescription, builtin_descriptions, read_description
     from homolog.datasets.files import mesh_files
-    from homolog.datasets.folder import Pair, ShapeFolder, demo_folder, drawn_pairs, partner
-    from homolog.datasets.truth import Counterparts, GroundTruth, Truth, read_truth
+    from homolog.datasets.folder import Pair, ShapeFolder, class_of, demo_folder, drawn_pairs, partner
+    from homolog.datasets.truth import Counterparts, GroundTruth, Truth, read_truth, read_vertices
 
 __all__ = [
     "Counterparts",
@@ -27,6 +27,7 @@ __all__ = [
     "Truth",
     "builtin_descriptions",
     "check_dataset",
+    "class_of",
     "counted",
     "demo_folder",
     "drawn_pairs",
@@ -34,6 +35,7 @@ __all__ = [
     "partner",
     "read_description",
     "read_truth",
+    "read_vertices",
 ]
 
 _MODULES = {
@@ -47,6 +49,7 @@ _MODULES = {
     "Truth": "truth",
     "builtin_descriptions": "description",
     "check_dataset": "checking",
+    "class_of": "folder",
     "counted": "checking",
     "demo_folder": "folder",
     "drawn_pairs": "folder",
@@ -54,5 +57,6 @@ _MODULES = {
     "partner": "folder",
     "read_description": "description",
     "read_truth": "truth",
+    "read_vertices": "truth",
 }
 __getattr__ = lazy_names(__name__, _MODULES)

@@ -162,6 +162,10 @@ class ShapeFolder:
         """
         return read_vertices(path_of(self.root, self.description.truth_files, name))
 
+    def partners_file(self, name: str) -> Path:
+        """The file that may hold the shape's vertex at each template point's partner across the mirror plane."""
+        return path_of(self.root, self.description.truth_files, name).with_suffix(".sym.vts")
+
     def ground_truth(self, shape_of: Callable[[str], Shape] | None = None) -> GroundTruth:
         """The ground truth of the dataset's pairs; ``shape_of`` gives shapes by name if they were read already."""
         return GroundTruth(self.root, self.description, shape_of or self.shape, self._order)

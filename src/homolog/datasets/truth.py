@@ -133,7 +133,7 @@ class GroundTruth:
     # ---- template correspondence
 
     def _both_vertices(self, source: str, target: str) -> tuple[Int[np.ndarray, " p"], Int[np.ndarray, " p"]]:
-        ours, theirs = self._template_vertices(source), self._template_vertices(target)
+        ours, theirs = self.template_vertices(source), self.template_vertices(target)
         if len(ours) != len(theirs):
             raise DataError(
                 f"{source} has {len(ours)} template points and {target} {len(theirs)}; "
@@ -141,7 +141,12 @@ class GroundTruth:
             )
         return ours, theirs
 
-    def _template_vertices(self, name: str) -> Int[np.ndarray, " p"]:
+    def template_vertices(self, name: str) -> Int[np.ndarray, " p"]:
+        """The shape's vertex at each template point, counted from 0; -1 where it lacks the point.
+
+        Raises:
+            DataError: if the file is missing or malformed, or does not fit the shape.
+        """
         if name not in self._vertices:
             path = self._file(name)
             points = read_vertices(path)

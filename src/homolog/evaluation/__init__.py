@@ -1,6 +1,15 @@
 """How good maps are: metrics and the field's protocol."""
 
 from homolog.core.choices import Modalities
+from homolog.evaluation.exchanges import (
+    Exchange,
+    ExchangeFinder,
+    Partners,
+    exchange_of,
+    mean_shape,
+    mirror_plane,
+    partners,
+)
 from homolog.evaluation.maps_folder import MapsFolder
 from homolog.evaluation.metrics import (
     PCK_THRESHOLD,
@@ -20,18 +29,25 @@ __all__ = [
     "PCK_THRESHOLD",
     "Detection",
     "Evaluation",
+    "Exchange",
+    "ExchangeFinder",
     "MapsFolder",
     "MatchShapes",
     "Metric",
     "Modalities",
     "PairErrors",
+    "Partners",
     "Protocol",
     "ScoredPair",
     "area_under_pck",
     "evaluate",
+    "exchange_of",
     "geodesic_diameter",
     "geodesic_errors",
     "least_confident_share",
+    "mean_shape",
+    "mirror_plane",
+    "partners",
     "pck_curve",
     "plot_pck",
 ]

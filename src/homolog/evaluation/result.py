@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import spearmanr
 
 from homolog.datasets import Pair
+from homolog.evaluation.exchanges import Exchange
 from homolog.evaluation.metrics import PCK_THRESHOLD, Detection, area_under_pck, least_confident_share, pck_curve
 from homolog.matching import MEASURES, MapQuality
 
@@ -32,6 +34,7 @@ class PairErrors:
         quality: what the maps tell of themselves, without the truth; None if whoever made them does not say.
         doubtful: whether the match had a warning of low confidence.
         metrics: figures of one's own.
+        exchanged: what the map exchanges; None where that is not looked for.
     """
 
     pair: Pair
@@ -42,6 +45,7 @@ class PairErrors:
     quality: MapQuality | None = None
     doubtful: bool = False
     metrics: Mapping[str, float] = field(default_factory=dict)
+    exchanged: Exchange | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,6 +78,12 @@ class Evaluation:
     def n_doubtful(self) -> int:
         """How many matches had a warning of low confidence."""
         return sum(pair.doubtful for pair in self.pairs)
+
+    @property
+    def exchanges(self) -> dict[Exchange, int] | None:
+        """How many pairs are exchanged in which way, or not; None if that is not known of any."""
+        known = Counter(pair.exchanged for pair in self.pairs if pair.exchanged is not None)
+        return {way: known[way] for way in get_args(Exchange)} if known else None
 
     @property
     def missing(self) -> Detection | None:
@@ -125,21 +135,31 @@ class Evaluation:
             "method": self.method,
             "unmatched_points": int((~matched).sum()),
             "doubtful_pairs": self.n_doubtful,
+            **({} if self.exchanges is None else {"exchanged_pairs": self.exchanges}),
             "pairs": [self._pair(pair) for pair in self.pairs],
             "seconds": dict(self.seconds),
         }
 
     def rows(self) -> list[list[Any]]:
-        """A table of pairs, its header first: names, points, errors, figures of quality, doubts, metrics."""
+        """A table of pairs, its header first: names, points, errors, figures of quality, doubts, exchanges, metrics."""
         metrics = sorted({name for pair in self.pairs for name in pair.metrics})
-        header = ["source", "target", "points", "unmatched", f"mean_{self.error_kind}_error", *MEASURES, "doubtful"]
+        error = f"mean_{self.error_kind}_error"
+        header = ["source", "target", "points", "unmatched", error, *MEASURES, "doubtful", "exchanged"]
         return [[*header, *metrics], *([*self._row(pair), *map(pair.metrics.get, metrics)] for pair in self.pairs)]
 
     def _row(self, pair: PairErrors) -> list[Any]:
         figures = None if pair.quality is None else pair.quality.mean
         quality = [None if figures is None else getattr(figures, name) for name in MEASURES]
         error = self.shown(pair.errors.mean()) if len(pair.errors) else None
-        return [*pair.pair, len(pair.errors), int((~pair.matched).sum()), error, *quality, pair.doubtful]
+        return [
+            *pair.pair,
+            len(pair.errors),
+            int((~pair.matched).sum()),
+            error,
+            *quality,
+            pair.doubtful,
+            pair.exchanged,
+        ]
 
     def _curve(self, errors: Float[np.ndarray, " p"]) -> dict[str, Any]:
         thresholds, shares = pck_curve(errors)
@@ -156,6 +176,7 @@ class Evaluation:
             "points": len(pair.errors),
             f"mean_{self.error_kind}_error": self.shown(pair.errors.mean()) if len(pair.errors) else None,
             "doubtful": pair.doubtful,
+            **({} if pair.exchanged is None else {"exchanged": pair.exchanged}),
             **({} if pair.missing is None else {"without_counterpart": pair.missing.to_dict()}),
             **({} if pair.quality is None else {"quality": pair.quality.to_dict()}),
             **({"metrics": dict(pair.metrics)} if pair.metrics else {}),

@@ -19,6 +19,7 @@ from homolog.core.progress import Progress, ignore
 from homolog.core.reprs import function_name
 from homolog.datasets import Pair as PairOfNames
 from homolog.datasets import ShapeFolder, Truth, drawn_pairs
+from homolog.evaluation.exchanges import Exchange, ExchangeFinder
 from homolog.evaluation.metrics import Detection, geodesic_diameter, geodesic_errors
 from homolog.evaluation.protocol import Protocol
 from homolog.evaluation.result import Evaluation, PairErrors
@@ -127,12 +128,14 @@ class _Run:
         self.warnings = warnings
         names = dict.fromkeys(name for pair in pairs for name in pair)
         self.shapes = {name: folder.shape(name) for name in names}
+        self.shape_of = cache(lambda name: self.shapes[name] if name in self.shapes else folder.shape(name))
         self.frame = cache(lambda name: unit_frame(repair(self.shapes[name]).shape))  # many parts may share one
-        self.ground_truth = folder.ground_truth(self.shapes.__getitem__)
+        self.ground_truth = folder.ground_truth(self.shape_of)
         own_clouds = protocol.is_cloud("target")  # full shapes, which lead the pairs, have none
         self.clouds = {name: folder.cloud(name) for name in names if own_clouds and folder.has_cloud(name)}
         self.truths = [self._truth(pair) for pair in pairs]  # a fault of any is said before anything is computed
         self.euclidean = folder.description.holds == "clouds"  # without a surface that distances could run along
+        self.exchanges = self._exchange_finder()
         self.total = self.done = 0
         self.seconds = {"preprocess": 0.0, "match": 0.0, "measure": 0.0}
 
@@ -149,6 +152,13 @@ class _Run:
         seconds = {**self.seconds, "total": sum(self.seconds.values())}
         unit = (self.folder.description.unit or "units of the files") if self.euclidean else None
         return Evaluation(tuple(scored), source.method, seconds, unit)
+
+    def _exchange_finder(self) -> ExchangeFinder | None:
+        """What tells what maps exchange; None where parts, or shapes without a template, are matched."""
+        has_template = self.folder.description.truth == "template-correspondence"
+        if self.protocol.partial or self.clouds or not has_template:
+            return None
+        return ExchangeFinder(self.folder, self.ground_truth, self.shape_of)
 
     def _truth(self, pair: PairOfNames) -> Truth:
         """Points of source and target that are known to correspond."""
@@ -226,7 +236,13 @@ class _Run:
             quality=match.quality,
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: float(metric(scored)) for name, metric in self.metrics.items()},
+            exchanged=self._exchanged(pair, mapped),
         )
+
+    def _exchanged(self, pair: PairOfNames, mapped: Int[np.ndarray, " p"]) -> Exchange | None:
+        if self.exchanges is None:
+            return None
+        return self.exchanges.exchange(pair, mapped, scale=self.frame(pair[0]).scale)
 
     def _errors(
         self, shape: Shape, truth: Int[np.ndarray, " p"], mapped: Int[np.ndarray, " p"]

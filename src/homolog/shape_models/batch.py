@@ -10,6 +10,7 @@ from functools import lru_cache, partial
 from typing import Any
 
 from homolog.core.arguments import check_count
+from homolog.core.choices import Orient
 from homolog.core.errors import HomologError
 from homolog.core.progress import Progress, ignore
 from homolog.core.settings import Settings
@@ -30,6 +31,7 @@ class ShapeModelSettings(Settings):
         shapes_up: the axis of the shapes that points up.
         template_as_cloud: match without the template's faces.
         shapes_as_cloud: match without the shapes' faces.
+        orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
         strict: refuse shapes that need repair or would get a warning.
     """
 
@@ -37,6 +39,7 @@ class ShapeModelSettings(Settings):
     shapes_up: Up = "y"
     template_as_cloud: bool = False
     shapes_as_cloud: bool = False
+    orient: Orient = "auto"
     strict: bool = False
 
 
@@ -164,6 +167,7 @@ def _prepared_template(registration: _Registration) -> Template:
         registration.make_matcher(),
         up=settings.template_up,
         as_cloud=settings.template_as_cloud,
+        orient=settings.orient,
     )
 
 

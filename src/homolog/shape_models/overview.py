@@ -40,9 +40,13 @@ def _cells(outcome: Outcome, shapes: RegisteredShapes, number: int | None) -> li
     if outcome.figures is None:
         return [None, number, *[None] * (len(_FIGURES) + 2), f"not registered: {outcome.error}"]
     row, figures = shapes.row_of[outcome.subject.name], asdict(outcome.figures)
-    values = [None if figures[name] is None else f"{figures[name]:.6g}" for name in _FIGURES]
+    values = [_cell(figures[name]) for name in _FIGURES]
     distance = f"{shapes.aligned.distances[row]:.6g}"
     return [row, number, *values, distance, f"{outcome.seconds:.2f}", "; ".join(outcome.warnings)]
+
+
+def _cell(figure: float | bool | None) -> str | bool | None:
+    return figure if figure is None or isinstance(figure, bool) else f"{figure:.6g}"
 
 
 def write_sheet(path: Path, shapes: RegisteredShapes) -> None:

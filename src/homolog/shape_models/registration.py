@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
+from homolog.core.choices import Orient
 from homolog.core.errors import ShapeError
-from homolog.matching import Match, Matcher
+from homolog.matching import Match, Matcher, orientation_warnings
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, Up, repair
 from homolog.transfer import SurfaceMap, SurfaceProjector, surface_map, untangled
@@ -37,6 +38,7 @@ class Figures:
         edges_5: 5th percentile of the stretch of edges (length on the shape over length on the template), over its
             median; for a template without faces, of the distances between each point and its six nearest ones.
         edges_95: the 95th percentile likewise. Both are None in records of earlier versions.
+        ambiguous_orientation: whether another way round of the shape leads to another map, and fits nearly as well.
     """
 
     confidence: float
@@ -46,6 +48,7 @@ class Figures:
     flipped_triangles: float | None
     edges_5: float | None
     edges_95: float | None
+    ambiguous_orientation: bool = False
 
     @property
     def unevenness(self) -> float:
@@ -90,6 +93,7 @@ class Template:
         matcher: that finds the point maps.
         up: which of its axes points up.
         as_cloud: match without its faces.
+        orient: ``"auto"`` finds which way round shapes are, ``"given"`` trusts their coordinates.
 
     Raises:
         ShapeError: if it cannot be used, or repair removes some of its points.
@@ -99,11 +103,13 @@ class Template:
         >>> template.registered_to(homolog.read_shape("scan.ply")).points  # doctest: +SKIP
     """
 
-    def __init__(self, shape: Shape, matcher: Matcher, *, up: Up = "y", as_cloud: bool = False) -> None:
+    def __init__(
+        self, shape: Shape, matcher: Matcher, *, up: Up = "y", as_cloud: bool = False, orient: Orient = "auto"
+    ) -> None:
         check_template(shape)
         self.projector = SurfaceProjector(shape)
-        self.matcher = matcher
-        self.prepared = matcher.preprocess(shape, up=up, as_cloud=as_cloud, label="template")
+        self.matcher, self.orient = matcher, orient
+        self.prepared = matcher.preprocess(shape, up=up, as_cloud=as_cloud, orient=orient, label="template")
 
     def registered_to(self, shape: Shape, *, up: Up = "y", as_cloud: bool = False, strict: bool = False) -> Registered:
         """Match a shape, and register the template's surface to it smoothly.
@@ -117,18 +123,21 @@ class Template:
         Raises:
             ShapeError: if the shape cannot be used, or is refused.
         """
-        subject = self.matcher.preprocess(shape, up=up, as_cloud=as_cloud, strict=strict, label="shape")
+        subject = self.matcher.preprocess(
+            shape, up=up, as_cloud=as_cloud, orient=self.orient, strict=strict, label="shape"
+        )
         target = SurfaceProjector(shape)
         units = self._unit_warnings(target)
         if strict and units:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
-        found = self.matcher.match_pair(self.matcher.paired(self.prepared, subject, PairOptions(strict=strict)))
+        options = PairOptions(orient=self.orient, strict=strict)
+        found = self.matcher.match_pair(self.matcher.paired(self.prepared, subject, options))
         smooth = untangled(surface_map(self.projector, target, found))
         figures = _figures(smooth, found)
         uneven = figures.low_confidence_warnings()
         if strict and uneven:
             raise ShapeError(f"{shape.name}: {uneven[0]} (refused as strict)")
-        return Registered(smooth.positions, figures, (*units, *found.warnings, *uneven))
+        return Registered(smooth.positions, figures, (*units, *_match_warnings(found), *uneven))
 
     def _unit_warnings(self, target: SurfaceProjector) -> tuple[str, ...]:
         """A warning if a shape is so much larger or smaller that its unit seems to differ."""
@@ -155,6 +164,16 @@ def check_template(shape: Shape) -> None:
         )
 
 
+def _match_warnings(found: Match) -> list[str]:
+    """The warnings of a match; that of an ambiguous orientation says what to do with a registered shape."""
+    of_orientation = orientation_warnings(found)
+    told = (
+        "which way round the shape is is ambiguous: another rotation leads to another registration, and fits nearly as "
+        "well; look at it, or turn the files alike and trust them (--orient given)"
+    )
+    return [told if warning in of_orientation else warning for warning in found.warnings]
+
+
 def _figures(smooth: SurfaceMap, found: Match) -> Figures:
     assert found.quality is not None
     mean, flipped = found.quality.mean, smooth.flipped_triangles
@@ -167,6 +186,7 @@ def _figures(smooth: SurfaceMap, found: Match) -> Figures:
         flipped_triangles=None if flipped is None else float(flipped.mean()),
         edges_5=low,
         edges_95=high,
+        ambiguous_orientation=bool(orientation_warnings(found)),
     )
 
 

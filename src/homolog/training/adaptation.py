@@ -12,7 +12,7 @@ from homolog.core.progress import Listener
 from homolog.core.settings import Count, Settings
 from homolog.features import DiffusionNet, NetworkFeatures
 from homolog.geometry import Basis
-from homolog.matching import Matcher, align_partial
+from homolog.matching import Matcher, align_partial, orient
 from homolog.pairs import Pair, PreprocessedShape
 from homolog.training.losses import TOTAL
 from homolog.training.objective import pair_losses
@@ -58,7 +58,7 @@ def adapt_to_pair(
         listener: told of each step as it begins.
 
     Returns:
-        A matcher with the adapted network, and the pair with its features.
+        A matcher with the adapted network, and the pair with its features, turned and aligned as it was trained on.
 
     Raises:
         ArgumentError: if the matcher has no network, or the losses do not fit the shapes that it is for.
@@ -72,7 +72,7 @@ def adapt_to_pair(
             f"the weights {extractor.info.name!r} are for shapes that are not near-isometric, but the losses of "
             "adapting are for those that are; leave --adapt out, or in Python give other losses"
         )
-    pair = align_partial(pair)
+    pair = align_partial(orient(pair))
     loss = replace(settings.loss, map_eigenpairs=pair.map_size)
     network = copy.deepcopy(extractor.network).requires_grad_().train()
     sampled = (_training_shapes(matcher, shape, settings.samples) for shape in (pair.x, pair.y))

@@ -373,7 +373,7 @@ class _Training:
         held_out = self.folder.shapes.held_out[: self.recipe.validation.score_pairs]
         pairs = [self.loader.full_first(pair) for pair in held_out]
         listed = self.folder.path / "scored-pairs.txt"
-        return scores(matcher, truth, pairs, listed, partial=self.recipe.partial)
+        return scores(matcher, truth, pairs, listed, partial=self.recipe.partial, rotations=self.store.rotations)
 
 
 def _flat_gradient(network: DiffusionNet) -> Float[Tensor, " w"]:

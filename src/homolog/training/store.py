@@ -93,7 +93,7 @@ class ShapeStore:
         self._seed, self._settings, self._operator_settings = recipe.seed, recipe.samples, recipe.operators
         self._workers = recipe.data.workers
         self._mesh = lru_cache(maxsize=2 * self._workers)(self._read_mesh)
-        self._rotations = rotations or {}
+        self.rotations = rotations or {}
         self._frames: dict[str, Frame] = {}
         self._memory = _Memory(recipe.data.memory_gb * 2**30)
 
@@ -199,7 +199,7 @@ class ShapeStore:
     def _read_mesh(self, name: str) -> Shape:
         """A clean mesh of unit area, turned: what its clouds are made with is in these units."""
         shape, self._frames[name] = unit_mesh(self.shapes, name)
-        rotation = self._rotations.get(name)
+        rotation = self.rotations.get(name)
         return shape if rotation is None else Shape(shape.points @ rotation.T, shape.faces, name=shape.name)
 
     def _operators_of(self, shape: Shape) -> Operators:

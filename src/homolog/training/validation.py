@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import torch
+from jaxtyping import Float
 
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path
@@ -16,6 +18,7 @@ from homolog.datasets import Pair, ShapeFolder
 from homolog.evaluation import Modalities, Protocol, evaluate
 from homolog.features import DiffusionNet
 from homolog.matching import Matcher
+from homolog.shapes import Shape
 from homolog.training.losses import Loss
 from homolog.training.objective import pair_losses
 from homolog.training.pairs import TrainingPair
@@ -24,6 +27,17 @@ from homolog.training.settings import LossSettings, PartialSettings
 _log = logging.getLogger(__name__)
 
 _SCORED: tuple[Modalities, ...] = ("mesh", "cloud")
+
+
+@dataclass(frozen=True)
+class _Turned(ShapeFolder):
+    """A dataset whose shapes are turned as they are read."""
+
+    rotations: Mapping[str, Float[np.ndarray, "3 3"]] = field(default_factory=dict)
+
+    def shape(self, name: str) -> Shape:
+        shape, rotation = super().shape(name), self.rotations.get(name)
+        return shape if rotation is None else replace(shape, points=shape.points @ rotation.T)
 
 
 @torch.no_grad()
@@ -59,6 +73,7 @@ def scores(
     listed: Path,
     *,
     partial: PartialSettings | None = None,
+    rotations: Mapping[str, Float[np.ndarray, "3 3"]] | None = None,
 ) -> dict[str, float]:
     """Mean geodesic errors x100 of a few pairs at full resolution, as meshes and as clouds.
 
@@ -68,7 +83,9 @@ def scores(
         pairs: to match.
         listed: file to write the pairs to.
         partial: of the recipe; the second shape of each pair is partial then.
+        rotations: by which shapes are turned first, each (3, 3), by name, as those are that were trained on.
     """
+    folder = _Turned(**vars(folder), rotations=rotations) if rotations else folder
     with atomic_path(listed) as temporary:
         temporary.write_text("".join(f"{source},{target}\n" for source, target in pairs), encoding="utf-8")
     pre_aligned = partial is not None and bool(partial.pre_aligned)
