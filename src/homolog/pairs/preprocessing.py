@@ -191,8 +191,11 @@ class Preprocessor:
         orienter = getattr(self.extractor, "orienter", None)
         if self.extractor is None or orienter is None or (partial and not self.extractor.info.partial):
             return ()
-        found = (_kept_if_near(orientation, self.orientation.least_degrees) for orientation in orienter(operators))
-        return tuple(found)
+        found = [_kept_if_near(orientation, self.orientation.least_degrees) for orientation in orienter(operators)]
+        likely = found[0].misfit + self.orientation.given_margin
+        as_given = (each for each in found if each.misfit < likely and torch.equal(each.rotation, torch.eye(3)))
+        given = next(as_given, None)
+        return tuple(found) if given is None else (given,)
 
     @torch.no_grad()
     def features(self, operators: Operators) -> Float[Tensor, "n d"] | None:
