@@ -129,7 +129,7 @@ class OrientationSettings(Settings):
         orienter_margin: what the orienter finds worse by more than this is not looked at any further.
         margin: what is better by less than this is not told apart: the given way round is then kept, and the pair is
             said to be ambiguous.
-        given_margin: the way in which a shape is given is taken where the orienter finds another one better by less than
+        given_margin: the way in which a shape is given is taken where the orienter finds another better by less than
             this: files are right more often than not.
         least_degrees: a shape that the orienter would turn by less stays as it is given.
     """
