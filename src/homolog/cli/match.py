@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -154,7 +154,8 @@ def match(
         matcher, pair = adapted(matcher, pair, adapt, timings)
         found = homolog.matching.with_inputs(matcher.match_pair(pair, timings=timings), files, timings, adapt=adapt)
         paths = homolog.matching.write_folder(output, found, timings=timings)
-        others = matcher.alternatives(pair, alternatives)[1:] if alternatives > 1 else []
+        remove_alternatives(output)
+        others = other_ways(matcher, pair, found, alternatives)
         for number, other in enumerate(others, 2):
             paths += homolog.matching.write_folder(output / f"alternative-{number}", other)
     if page is not None or picture is not None:
@@ -167,6 +168,30 @@ def match(
             paths.append(picture)
     if not quiet:
         _summary(found, timings, paths, verbose=verbose)
+
+
+def remove_alternatives(output: Path) -> None:
+    """Remove the alternatives that an earlier match left in the folder: they belong to other maps."""
+    for folder in output.glob("alternative-*"):
+        for name in homolog.matching.RESULT_FILES:
+            (folder / name).unlink(missing_ok=True)
+        if folder.is_dir() and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def other_ways(matcher: Matcher, pair: Pair, found: Match, count: int) -> list[Match]:
+    """The matches of other ways round than the one that was found, so that there are ``count`` in all at most."""
+    if count == 1:
+        return []
+    others = [match for match in matcher.alternatives(pair, count + 1) if _rotations(match) != _rotations(found)]
+    if len(others) < count - 1:
+        say(f"Note: {len(others) + 1} of {count} ways round were found.")
+    return others[: count - 1]
+
+
+def _rotations(match: Match) -> list[Any]:
+    told = match.report["orientation"] or {}
+    return [told.get(side) for side in get_args(Side)]
 
 
 def adapted(matcher: Matcher, pair: Pair, steps: int, timings: Timings) -> tuple[Matcher, Pair]:

@@ -14,6 +14,7 @@ from homolog.geometry.surface import (
     SplitSurface,
     Surface,
     closest_weights,
+    outward,
     split_long,
     unit,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "geodesic_distances",
     "lowest_eigenpairs",
     "mesh_laplacian",
+    "outward",
     "pair_distances",
     "some_points",
     "split_long",

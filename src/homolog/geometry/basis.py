@@ -126,7 +126,7 @@ class Basis:
         )
 
 
-def some_points(n_points: int, count: int) -> Int[Tensor, " s"]:
+def some_points(n_points: int, count: int, *, seed: int = 0) -> Int[Tensor, " s"]:
     """Some of a shape's points, at random but always the same ones: files list points region by region.
 
     Examples:
@@ -134,7 +134,7 @@ def some_points(n_points: int, count: int) -> Int[Tensor, " s"]:
         >>> len(some_points(100, 10)), len(some_points(5, 10))
         (10, 5)
     """
-    return torch.randperm(n_points, generator=torch.Generator().manual_seed(0))[:count]
+    return torch.randperm(n_points, generator=torch.Generator().manual_seed(seed))[:count]
 
 
 def _least_squares(eigenvectors: Float[Tensor, "s k"], mass: Float[Tensor, " s"]) -> Float[Tensor, "k s"]:

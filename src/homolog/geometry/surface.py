@@ -17,6 +17,10 @@ from homolog.shapes import face_vectors
 # Projection tries this many nearest vertices for one whose normal agrees with the point's: a cosine above _SAME_SIDE.
 _NEAR = 16
 _SAME_SIDE = 0.3
+# A surface has an outside if its normals nearly cancel, as those of a closed one do, and the flux of the position
+# through it has one sign for the most part.
+_NEARLY_CLOSED = 0.1
+_ONE_SIDED = 0.2
 # Working memory of a projection, per candidate triangle.
 _BYTES_PER_TRIANGLE = 1000
 
@@ -319,3 +323,25 @@ def _side_weights(triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarra
     weights[rows, best] = 1.0 - along[rows, best]
     weights[rows, (best + 1) % 3] = along[rows, best]
     return weights
+
+
+def outward(surface: Surface) -> int:
+    """1 if triangles face outward, -1 if inward, 0 if the surface has no clear outside, as an open one has none.
+
+    By the divergence theorem, the flux of the position through a closed surface is three times the volume inside.
+
+    Examples:
+        >>> import numpy as np, trimesh
+        >>> from homolog.geometry import Surface, outward
+        >>> mesh = trimesh.creation.icosphere(subdivisions=1)
+        >>> points, faces = np.array(mesh.vertices), np.array(mesh.faces)
+        >>> outward(Surface(points, faces)), outward(Surface(points, faces[:, ::-1]))
+        (1, -1)
+    """
+    areas = np.linalg.norm(surface.face_vectors, axis=1)
+    middles = surface.vertices[surface.faces].mean(axis=1)
+    middles = middles - np.average(middles, axis=0, weights=areas)
+    flux = np.einsum("mk,mk->m", middles, surface.face_vectors)
+    closed = np.linalg.norm(surface.face_vectors.sum(axis=0)) < _NEARLY_CLOSED * areas.sum()
+    clear = abs(flux.sum()) > _ONE_SIDED * np.abs(flux).sum()
+    return int(np.sign(flux.sum())) if closed and clear else 0

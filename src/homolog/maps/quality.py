@@ -13,12 +13,7 @@ from torch import Tensor
 
 from homolog.core.arguments import check_indices
 from homolog.core.arrays import takes_arrays
-from homolog.geometry import Operators, Surface
-
-# A surface has an outside if its normals nearly cancel, as those of a closed one do, and the flux of the position
-# through it has one sign for the most part.
-_NEARLY_CLOSED = 0.1
-_ONE_SIDED = 0.2
+from homolog.geometry import Operators, Surface, outward
 
 
 @takes_arrays
@@ -162,21 +157,8 @@ def flipped_triangles(x: Surface, y: Surface, x_to_y: Int[np.ndarray, " n_x"]) -
     corners = x_to_y[x.faces]
     drawn = Surface(y.vertices, corners)
     agreement = np.sign(np.einsum("mk,mk->m", drawn.face_vectors, y.vertex_normals[corners].sum(axis=1)))
-    facing = _outward(x) * _outward(y) or np.sign(np.average(agreement, weights=_areas(x)))
+    facing = outward(x) * outward(y) or np.sign(np.average(agreement, weights=_areas(x)))
     return np.asarray(agreement * facing < 0)
-
-
-def _outward(surface: Surface) -> int:
-    """1 if triangles face outward, -1 if inward, 0 if the surface has no clear outside, as an open one has none.
-
-    By the divergence theorem, the flux of the position through a closed surface is three times the volume inside.
-    """
-    middles = surface.vertices[surface.faces].mean(axis=1)
-    middles = middles - np.average(middles, axis=0, weights=_areas(surface))
-    flux = np.einsum("mk,mk->m", middles, surface.face_vectors)
-    closed = np.linalg.norm(surface.face_vectors.sum(axis=0)) < _NEARLY_CLOSED * _areas(surface).sum()
-    clear = abs(flux.sum()) > _ONE_SIDED * np.abs(flux).sum()
-    return int(np.sign(flux.sum())) if closed and clear else 0
 
 
 def _areas(surface: Surface) -> Float[np.ndarray, " m"]:

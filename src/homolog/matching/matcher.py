@@ -10,8 +10,8 @@ from typing import Any
 import torch
 from numpy.typing import ArrayLike
 
-from homolog.core.arguments import check_kind, given_or_default
-from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.arguments import check_kind, given_or_default, is_count
+from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
 from homolog.geometry import OperatorSettings, compute_operators
@@ -20,7 +20,7 @@ from homolog.matching.choice import chosen_method, extractor_for, method_between
 from homolog.matching.inputs import check_two_arrays, options_of, read_inputs, with_inputs
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.refinement import refine
-from homolog.matching.result import Match
+from homolog.matching.result import Match, check_maps
 from homolog.matching.search import orient, orientations
 from homolog.matching.warnings import blaming, low_confidence_warnings, orientation_warnings, unit_warnings
 from homolog.pairs import (
@@ -204,8 +204,11 @@ class Matcher:
             pair: two preprocessed shapes.
             count: how many, at least 1.
         """
+        if not is_count(count):
+            raise bad_value("count", count, "a whole number of at least 1")
         return [_matched(oriented) for oriented in orientations(pair, count)]
 
+    @torch.no_grad()
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result and their units; see ``match``."""
         timings = timings or Timings()
@@ -226,4 +229,6 @@ class Matcher:
 def _matched(oriented: Pair) -> Match:
     """The match of two shapes that are the same way round."""
     aligned = align_partial(oriented)
-    return Match.of(aligned, refine(aligned, aligned.method(aligned)))
+    maps = aligned.method(aligned)
+    check_maps(aligned, maps)
+    return Match.of(aligned, refine(aligned, maps))

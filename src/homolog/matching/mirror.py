@@ -35,10 +35,12 @@ def mirror_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
     reflected = x * x.new_tensor([-1.0, 1, 1])
     # Upright shapes are reflected in their own plane of symmetry; of others, any rotation may follow.
     starts = torch.eye(3).to(x)[None] if pair.source.orientations else None
-    (rotation, misfit), *_ = closest_point_rotations(_samples(reflected, _FEW), _samples(y, _FEW), starts=starts)
-    if misfit > _SAME_FEW:
+    fits = [
+        closest_point_rotations(_samples(each, _FEW), _samples(y, _FEW), starts=starts)[0] for each in (reflected, x)
+    ]
+    if fits[0][1] > _SAME_FEW:
         return ()
-    misfits = [_misfit(points, y, start) for points, start in ((reflected, rotation), (x, torch.eye(3).to(x)))]
+    misfits = [_misfit(each, y, start) for each, (start, _) in zip((reflected, x), fits, strict=True)]
     if misfits[0] > min(_SAME_MANY, _CLEARLY_BETTER * misfits[1]):
         return ()
     return ("the source seems to be the mirror image of the target; reflect one of them, by mirror='source'",)

@@ -102,7 +102,7 @@ class Match:
             ArgumentError: if the maps do not fit the pair.
         """
         x, y = pair.x, pair.y
-        _check_maps(pair, maps)
+        check_maps(pair, maps)
         x_to_y = _following_main_component(maps.x_to_y, x.operators)
         y_to_x = _following_main_component(maps.y_to_x, y.operators)
         settings = pair.settings.confidence
@@ -324,7 +324,7 @@ def _checked_confidence(side: str, given: Any, n_points: int) -> Float[np.ndarra
     return trust if trust.dtype.kind == "f" else trust.astype(float)
 
 
-def _check_maps(pair: Pair, maps: PointMaps) -> None:
+def check_maps(pair: Pair, maps: PointMaps) -> None:
     """Refuse what a method gave if it does not fit the repaired shapes."""
     method = pair.method.name
     if not isinstance(maps, PointMaps):

@@ -75,7 +75,7 @@ def orientations(pair: Pair, count: int) -> list[Pair]:
         return [pair]
     if pair.extractor is not None and pair.extractor.info.upright and not _has_orientations(pair):
         return [pair]
-    found = _distinct(_ranked(pair, all_of_them=count > 1))
+    found = _given_first(_distinct(_ranked(pair, all_of_them=count > 1)), pair.settings.orientation.margin)
     orientation = _certainty(found, pair.settings.orientation)
     return [_turned(pair, hypothesis, orientation) for hypothesis in found[:count]]
 
@@ -134,16 +134,22 @@ def _distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hypothesis]:
     """The source as it is given, and turned to lie near the target as a rigid body."""
     found = closest_point_rotations(samples.x.points, samples.y.points)
-    as_given = Hypothesis(torch.eye(3), torch.eye(3), -settings.margin)
     others = (Hypothesis(rotation.cpu(), torch.eye(3)) for rotation, _ in found[: settings.hypotheses])
-    return [as_given, *others]
+    return [Hypothesis(torch.eye(3), torch.eye(3)), *others]
+
+
+def _given_first(ranked: list[Hypothesis], margin: float) -> list[Hypothesis]:
+    """With the shapes as they are given in the first place, where nothing is clearly better."""
+    given = Hypothesis(torch.eye(3), torch.eye(3))
+    near = [found for found in ranked if found.misfit < ranked[0].misfit + margin and found.is_like(given)]
+    return [*near, *(found for found in ranked if found not in near)]
 
 
 def _certainty(distinct: list[Hypothesis], settings: OrientationSettings) -> PairOrientation:
     best = distinct[0].misfit
     if len(distinct) == 1:
         return PairOrientation(best)
-    margin = distinct[1].misfit - best
+    margin = abs(distinct[1].misfit - best)  # what is given may come first, though another is a little better
     return PairOrientation(best, distinct[1].misfit, margin, ambiguous=margin < settings.margin)
 
 
@@ -171,7 +177,8 @@ class Samples:
     def of(cls, pair: Pair) -> Samples:
         """The samples of a pair."""
         settings = pair.settings.orientation
-        x, y = (_sampled(shape, settings.samples) for shape in (pair.source, pair.target))
+        # Each has samples of its own, or shapes of one numbering would have exact counterparts at one way round alone.
+        x, y = (_sampled(shape, settings.samples, seed) for seed, shape in enumerate((pair.source, pair.target)))
         weight = settings.handedness_upright if _has_orientations(pair) else settings.handedness
         refined = pair.near_isometric and pair.method.supports.refinement
         return cls(x, y, pair.extractor, refined, weight, settings)
@@ -207,8 +214,8 @@ class Samples:
         return float(displacement + settings.cycle * cycle - self.handedness * kept)
 
 
-def _sampled(shape: PreprocessedShape, count: int) -> Basis:
+def _sampled(shape: PreprocessedShape, count: int, seed: int) -> Basis:
     """The basis of a shape as it was given, at some of its points."""
-    kept = some_points(shape.operators.n_points, count).to(shape.operators.points.device)
+    kept = some_points(shape.operators.n_points, count, seed=seed).to(shape.operators.points.device)
     basis = shape.operators.basis.sampled(kept)
     return basis.turned(shape.rotation.T.to(basis.points))

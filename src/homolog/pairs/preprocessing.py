@@ -17,7 +17,7 @@ from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
 from homolog.features import FeatureExtractor, Orientation, checked_features
-from homolog.geometry import Operators, OperatorSettings, compute_operators, unit_frame
+from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, unit_frame
 from homolog.maps import rotation_angle
 from homolog.pairs.settings import OrientationSettings
 from homolog.shapes import Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
@@ -162,6 +162,7 @@ class Preprocessor:
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
             if strict:
                 _refuse_repairs(repaired)
+            repaired = replace(repaired, shape=_facing_outward(repaired.shape))
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(torch.as_tensor(centre))
@@ -243,6 +244,13 @@ def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
         if n_used < _SHARE_WITH_FACES * cloud.shape.n_points:
             return cloud, False
     return repaired, True
+
+
+def _facing_outward(shape: Shape) -> Shape:
+    """A closed mesh that is inside out with its faces turned round: features know which side is out."""
+    if shape.faces is None or outward(Surface(shape.points, shape.faces)) >= 0:
+        return shape
+    return replace(shape, faces=shape.faces[:, ::-1])
 
 
 def _refuse_repairs(repaired: Repaired) -> None:
