@@ -132,7 +132,7 @@ def test_turned_shapes_are_trained_on_as_they_are_matched(matcher, shapes, monke
     info = replace(matcher.extractor.info, upright=True)
     asked, seen = [], []
 
-    def ranked(pair):
+    def ranked(pair, *, all_of_them):
         asked.append(pair)
         return [Hypothesis(*decided)]
 
@@ -140,7 +140,7 @@ def test_turned_shapes_are_trained_on_as_they_are_matched(matcher, shapes, monke
         seen.append((x, y))
         return pair_losses(network, x, y, **options)
 
-    monkeypatch.setattr(search, "ranked", ranked)
+    monkeypatch.setattr(search, "_ranked", ranked)
     monkeypatch.setattr(adaptation, "pair_losses", losses)
     oriented = matcher.with_extractor(replace(matcher.extractor, orienter=guess, info=info))
     pair, _ = oriented.pair(*shapes)
