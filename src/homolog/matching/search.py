@@ -50,6 +50,11 @@ class Hypothesis:
     target: Float[Tensor, "3 3"]
     misfit: float = 0.0
 
+    @property
+    def is_as_given(self) -> bool:
+        """Whether it turns neither shape."""
+        return all(torch.equal(rotation, torch.eye(3)) for rotation in (self.source, self.target))
+
     def is_like(self, other: Hypothesis) -> bool:
         """Whether both turn the shapes against each other alike, so that they lead to the same map."""
         turns = self.target.T @ self.source, other.target.T @ other.source
@@ -75,7 +80,8 @@ def orientations(pair: Pair, count: int) -> list[Pair]:
         return [pair]
     if pair.extractor is not None and pair.extractor.info.upright and not _has_orientations(pair):
         return [pair]
-    found = _given_first(_distinct(_ranked(pair, all_of_them=count > 1)), pair.settings.orientation.margin)
+    ranked = _ranked(pair, all_of_them=count > 1)
+    found = _distinct(_given_first(ranked, pair.settings.orientation.margin))
     orientation = _certainty(found, pair.settings.orientation)
     return [_turned(pair, hypothesis, orientation) for hypothesis in found[:count]]
 
@@ -140,8 +146,7 @@ def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hy
 
 def _given_first(ranked: list[Hypothesis], margin: float) -> list[Hypothesis]:
     """With the shapes as they are given in the first place, where nothing is clearly better."""
-    given = Hypothesis(torch.eye(3), torch.eye(3))
-    near = [found for found in ranked if found.misfit < ranked[0].misfit + margin and found.is_like(given)]
+    near = [found for found in ranked if found.is_as_given and found.misfit < ranked[0].misfit + margin]
     return [*near, *(found for found in ranked if found not in near)]
 
 
