@@ -6,9 +6,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from homolog.features import DiffusionNet
-from homolog.geometry import compute_operators, unit_frame
-from homolog.matching import Matcher
-from homolog.matching.alignment import _samples, align_partial, best_alignment
+from homolog.geometry import compute_operators, some_points, unit_frame
+from homolog.matching import Matcher, align_partial, best_alignment
 from homolog.pairs import AlignmentSettings, MatcherSettings
 from homolog.shapes import Shape
 
@@ -44,7 +43,7 @@ def matcher_of(upper):
     known = unit_frame(body).to_unit(body.points)
 
     def build(**settings):
-        some = _samples(len(kept), AlignmentSettings().partial_samples).numpy()
+        some = some_points(len(kept), AlignmentSettings().partial_samples).numpy()
         return Matcher(Trained(known, known[kept], known[kept][some]), settings=MatcherSettings(**settings))
 
     return build
@@ -117,7 +116,7 @@ def test_turned_beginnings_where_the_given_one_leads_nowhere(upper, degrees, axi
     whole = torch.from_numpy(unit_frame(body).to_unit(body.points)).float()
     turn = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
     basis = compute_operators(Shape(part.points @ turn.T, part.faces), scale=unit_frame(body).scale).basis
-    places = whole[kept][_samples(len(kept), AlignmentSettings().partial_samples)]
+    places = whole[kept][some_points(len(kept), AlignmentSettings().partial_samples)]
 
     def embedded(points):
         waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
@@ -141,7 +140,7 @@ def test_a_part_of_a_smaller_or_larger_individual_takes_its_whole_s_size(upper, 
     body, part, kept = upper
     whole = torch.from_numpy(unit_frame(body).to_unit(body.points)).float()
     basis = compute_operators(Shape(part.points * size, part.faces), scale=unit_frame(body).scale).basis
-    places = whole[kept][_samples(len(kept), AlignmentSettings().partial_samples)]
+    places = whole[kept][some_points(len(kept), AlignmentSettings().partial_samples)]
 
     def embedded(points):
         waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
@@ -150,7 +149,9 @@ def test_a_part_of_a_smaller_or_larger_individual_takes_its_whole_s_size(upper, 
     def features_of(samples):
         points = samples.points
         extent = [(one - one.mean(dim=0)).norm(dim=1).mean() for one in (points, places)]
-        area = samples.mass.sum() / basis.sampled(_samples(len(kept), AlignmentSettings().partial_samples)).mass.sum()
+        area = (
+            samples.mass.sum() / basis.sampled(some_points(len(kept), AlignmentSettings().partial_samples)).mass.sum()
+        )
         assert abs(area.sqrt() * size / (extent[0] / extent[1]) - 1) < 1e-3  # operators are of the size that is tried
         return embedded(places if abs(extent[0] / extent[1] - 1) < 0.15 else points + 9.0)
 

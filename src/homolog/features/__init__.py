@@ -11,13 +11,21 @@ from homolog.features.extractor import (
     on_device,
 )
 from homolog.features.info import FeatureInfo, NetworkInput
-from homolog.features.orienter import ORIENTER_EIGENPAIRS, ORIENTER_NETWORK, Orientation, Orienter, with_outward_frames
+from homolog.features.orienter import (
+    ORIENTER_EIGENPAIRS,
+    ORIENTER_NETWORK,
+    ORIENTER_SAMPLES,
+    Orientation,
+    Orienter,
+    with_outward_frames,
+)
 from homolog.features.weights import load_weights, save_weights
 
 __all__ = [
     "DEFAULT_WEIGHTS",
     "ORIENTER_EIGENPAIRS",
     "ORIENTER_NETWORK",
+    "ORIENTER_SAMPLES",
     "DiffusionNet",
     "FeatureExtractor",
     "FeatureInfo",

@@ -26,7 +26,8 @@ ORIENTER_NETWORK = NetworkSettings(in_channels=3, out_channels=3, width=64, bloc
 """The architecture of an orienter: small, as it tells one thing about a shape."""
 ORIENTER_EIGENPAIRS = 64
 """Eigenpairs that it is computed with."""
-_SAMPLES = 400
+ORIENTER_SAMPLES = 400
+"""Points of a shape that it is computed at."""
 # After so many steps from a start the answer hardly changes.
 _STEPS = 3
 
@@ -68,7 +69,9 @@ class Orienter:
     def __call__(self, operators: Operators) -> tuple[Orientation, ...]:
         """Orientations that may be right, farther than 30 degrees from each other, the best first."""
         basis = operators.basis.truncated(ORIENTER_EIGENPAIRS)
-        basis = with_outward_frames(basis.sampled(some_points(basis.n_points, _SAMPLES).to(basis.points.device)))
+        basis = with_outward_frames(
+            basis.sampled(some_points(basis.n_points, ORIENTER_SAMPLES).to(basis.points.device))
+        )
         starts = self._distinct(self._step(basis, rotation) for rotation in cube_rotations().to(basis.points))
         return tuple(self._distinct(self._followed(basis, start) for start in starts))
 

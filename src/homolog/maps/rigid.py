@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from homolog.core.arrays import takes_arrays
+from homolog.maps.rotations import best_rotation
 
 # Residuals of a perfect fit are zero, which could not be divided by.
 _LEAST_RESIDUAL = 1e-6
@@ -55,10 +56,5 @@ def _least_squares(
     points: Float[Tensor, "n 3"], targets: Float[Tensor, "n 3"], weights: Float[Tensor, " n"]
 ) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
     shares = weights / weights.sum()
-    middle, goal = shares @ points, shares @ targets
-    left, _, right = torch.linalg.svd((shares[:, None] * (points - middle)).T @ (targets - goal))
-    # The best orthogonal matrix may be a reflection; the best rotation then gives way along the weakest direction.
-    upright = torch.ones(3, dtype=points.dtype, device=points.device)
-    upright[2] = torch.linalg.det(left @ right).sign()
-    rotation = right.T @ (upright[:, None] * left.T)
-    return rotation, goal - rotation @ middle
+    rotation: Tensor = best_rotation(points, targets, weights)
+    return rotation, shares @ targets - rotation @ (shares @ points)

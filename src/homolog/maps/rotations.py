@@ -14,6 +14,7 @@ from torch import Tensor
 from homolog.core.arrays import takes_arrays
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Progress, ignore
+from homolog.geometry import some_points
 
 # Up to so many shapes each is compared with each, which takes some minutes; of more, each with so many landmarks.
 _ALL_PAIRS, _LANDMARKS = 60, 20
@@ -197,7 +198,7 @@ def _landmarks(count: int) -> list[int]:
     """The shapes with which all are compared."""
     if count <= _ALL_PAIRS:
         return list(range(count))
-    drawn: list[int] = torch.randperm(count, generator=torch.Generator().manual_seed(0))[:_LANDMARKS].tolist()
+    drawn: list[int] = some_points(count, _LANDMARKS).tolist()
     return drawn
 
 

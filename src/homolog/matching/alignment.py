@@ -13,11 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from homolog.features import FeatureExtractor
-from homolog.geometry import Basis
+from homolog.geometry import Basis, some_points
 from homolog.maps import most_similar, normalised, rigid_motion
 from homolog.pairs import AlignmentSettings, Pair, Preprocessor
 from homolog.shapes import rotation_about
@@ -130,8 +130,8 @@ class _Search:
         full_features: Float[Tensor, "m d"],
         settings: AlignmentSettings,
     ) -> None:
-        self._some = _samples(partial.n_points, settings.partial_samples).to(partial.points.device)
-        among = _samples(len(full), settings.full_samples).to(partial.points.device)
+        self._some = some_points(partial.n_points, settings.partial_samples).to(partial.points.device)
+        among = some_points(len(full), settings.full_samples).to(partial.points.device)
         self._basis, self._extractor, self._settings = partial.sampled(self._some), extractor, settings
         self._positions, self._candidates = full[among], normalised(full_features[among])
         self._centre = full.mean(dim=0)
@@ -168,8 +168,3 @@ def _moved(points: Float[Tensor, "n 3"], axis: int, degrees: float, scale: float
     """Positions rotated and scaled about their centre."""
     centre = points.mean(dim=0)
     return scale * (points - centre) @ torch.from_numpy(rotation_about(axis, degrees).T).to(points) + centre
-
-
-def _samples(n_points: int, count: int) -> Int[Tensor, " s"]:
-    """Some of the points, at random but always the same ones: files list points region by region."""
-    return torch.randperm(n_points, generator=torch.Generator().manual_seed(0))[:count]

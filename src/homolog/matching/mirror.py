@@ -35,13 +35,11 @@ def mirror_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
     reflected = x * x.new_tensor([-1.0, 1, 1])
     # Upright shapes are reflected in their own plane of symmetry; of others, any rotation may follow.
     starts = torch.eye(3).to(x)[None] if pair.source.orientations else None
-    fits = [
-        closest_point_rotations(_samples(each, _FEW), _samples(y, _FEW), starts=starts)[0] for each in (reflected, x)
-    ]
-    if fits[0][1] > _SAME_FEW:
+    rotation, misfit = closest_point_rotations(_samples(reflected, _FEW), _samples(y, _FEW), starts=starts)[0]
+    if misfit > _SAME_FEW or (misfit := _misfit(reflected, y, rotation)) > _SAME_MANY:
         return ()
-    misfits = [_misfit(each, y, start) for each, (start, _) in zip((reflected, x), fits, strict=True)]
-    if misfits[0] > min(_SAME_MANY, _CLEARLY_BETTER * misfits[1]):
+    rotation, _ = closest_point_rotations(_samples(x, _FEW), _samples(y, _FEW), starts=starts)[0]
+    if misfit > _CLEARLY_BETTER * _misfit(x, y, rotation):
         return ()
     return ("the source seems to be the mirror image of the target; reflect one of them, by mirror='source'",)
 

@@ -12,7 +12,14 @@ from torch import Tensor
 
 from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.progress import Progress, ignore
-from homolog.features import ORIENTER_EIGENPAIRS, ORIENTER_NETWORK, DiffusionNet, Orienter, with_outward_frames
+from homolog.features import (
+    ORIENTER_EIGENPAIRS,
+    ORIENTER_NETWORK,
+    ORIENTER_SAMPLES,
+    DiffusionNet,
+    Orienter,
+    with_outward_frames,
+)
 from homolog.geometry import Basis
 from homolog.training.augmentation import augmented, rotation_of
 from homolog.training.schedule import learning_rate
@@ -20,8 +27,6 @@ from homolog.training.settings import AugmentationSettings, OptimiserSettings, O
 from homolog.training.state import TrainingState
 from homolog.training.store import MESH, ShapeStore
 
-# Points of a shape, as many as an orienter is computed at.
-_SAMPLES = 400
 # An example takes 0.2 MB. Of each variant of a shape there are so many, or fewer if all would be more than that.
 _EXAMPLES_PER_VARIANT, _MOST_EXAMPLES = 2, 4000
 # How positions are varied before they are turned; the jitter is drawn anew for each shape, up to this.
@@ -127,7 +132,7 @@ def _places(store: ShapeStore) -> dict[str, tuple[float, Float[Tensor, " 3"]]]:
 
 
 def _some(basis: Basis, random: np.random.Generator) -> Basis:
-    kept = torch.from_numpy(random.permutation(basis.n_points)[:_SAMPLES]).to(basis.points.device)
+    kept = torch.from_numpy(random.permutation(basis.n_points)[:ORIENTER_SAMPLES]).to(basis.points.device)
     return with_outward_frames(basis.truncated(ORIENTER_EIGENPAIRS).sampled(kept))
 
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Gt, Lt
 
 from homolog.core.arguments import is_real
+from homolog.core.choices import Turn
 from homolog.core.errors import ArgumentError, bad_value
 from homolog.core.settings import Count, CountOrZero, NotNegative, Positive, Settings, Share, unknown_key
 from homolog.datasets import DatasetDescription, Split
@@ -19,7 +20,6 @@ from homolog.training.losses import BUILTIN_LOSSES, installed_losses
 
 Schedule = Literal["cosine", "constant", "one-cycle"]
 Precision = Literal["32", "bf16"]
-Turn = Literal["none", "vertical", "any"]
 
 
 @dataclass(frozen=True, kw_only=True)
