@@ -9,7 +9,7 @@ from safetensors.torch import load_file
 from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import ArgumentError, TrainingError
-from homolog.features import load_weights, save_weights
+from homolog.features import ORIENTER_RADIUS, load_weights, save_weights
 from homolog.geometry import compute_operators
 from homolog.maps import rotation_angle
 from homolog.shapes import Shape, write_shape
@@ -69,32 +69,44 @@ def test_the_same_seed_gives_the_same_one_and_leaves_torchs_own_seed_alone(meshe
     assert torch.equal(torch.get_rng_state(), before)
 
 
+def radius(points, mass):
+    """Centre and root-mean-square distance from it."""
+    shares = (mass / mass.sum())[:, None]
+    centre = (shares * points).sum(dim=0)
+    return centre, float((shares * (points - centre).square()).sum().sqrt())
+
+
 def test_partial_clouds_are_centred_and_belong_where_they_lie_on_the_mesh(meshes, small):
     store = store_of(meshes, small(clouds={"cut": [0.5]}))
     examples = orienter._examples(store, ["cat"], np.random.default_rng(0))[0]
-    whole = store.samples("cat", -1).points
+    mesh = store.samples("cat", -1)
+    centre, size = radius(mesh.bases[0].points, mesh.bases[0].mass)
+    whole = (mesh.points - centre) * ORIENTER_RADIUS / size
     assert len(examples) == 3 and [len(variant) for variant in examples] == [2, 2, 2]
     for example in examples[2]:
-        assert example.basis.points.mean(dim=0).norm() < 0.1 < example.upright.mean(dim=0).norm()
+        own, extent = radius(example.basis.points, example.basis.mass)
+        assert own.norm() < 1e-3 < 0.1 < example.upright.mean(dim=0).norm()
+        assert extent == pytest.approx(ORIENTER_RADIUS, rel=1e-3)
         assert torch.cdist(example.upright, whole).amin(dim=1).max() < 1e-3
         assert example.basis.eigenvectors.dtype == torch.float16
 
 
 @pytest.mark.parametrize("pre_aligned", [False, True])
-def test_partial_shapes_are_in_the_unit_of_their_full_partners(meshes, small, tmp_path, make, pre_aligned):
-    """A ball of half the size beside its partner: of a quarter of the area."""
-    for name, shape in (("big", make.blob(3)), ("part", make.blob(3))):
-        size, away = (1.0, 0.0) if name == "big" else (0.5, 2.0)
-        write_shape(tmp_path / f"{name}.off", Shape(shape.points * size + away, shape.faces))
+def test_partial_shapes_belong_on_their_full_partners(meshes, small, tmp_path, make, pre_aligned):
+    """A ball of half the size beside its partner."""
+    ball = make.blob(3)
+    for name, size, away in (("big", 1.0, 0.0), ("part", 0.5, 2.0)):
+        write_shape(tmp_path / f"{name}.off", Shape(ball.points * size + away, ball.faces))
     (tmp_path / "pairs.txt").write_text("big,part\n")
     store = store_of(tmp_path, small(partial={"pre_aligned": pre_aligned}, data={"split": "all"}))
     whole, part = (orienter._examples(store, [name], np.random.default_rng(0))[0][0][0] for name in ("big", "part"))
-    torch.testing.assert_close(part.basis.mass.sum(), whole.basis.mass.sum() / 4)
-    away = torch.full((3,), 2.0 / store.frame("big").scale)
-    middle = torch.tensor(make.blob(3).points.mean(axis=0) * -0.5 / store.frame("big").scale).float()
-    torch.testing.assert_close(
-        (part.upright - part.basis.points).mean(dim=0), (away + middle) * pre_aligned, atol=1e-5, rtol=0
-    )
+    centre, size = radius(whole.upright, whole.basis.mass)
+    own, half = radius(part.upright, part.basis.mass)
+    assert centre.norm() < 0.01 and size == pytest.approx(ORIENTER_RADIUS, rel=0.02)
+    assert half == pytest.approx(size / 2, rel=0.02)
+    per_unit = ORIENTER_RADIUS / radius(torch.tensor(ball.points).float(), torch.ones(len(ball.points)))[1]
+    away = torch.tensor(2.0 - ball.points.mean(axis=0) / 2).float() * per_unit
+    torch.testing.assert_close(own, pre_aligned * away, atol=0.04, rtol=0)
 
 
 def test_many_shapes_have_fewer_examples_each(meshes, small, monkeypatch):

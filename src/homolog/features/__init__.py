@@ -14,10 +14,11 @@ from homolog.features.info import FeatureInfo, NetworkInput
 from homolog.features.orienter import (
     ORIENTER_EIGENPAIRS,
     ORIENTER_NETWORK,
+    ORIENTER_RADIUS,
     ORIENTER_SAMPLES,
     Orientation,
     Orienter,
-    with_outward_frames,
+    as_oriented,
 )
 from homolog.features.weights import load_weights, save_weights
 
@@ -25,6 +26,7 @@ __all__ = [
     "DEFAULT_WEIGHTS",
     "ORIENTER_EIGENPAIRS",
     "ORIENTER_NETWORK",
+    "ORIENTER_RADIUS",
     "ORIENTER_SAMPLES",
     "DiffusionNet",
     "FeatureExtractor",
@@ -37,11 +39,11 @@ __all__ = [
     "Orientation",
     "Orienter",
     "as_extractor",
+    "as_oriented",
     "checked_features",
     "heat_decay",
     "load_weights",
     "on_device",
     "pretrained_weights",
     "save_weights",
-    "with_outward_frames",
 ]

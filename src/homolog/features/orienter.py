@@ -20,7 +20,7 @@ from torch import Tensor
 
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
 from homolog.geometry import Basis, Operators, some_points
-from homolog.maps import best_rotation, cube_rotations, distinct_rotations
+from homolog.maps import Similarity, best_rotation, best_similarity, cube_rotations, distinct_rotations
 
 ORIENTER_NETWORK = NetworkSettings(in_channels=3, out_channels=3, width=64, blocks=4, dropout=0.1)
 """The architecture of an orienter: small, as it tells one thing about a shape."""
@@ -28,6 +28,9 @@ ORIENTER_EIGENPAIRS = 64
 """Eigenpairs that it is computed with."""
 ORIENTER_SAMPLES = 400
 """Points of a shape that it is computed at."""
+ORIENTER_RADIUS = 0.5
+"""Root-mean-square distance of a shape's points from their centre, in the network's units. That of a person is some 0.5
+sqrt(area), but noise changes the area that is estimated of a cloud, and a part has less of it than the full shape."""
 # After so many steps from a start the answer hardly changes.
 _STEPS = 3
 
@@ -39,11 +42,14 @@ class Orientation:
     Args:
         rotation: takes the positions p of the shape to ``p @ rotation.T`` (3, 3).
         misfit: how much speaks against it, of an orienter the mean distance between the turned points and where the
-            network puts them, in units of sqrt(area).
+            network puts them, where the shape has the radius ``ORIENTER_RADIUS``.
+        upright: takes the positions of the shape to where the orienter puts them on an upright full shape of that
+            radius; of a partial shape it tells size and place, too. None of what no orienter found.
     """
 
     rotation: Float[Tensor, "3 3"]
     misfit: float
+    upright: Similarity | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +75,11 @@ class Orienter:
     def __call__(self, operators: Operators) -> tuple[Orientation, ...]:
         """Orientations that may be right, farther than 30 degrees from each other, the best first."""
         basis = operators.basis.truncated(ORIENTER_EIGENPAIRS)
-        basis = with_outward_frames(
-            basis.sampled(some_points(basis.n_points, ORIENTER_SAMPLES).to(basis.points.device))
-        )
-        starts = self._distinct(self._step(basis, rotation) for rotation in cube_rotations().to(basis.points))
-        return tuple(self._distinct(self._followed(basis, start) for start in starts))
+        sampled = basis.sampled(some_points(basis.n_points, ORIENTER_SAMPLES).to(basis.points.device))
+        seen = as_oriented(sampled)
+        starts = self._distinct(self._step(seen, rotation) for rotation in cube_rotations().to(seen.points))
+        found = self._distinct(self._followed(seen, start) for start in starts)
+        return tuple(self._with_place(sampled, seen, orientation) for orientation in found)
 
     def _followed(self, basis: Basis, orientation: Orientation) -> Orientation:
         for _ in range(_STEPS - 1):
@@ -88,6 +94,10 @@ class Orienter:
         distances = (points @ further.T - answer).norm(dim=1)
         return Orientation(further @ rotation, float((basis.mass * distances).sum() / basis.mass.sum()))
 
+    def _with_place(self, sampled: Basis, seen: Basis, orientation: Orientation) -> Orientation:
+        answer = self.network(seen.points @ orientation.rotation.T, seen)
+        return replace(orientation, upright=best_similarity(sampled.points, answer, seen.mass))
+
     @staticmethod
     def _distinct(orientations: Iterable[Orientation]) -> list[Orientation]:
         ranked = sorted(orientations, key=lambda orientation: orientation.misfit)
@@ -98,16 +108,20 @@ class Orienter:
         return replace(self, network=copy.deepcopy(self.network).to(device).eval())
 
 
-def with_outward_frames(basis: Basis) -> Basis:
-    """The basis with tangent frames whose normals point away from the centre.
+def as_oriented(basis: Basis) -> Basis:
+    """The basis as an orienter gets it: about the shape's centre, of its radius, with tangent frames whose normals
+    point away from the centre.
 
     Normals of clouds have either sign, and some meshes are inside out. The network's gradients know the sign, which
     must not depend on how a shape was sampled or stands.
     """
-    along = torch.einsum("njk,kc->njc", basis.gradients, basis.coefficients(basis.points))
+    shares = (basis.mass / basis.mass.sum())[:, None]
+    centred = basis.moved(-(shares * basis.points).sum(dim=0))
+    radius = (shares * centred.points.square()).sum().sqrt()
+    sized = centred.scaled(float(ORIENTER_RADIUS / radius))
+    along = torch.einsum("njk,kc->njc", sized.gradients, sized.coefficients(sized.points))
     normals = torch.linalg.cross(along[:, 0], along[:, 1])
-    centre = (basis.mass[:, None] * basis.points).sum(dim=0) / basis.mass.sum()
-    inward = (normals * (basis.points - centre)).sum(dim=1) < 0
-    gradients = basis.gradients.clone()
+    inward = (normals * sized.points).sum(dim=1) < 0
+    gradients = sized.gradients.clone()
     gradients[inward, 1] *= -1
-    return replace(basis, gradients=gradients)
+    return replace(sized, gradients=gradients)

@@ -17,7 +17,7 @@ from homolog.maps.handedness import handedness
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
 from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flipped_triangles
 from homolog.maps.registration import RegistrationSettings, registered_positions
-from homolog.maps.rigid import rigid_motion
+from homolog.maps.rigid import Similarity, best_similarity, rigid_motion
 from homolog.maps.rotations import (
     best_rotation,
     closest_point_rotations,
@@ -34,8 +34,10 @@ __all__ = [
     "Nearest",
     "RefinementSettings",
     "RegistrationSettings",
+    "Similarity",
     "SoftMatches",
     "best_rotation",
+    "best_similarity",
     "closest_point_rotations",
     "confidence",
     "coverage",

@@ -1,6 +1,8 @@
-"""Robust rigid alignment: the rotation and shift that best take points to their targets."""
+"""Rigid and similarity alignment: the rotation, size and shift that best take points to their targets."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -11,6 +13,66 @@ from homolog.maps.rotations import best_rotation
 
 # Residuals of a perfect fit are zero, which could not be divided by.
 _LEAST_RESIDUAL = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """A similarity transform: positions p go to ``scale * p @ rotation.T + shift``.
+
+    Args:
+        rotation: (3, 3).
+        scale: what lengths are multiplied by.
+        shift: (3,).
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import Similarity
+        >>> twice = Similarity(torch.eye(3), 2.0, torch.ones(3))
+        >>> twice(torch.tensor([[1.0, 2, 3]]))
+        tensor([[3., 5., 7.]])
+        >>> twice.inverse()(twice(torch.tensor([[1.0, 2, 3]])))
+        tensor([[1., 2., 3.]])
+    """
+
+    rotation: Float[Tensor, "3 3"]
+    scale: float
+    shift: Float[Tensor, " 3"]
+
+    def __call__(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+        """Where positions go."""
+        return self.scale * points @ self.rotation.T + self.shift
+
+    def inverse(self) -> Similarity:
+        """The way back."""
+        return Similarity(self.rotation.T, 1 / self.scale, -self.shift @ self.rotation / self.scale)
+
+
+def best_similarity(
+    points: Float[Tensor, "n 3"], targets: Float[Tensor, "n 3"], weights: Float[Tensor, " n"] | None = None
+) -> Similarity:
+    """The similarity transform that takes points nearest to their targets, in least squares.
+
+    Umeyama, "Least-squares estimation of transformation parameters between two point patterns", 1991.
+
+    Args:
+        points: positions (n, 3).
+        targets: where each of them belongs (n, 3).
+        weights: of each pair (n,); by default all count alike.
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import best_similarity
+        >>> points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
+        >>> round(best_similarity(points, 3 * points + 1).scale, 4)
+        3.0
+    """
+    weights = torch.ones_like(points[:, 0]) if weights is None else weights.to(points)
+    shares = (weights / weights.sum())[:, None]
+    rotation: Tensor = best_rotation(points, targets, weights)
+    middle, target = (shares * points).sum(dim=0), (shares * targets).sum(dim=0)
+    turned = (points - middle) @ rotation.T
+    scale = (shares * turned * (targets - target)).sum() / (shares * turned.square()).sum()
+    return Similarity(rotation, float(scale), target - scale * rotation @ middle)
 
 
 @takes_arrays

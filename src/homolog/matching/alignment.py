@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import torch
 from jaxtyping import Float
@@ -18,9 +19,12 @@ from torch import Tensor
 
 from homolog.features import FeatureExtractor
 from homolog.geometry import Basis, some_points
-from homolog.maps import most_similar, normalised, rigid_motion
+from homolog.maps import best_similarity, most_similar, normalised, rigid_motion
 from homolog.pairs import AlignmentSettings, Pair, Preprocessor
 from homolog.shapes import rotation_about
+
+Start: TypeAlias = tuple[Float[Tensor, "n 3"], float]
+"""Positions of a partial shape in the full shape's coordinates, and what its lengths were multiplied by."""
 
 # Centres this near to one another are the same.
 _SAME_CENTRE = 1e-3
@@ -60,12 +64,31 @@ def align_partial(pair: Pair) -> Pair:
         full.needed_features(),
         search=extractor.info.partial,
         settings=settings,
+        starts=tuple(_oriented_starts(full, partial, settings)),
     )
     if found.points is basis.points:
         return pair
     operators = replace(partial.operators.scaled(found.scale), points=found.points)
     features = Preprocessor(extractor=extractor).features(operators)
-    return pair.with_y(replace(partial, operators=operators, features=features))
+    alignment = best_similarity(partial.operators.turned(partial.rotation.T).points, found.points)
+    aligned = pair.with_y(replace(partial, operators=operators, features=features))
+    return replace(aligned, alignment=alignment)
+
+
+def _oriented_starts(
+    full: PreprocessedShape, partial: PreprocessedShape, settings: AlignmentSettings
+) -> Iterator[Start]:
+    """Where the features' orienter puts the partial shape on the full one, in the size that it finds, and as given."""
+    onto_full = full.orientations[0].upright if full.orientations else None
+    given = partial.operators.turned(partial.rotation.T).points
+    for orientation in partial.orientations[: settings.orientations]:
+        if onto_full is None or orientation.upright is None:
+            continue
+        points = onto_full.inverse()(orientation.upright(given)) @ full.rotation.to(given).T
+        scale = orientation.upright.scale / onto_full.scale
+        yield points, scale
+        centre = points.mean(dim=0)
+        yield (points - centre) / scale + centre, 1.0
 
 
 def best_alignment(
@@ -76,6 +99,7 @@ def best_alignment(
     *,
     search: bool,
     settings: AlignmentSettings | None = None,
+    starts: Sequence[Start] = (),
 ) -> Alignment:
     """The pose and size in which a partial shape's features resemble those of the full shape the most.
 
@@ -91,18 +115,22 @@ def best_alignment(
             it may be of another individual, and then rotated. That is for networks that know partial shapes: to others,
             a wrong pose is often as good as the right one.
         settings: of the search.
+        starts: positions and sizes to start from as well. Where there are some, no rotations are tried.
     """
     settings = settings or AlignmentSettings()
-    starts = _Search(partial, extractor, full, full_features, settings)
+    looked = _Search(partial, extractor, full, full_features, settings)
     unturned, *turned = settings.rotations
-    best = starts.followed([starts.at(partial.points)])
+    best = looked.followed([looked.at(partial.points)])
+    if starts:
+        best = _clearly_better(looked.followed([looked.at(*start) for start in starts]), best, settings.margin)
     if search and best.similarity < settings.similar:
-        others = [starts.at(_moved(partial.points, *unturned, scale), scale) for scale in settings.scales]
-        best = _clearly_better(starts.followed(others), best, settings.margin)
-    if search and best.similarity < settings.similar:
+        sizes = [(scale * best.scale, _moved(best.points, *unturned, scale)) for scale in settings.scales]
+        others = [looked.at(points, scale) for scale, points in sizes]
+        best = _clearly_better(looked.followed(others), best, settings.margin)
+    if search and best.similarity < settings.similar and not starts:
         scales = dict.fromkeys((1.0, best.scale))
-        others = [starts.at(_moved(partial.points, *rotation, scale), scale) for scale in scales for rotation in turned]
-        best = _clearly_better(starts.followed(others), best, settings.margin)
+        others = [looked.at(_moved(partial.points, *rotation, scale), scale) for scale in scales for rotation in turned]
+        best = _clearly_better(looked.followed(others), best, settings.margin)
     return best
 
 

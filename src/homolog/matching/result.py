@@ -375,6 +375,15 @@ def _orientation(pair: Pair) -> dict[str, Any] | None:
     return {**rotations, **({} if pair.orientation is None else asdict(pair.orientation))}
 
 
+def _alignment(pair: Pair) -> dict[str, Any] | None:
+    """How the partial shape was turned onto the full one, and what its lengths were multiplied by."""
+    if pair.alignment is None:
+        return None
+    rotation = pair.alignment.rotation
+    degrees = round(float(rotation_angle(rotation)), 1)
+    return {"rotation": rotation.tolist(), "degrees": degrees, "scale": pair.alignment.scale}
+
+
 def _report(pair: Pair, match: Match) -> dict[str, Any]:
     """What is known of a match, for JSON."""
     info = None if pair.extractor is None else asdict(pair.extractor.info)
@@ -389,6 +398,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "quality": None if match.quality is None else match.quality.to_dict(),
         "options": asdict(pair.options),
         "orientation": _orientation(pair),
+        "alignment": _alignment(pair),
         "features": info,
         "settings": pair.settings.to_dict(),
         "device": str(pair.source.operators.points.device),

@@ -14,6 +14,7 @@ from homolog.core.arguments import check_kind
 from homolog.core.choices import Side
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo
+from homolog.maps import Similarity
 from homolog.pairs.method import Method, check_supported
 from homolog.pairs.options import SIDES, PairOptions
 from homolog.pairs.preprocessing import PreprocessedShape, Preprocessor
@@ -70,6 +71,8 @@ class Pair:
         method: what finds them, chosen by what the two shapes are.
         extractor: what computed their features; None where nothing did.
         orientation: which way round they were found to be; None where nothing was looked for.
+        alignment: what took the partial shape as it was given onto the full one, in normalised coordinates; None where
+            it stays.
 
     Raises:
         ArgumentError: if a shape is partial or a cloud, and the method knows full shapes or meshes alone.
@@ -82,6 +85,7 @@ class Pair:
     method: Method
     extractor: FeatureExtractor | None = None
     orientation: PairOrientation | None = None
+    alignment: Similarity | None = None
 
     @classmethod
     def of(

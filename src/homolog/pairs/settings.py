@@ -77,6 +77,7 @@ class AlignmentSettings(Settings):
         full_samples: points of the full shape.
         similar: mean cosine between features from which on the partial shape is aligned, and no other start is tried.
         followed: how many starts are followed.
+        orientations: of how many ways that the features' orienter finds the partial shape to stand there are starts.
         margin: by how much another size or rotation must be more similar than the given one; what nearly is as similar
             may be its mirror image.
         scales: sizes to start from, where the given one does not fit.
@@ -88,6 +89,7 @@ class AlignmentSettings(Settings):
     full_samples: Count = 2500
     similar: Annotated[float, Ge(-1), Le(1)] = 0.94
     followed: Count = 2
+    orientations: Count = 3
     margin: NotNegative = 0.01
     scales: tuple[Positive, ...] = (0.8, 1.25, 0.63, 1.6, 0.5, 2.0, 0.4, 2.5, 0.32, 3.2)
     rotations: tuple[tuple[Annotated[int, Ge(0), Le(2)], float], ...] = (

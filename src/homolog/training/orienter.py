@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,12 +15,14 @@ from homolog.core.progress import Progress, ignore
 from homolog.features import (
     ORIENTER_EIGENPAIRS,
     ORIENTER_NETWORK,
+    ORIENTER_RADIUS,
     ORIENTER_SAMPLES,
     DiffusionNet,
     Orienter,
-    with_outward_frames,
+    as_oriented,
 )
 from homolog.geometry import Basis
+from homolog.maps import Similarity
 from homolog.training.augmentation import augmented, rotation_of
 from homolog.training.schedule import learning_rate
 from homolog.training.settings import AugmentationSettings, OptimiserSettings, OrienterSettings
@@ -34,6 +36,7 @@ _VARIED = AugmentationSettings(turn="none", least_scale=0.85, most_scale=1.15, s
 _LARGEST_JITTER = 0.015
 # Shapes are bent by a sum of the lowest eigenfunctions, each coordinate by up to this much, less by higher ones.
 _BENDING, _LARGEST_BEND, _LEAST_SHARE = 15, 0.03, 0.3
+_LEAST_WAVE, _HIGHEST_WAVE = 1e-6, 3.0
 # The share of turns that are small, and how far their quaternions lie from that of no turn.
 _SMALL_TURNS, _SPREAD = 0.4, 0.8 / 3
 _WARMUP_STEPS, _AVERAGE, _LONGEST_GRADIENT = 100, 0.999, 1.0
@@ -98,7 +101,7 @@ def train_orienter(
 
 @dataclass(frozen=True, eq=False)
 class _Example:
-    """A shape at some of its points, centred on itself, and where they belong (n, 3)."""
+    """A shape at some of its points, as an orienter gets it, and where they belong (n, 3)."""
 
     basis: Basis
     upright: Float[Tensor, "n 3"]
@@ -109,31 +112,44 @@ def _examples(store: ShapeStore, names: Sequence[str], random: np.random.Generat
     variants = range(MESH, len(store.variants))
     kept = names[:: -(-len(names) * len(variants) // _MOST_EXAMPLES)]
     count = min(_EXAMPLES_PER_VARIANT, max(_MOST_EXAMPLES // (len(kept) * len(variants)), 1))
-    places = _places(store)
+    partners = _full_partners(store)
 
-    def of_variant(name: str, variant: int) -> list[_Example]:
+    def of_variant(name: str, variant: int, upright: Similarity) -> list[_Example]:
         samples = store.samples(name, variant)
-        scale, offset = places.get(name, (1.0, samples.centre.new_zeros(3)))
-        some = (_some(basis, random).scaled(scale) for basis in samples.bases[:count])
-        return [_Example(basis, basis.points + scale * samples.centre + offset) for basis in map(_halved, some)]
+        some = [_some(basis, random) for basis in samples.bases[:count]]
+        return [_Example(_halved(as_oriented(basis)), upright(basis.points + samples.centre)) for basis in some]
 
-    return [[of_variant(name, variant) for variant in variants] for name in kept]
+    return [[of_variant(name, variant, _upright(store, name, partners)) for variant in variants] for name in kept]
 
 
-def _places(store: ShapeStore) -> dict[str, tuple[float, Float[Tensor, " 3"]]]:
-    """What partial shapes are scaled by to be in the unit of their full partners, and where they then lie on these."""
-    partial, places = store.recipe.partial, {}
-    for pair in store.shapes.pairs if partial is not None else ():
-        part, full = sorted(pair, key=lambda name: store.frame(name).scale)
-        scale = store.frame(part).scale / store.frame(full).scale
-        offset = torch.from_numpy(store.frame(full).to_unit(store.frame(part).centre)).float()
-        places[part] = scale, (offset if partial is not None and partial.pre_aligned else 0 * offset).to(store.device)
-    return places
+def _full_partners(store: ShapeStore) -> dict[str, str]:
+    """The full shape that each partial shape of the training lies on, or is a part of."""
+    if store.recipe.partial is None:
+        return {}
+    by_size = (sorted(pair, key=lambda name: store.frame(name).scale) for pair in store.shapes.pairs)
+    return dict(by_size)  # type: ignore[arg-type]
+
+
+def _upright(store: ShapeStore, name: str, partners: Mapping[str, str]) -> Similarity:
+    """What takes the positions of a shape to where an orienter is to put them: on the full shape, of radius
+    ``ORIENTER_RADIUS`` about its centre. A partial shape that is not pre-aligned keeps its own centre.
+    """
+    full = partners.get(name, name)
+    basis = store.samples(full, MESH).bases[0]
+    shares = (basis.mass / basis.mass.sum())[:, None]
+    centre = (shares * basis.points).sum(dim=0)
+    size = ORIENTER_RADIUS / float((shares * (basis.points - centre).square()).sum().sqrt())
+    if full == name:
+        return Similarity(torch.eye(3).to(centre), size, -size * centre)
+    partial, offset = store.recipe.partial, torch.zeros_like(centre)
+    if partial is not None and partial.pre_aligned:
+        offset = torch.from_numpy(store.frame(full).to_unit(store.frame(name).centre)).to(centre) - centre
+    return Similarity(torch.eye(3).to(centre), size * store.frame(name).scale / store.frame(full).scale, size * offset)
 
 
 def _some(basis: Basis, random: np.random.Generator) -> Basis:
     kept = torch.from_numpy(random.permutation(basis.n_points)[:ORIENTER_SAMPLES]).to(basis.points.device)
-    return with_outward_frames(basis.truncated(ORIENTER_EIGENPAIRS).sampled(kept))
+    return basis.truncated(ORIENTER_EIGENPAIRS).sampled(kept)
 
 
 def _halved(basis: Basis) -> Basis:
@@ -176,7 +192,8 @@ def _losses(predicted: Sequence[Float[Tensor, "n 3"]], drawn: Sequence[_Example]
 def _bent(example: _Example, generator: torch.Generator) -> _Example:
     """The shape in another pose, as far as a smooth displacement makes one."""
     waves = example.basis.eigenvectors[:, 1 : _BENDING + 1].float()
-    waves = waves / waves.square().mean(dim=0).sqrt()
+    # Those of small components are zero at most points, or at all of the samples.
+    waves = (waves / waves.square().mean(dim=0).sqrt().clamp(min=_LEAST_WAVE)).clamp(-_HIGHEST_WAVE, _HIGHEST_WAVE)
     heights = torch.randn(waves.shape[1], 3, generator=generator, device=generator.device).to(waves)
     heights = heights * torch.linspace(1, _LEAST_SHARE, waves.shape[1]).to(waves)[:, None]
     size = _LARGEST_BEND * torch.rand(1, generator=generator, device=generator.device).to(waves)
