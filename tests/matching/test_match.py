@@ -205,8 +205,11 @@ def test_files_go_round_in_both_bases(given, tmp_path, suffix, base, direction):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"path": "map.csv"}, "suffix is '.csv', but must be one of .npz, .mat, .txt, .vts"),
-        ({"path": "map.txt", "base": 2}, "base is 2, but the first index must be 0 or 1"),
+        (
+            {"path": "map.csv"},
+            "the suffix '.csv', but a point map must have one of .npz, .mat, .txt, .vts; without",
+        ),
+        ({"path": "map.txt", "base": 2}, "base is 2, but must be the first index, 0 or 1"),
         ({"path": "map.txt", "direction": "forth"}, "direction is 'forth', but must be one of"),
     ],
 )

@@ -376,7 +376,7 @@ def test_a_method_called_like_one_of_homolog_s_own_is_told_of(installed, caplog)
     [
         (lambda pair: (1, 2), "method 'own' gave a tuple, but must give homolog.pairs.PointMaps"),
         (lambda pair: PointMaps(torch.zeros(3, dtype=int), torch.zeros(560, dtype=int)), r"x_to_y of method 'own' is"),
-        (lambda pair: PointMaps(torch.zeros(480), torch.zeros(560, dtype=int)), "must be a tensor of whole numbers"),
+        (lambda pair: PointMaps(torch.zeros(480), torch.zeros(560, dtype=int)), "must be a tensor or array of whole n"),
         (
             lambda pair: PointMaps(torch.full((480,), 560), torch.zeros(560, dtype=int)),
             "holds 560 to 560, but must hold indices of the repaired shape's points, 0 to 559",

@@ -22,6 +22,10 @@ _WAYS_TO = {
     "ConfidenceSettings": "ConfidenceSettings; make them with homolog.maps.ConfidenceSettings(...), or leave them out",
     "RegistrationSettings": "RegistrationSettings; make them with homolog.maps.RegistrationSettings(...), or leave "
     "them out",
+    "Matcher": "a Matcher; make one with homolog.Matcher(...) or homolog.Matcher.from_weights",
+    "PreprocessedShape": "a preprocessed shape; make one with Matcher.preprocess",
+    "ShapeFolder": "a ShapeFolder; open one with homolog.datasets.ShapeFolder.open",
+    "Protocol": "a Protocol; make one with homolog.evaluation.Protocol(...), or leave it out",
     "Pair": "a Pair; make one with Matcher.pair, or of preprocessed shapes with Matcher.paired",
     "Match": "a Match; make one with homolog.match, or read one with homolog.Match.load",
     "PairOptions": "PairOptions; make them with homolog.PairOptions(...), or give their fields by name",

@@ -89,6 +89,10 @@ class PreprocessedShape:
         features = Preprocessor(extractor=extractor).features(operators)
         return replace(self, operators=operators, features=features, rotation=rotation)
 
+    def as_given(self, extractor: FeatureExtractor | None) -> PreprocessedShape:
+        """The shape in the pose in which it was given, whatever its features' orienter found; see ``turned``."""
+        return replace(self.turned(torch.eye(3), extractor), orientations=())
+
     def to_dict(self) -> dict[str, Any]:
         """What was found in the shape, what was done about it, and how its eigenpairs were found, for JSON."""
         eigenpairs = {"number": self.operators.n_eigenpairs, "method": self.operators.method}
