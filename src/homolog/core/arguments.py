@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from homolog.core.errors import ArgumentError, bad_value
+from homolog.core.errors import ArgumentError, bad_choice, bad_value
 
 if TYPE_CHECKING:  # reading a shape does without torch, which takes long to load
     from torch import Tensor
@@ -42,6 +43,12 @@ def check_kind(name: str, found: object, *kinds: type) -> None:
         kind = type(found).__name__
         given = "None" if found is None else f"{'an' if kind[0] in 'aeiouAEIOU' else 'a'} {kind}"
         raise ArgumentError(f"{name} is {given}, but must be {_WAYS_TO[kinds[0].__name__]}")
+
+
+def check_choice(name: str, value: Any, allowed: Sequence[str]) -> None:
+    """Refuse what is not one of these words."""
+    if not (isinstance(value, str) and value in allowed):
+        raise bad_choice(name, value, allowed)
 
 
 def given_or_default(name: str, given: S | None, kind: type[S]) -> S:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from numpy.typing import ArrayLike
 
-from homolog.core.arguments import check_count, check_kind, given_or_default
+from homolog.core.arguments import check_choice, check_count, check_kind, given_or_default
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.progress import Timings
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
@@ -125,6 +125,8 @@ class Matcher:
 
     def method_of(self, source: Modality, target: Modality) -> Method:
         """How two shapes of these modalities are matched; see ``MatcherSettings``."""
+        for name, modality in (("source", source), ("target", target)):
+            check_choice(name, modality, get_args(Modality))
         return method_between(source, target, self._method, self.settings, self.extractor)
 
     def describe(self) -> dict[str, Any]:

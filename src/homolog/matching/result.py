@@ -16,8 +16,8 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_count, check_kind
-from homolog.core.errors import ArgumentError, DataError
+from homolog.core.arguments import check_choice, check_count, check_kind
+from homolog.core.errors import ArgumentError, DataError, bad_value
 from homolog.core.files import expanded
 from homolog.core.versions import versions
 from homolog.geometry import Operators, OperatorSettings, compute_operators
@@ -60,8 +60,8 @@ class Match:
         report: inputs, options, settings, and what was repaired, for JSON.
 
     Raises:
-        ArgumentError: if an array is not of the length that its shape asks for, an index is that of no point, or a
-            confidence is not from 0 to 1.
+        ArgumentError: if something given is of another kind, an array is not of the length that its shape asks for, an
+            index is that of no point, or a confidence is not from 0 to 1.
 
     Examples:
         >>> import homolog
@@ -85,6 +85,13 @@ class Match:
     report: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for side in SIDES:
+            check_kind(side, getattr(self, side), Shape)
+        if not (isinstance(self.warnings, list | tuple) and all(isinstance(warning, str) for warning in self.warnings)):
+            raise bad_value("warnings", self.warnings, "a list of texts, a line each")
+        object.__setattr__(self, "warnings", tuple(self.warnings))
+        if not isinstance(self.report, Mapping):
+            raise bad_value("report", self.report, "a table, such as {}")
         for side, shape, other in (("source", self.source, self.target), ("target", self.target, self.source)):
             name = "source_to_target" if side == "source" else "target_to_source"
             indices = check_point_map(name, getattr(self, name), n_points=shape.n_points, n_others=other.n_points)
@@ -307,7 +314,12 @@ class Match:
         return html
 
     def matched(self, side: Side) -> dict[str, int | float]:
-        """What became of the points of a shape."""
+        """What became of the points of a shape.
+
+        Raises:
+            ArgumentError: if ``side`` is neither ``"source"`` nor ``"target"``.
+        """
+        check_choice("side", side, SIDES)
         indices = self.source_to_target if side == "source" else self.target_to_source
         trust = self.source_confidence if side == "source" else self.target_confidence
         left_out = int(self.report.get("inputs", {}).get(side, {}).get("points_left_out", 0))

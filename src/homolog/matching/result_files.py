@@ -13,8 +13,8 @@ import numpy as np
 import scipy.io
 from jaxtyping import Int
 
-from homolog.core.arguments import is_count
-from homolog.core.errors import ArgumentError, DataError, HomologError, bad_choice, bad_value
+from homolog.core.arguments import check_choice, is_count
+from homolog.core.errors import ArgumentError, DataError, HomologError, bad_value
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, write_json
 from homolog.core.progress import Timings
 from homolog.matching.colours import matched_colours
@@ -233,8 +233,7 @@ def read_point_map(
 def _check_options(base: Any, direction: Any) -> None:
     if base is not None and not (is_count(base, least=0) and base <= 1):
         raise bad_value("base", base, "the first index, 0 or 1")
-    if direction not in _DIRECTIONS:
-        raise bad_choice("direction", direction, _DIRECTIONS)
+    check_choice("direction", direction, _DIRECTIONS)
 
 
 def _check_usual_base(path: str | Path, values: Int[np.ndarray, " n"], first: int, n_others: int | None) -> None:

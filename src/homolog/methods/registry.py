@@ -10,10 +10,10 @@ from importlib import import_module
 from typing import Any
 
 from homolog.core.errors import ArgumentError, bad_choice
-from homolog.core.method_names import AUTO as AUTO
-from homolog.core.method_names import GROUP as GROUP
-from homolog.core.method_names import method_names, offered_methods, own_methods
+from homolog.core.method_names import AUTO, GROUP, method_names, offered_methods, own_methods
 from homolog.core.plugins import described, fault
+
+__all__ = ["AUTO", "GROUP", "find_method", "method_names"]
 
 
 def find_method(name: str) -> Any:

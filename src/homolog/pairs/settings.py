@@ -8,6 +8,7 @@ from typing import Annotated, Any, get_args
 import torch
 from annotated_types import Ge, Le
 
+from homolog.core.arguments import check_choice
 from homolog.core.choices import Device
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.method_names import AUTO, method_names
@@ -240,8 +241,7 @@ def choose_device(device: Device | torch.device) -> torch.device:
         ArgumentError: if there is no such device.
     """
     kind = device.type if isinstance(device, torch.device) else device
-    if kind not in get_args(Device):
-        raise bad_choice("device", str(device), get_args(Device))
+    check_choice("device", kind, get_args(Device))
     if kind == "cuda" and not torch.cuda.is_available():
         raise ArgumentError(f"device is '{device}', but PyTorch finds no CUDA device; use 'cpu' or 'auto'")
     if device == "auto":
