@@ -236,7 +236,14 @@ def test_numbers_of_numpy_are_numbers(one: Any) -> None:
         (lambda: OperatorCache("x", eigenvectors=X), "eigenvectors is 'x', but must be one of float32, float16"),
         (lambda: Preprocessor()(SHAPE, orient=X), "orient is 'x', but must be one of auto, given"),
         (lambda: Preprocessor()(SHAPE, centre=[1, 2]), "centre is [1, 2], but must be three finite numbers"),
-        (lambda: homolog.match(SHAPE, SHAPE, weights=""), "path is '', but must be a path"),
+        (
+            lambda: homolog.match(SHAPE, SHAPE, weights=""),
+            "there are no weights ''; give the path of a file, or one of ",
+        ),
+        (
+            lambda: load_weights(""),
+            "there are no weights ''; give the path of a file, or one of the pretrained ones: peo",
+        ),
     ],
 )
 def test_words_and_numbers_that_cannot_be_are_one_line(call: Call, said: str) -> None:
