@@ -116,12 +116,13 @@ def evaluate(
 
 def _check_arguments(matcher: Any, folder: Any, match: Any, match_pair: Any, metrics: Any) -> None:
     """Refuse, before anything is read, what cannot make maps or score them."""
-    if callable(matcher):
+    has_its_methods = all(hasattr(matcher, name) for name in ("preprocess", "paired", "find"))
+    if callable(matcher) and not has_its_methods:
         raise ArgumentError(
             f"matcher is the function {function_name(matcher)}, but must be a Matcher; give None, and the function by "
             "match="
         )
-    if matcher is not None:
+    if matcher is not None and not has_its_methods:
         check_kind("matcher", matcher, Matcher)
     check_kind("folder", folder, ShapeFolder)
     for name, function in (("match", match), ("match_pair", match_pair)):
