@@ -468,13 +468,13 @@ TEXTS = {
     "weights 'source net' and \"the target\" are old": None,
     "my-source and source-2 are names": None,
     "resources are targeted": None,
-    "the target of old source.off is off": "the source of old source.off is off",
+    "the target of source scan is off": "the source of source scan is off",
 }
 
 
 @pytest.mark.parametrize("text", TEXTS)
 def test_only_the_sides_are_exchanged_in_warnings(given, text):
-    named = replace(given, source=replace(given.source, name="old source.off"), warnings=(text,))
+    named = replace(given, source=replace(given.source, name="source scan"), warnings=(text,))
     (found,) = named.inverse().warnings
     assert found == (TEXTS[text] or text)
     assert named.inverse().inverse().warnings == (text,)

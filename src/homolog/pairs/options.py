@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 from homolog.core.choices import AsCloud, Orient, Side, Up
 from homolog.core.errors import ArgumentError
@@ -39,7 +40,7 @@ class PairOptions(Settings):
 
     as_cloud: AsCloud | None = None
     partial: Side | None = None
-    partial_scale: Positive = 1.0
+    partial_scale: Annotated[Positive, "and finite"] = 1.0
     pre_aligned: bool = False
     source_up: Up = "y"
     target_up: Up = "y"
