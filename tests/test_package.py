@@ -33,6 +33,7 @@ CORE = {
     "core.caches": {"core.errors", "core.files"},
     "core.pretrained": {"core.errors", "core.files"},
     "core.folders": {"core.errors", "core.files"},
+    "core.method_names": {"core.plugins"},
     "core.tasks": {"core.errors", "core.progress"},
     "core": set(),
 }

@@ -52,9 +52,10 @@ def _default(field: Field[Any]) -> str:
 
 
 def _arguments(settings: type) -> dict[str, str]:
-    """What a docstring says of each of its arguments."""
-    text = (inspect.getdoc(settings) or "").partition("Args:\n")[2].partition("\n\n")[0]
-    found = re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", text, re.MULTILINE)
+    """What a docstring, and those of the settings that it extends, say of each argument."""
+    texts = [inspect.cleandoc(kind.__doc__ or "").partition("Args:\n")[2] for kind in settings.__mro__]
+    arguments = r"^    (\w+): (.*(?:\n {8}.*)*)"
+    found = [each for text in texts for each in re.findall(arguments, text.partition("\n\n")[0], re.MULTILINE)]
     return {name: " ".join(said.replace("``", "`").split()).replace("|", "\\|") for name, said in found}
 
 

@@ -251,19 +251,22 @@ def test_words_of_files_and_of_sentences_are_no_options(homolog, files, tmp_path
     assert ended.err == f"Error: {told or said}\n"
 
 
-def test_weights_that_the_method_does_not_use_are_said_and_leave_no_trace(homolog, files, tmp_path, caplog):
-    """With ``--quiet`` it is not said either."""
+def test_weights_that_the_method_does_not_use_are_said_and_leave_no_trace(homolog, files, tmp_path):
+    """On the screen, unless ``--quiet`` is given, and in the report."""
     options = ["--method", "axiomatic", "--weights", files.weights]
-    homolog("match", files.mesh, files.other, "-o", tmp_path / "with", *options)
-    (said,) = (record.getMessage() for record in caplog.records)
-    assert "does not use weights; the given ones, untrained, are left aside" in said
+    said = "the weights or features 'untrained' are left aside, as the method 'axiomatic' does not use any"
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "with", *options)
+    assert ended.err.count(f"Warning: {said}") == 1
+    (told,) = report(tmp_path / "with")["warnings"]
+    assert told.startswith(said)
     assert report(tmp_path / "with")["features"]["name"] == "axiomatic"
     homolog("match", files.mesh, files.other, "-o", tmp_path / "without", "--method", "axiomatic")
     for name, array in maps(tmp_path / "without").items():
         np.testing.assert_array_equal(maps(tmp_path / "with")[name], array)
-    caplog.clear()
-    homolog("match", files.mesh, files.other, "-o", tmp_path / "with", *options, "--quiet")
-    assert not caplog.records
+    assert report(tmp_path / "without")["warnings"] == []
+    assert homolog("match", files.mesh, files.other, "-o", tmp_path / "with", *options, "--quiet").err == ""
+    assert report(tmp_path / "with")["warnings"] == [told]
+    assert homolog("match", files.mesh, files.other, "-o", tmp_path / "no", *options, "--strict").code == 2
 
 
 def test_the_map_is_that_of_the_adapted_network(homolog, files, tmp_path):
@@ -643,3 +646,23 @@ def test_no_output_replaces_an_input(homolog, files, tmp_path, option):
     ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", option, link)
     assert ended.is_one_line_of_complaint() and "is an input and would be replaced" in ended.err
     assert files.mesh.read_bytes() == before and not (tmp_path / "out").exists()
+
+
+def test_alternatives_have_figures_of_their_own(homolog, files, tmp_path):
+    options = ["--method", "registration", "-o", tmp_path]
+    plain = homolog("match", files.mesh, files.other, *options)
+    best = maps(tmp_path)
+    ended = homolog("match", files.mesh, files.other, *options, "--alternatives", 3)
+    assert plain.code == ended.code == 0
+    for name, array in best.items():
+        np.testing.assert_array_equal(maps(tmp_path)[name], array)
+    reports = [report(tmp_path / name) for name in ("", "alternative-2", "alternative-3")]
+    assert len({json.dumps(each["orientation"]) for each in reports}) == 3
+    for each in reports:
+        assert each["inputs"]["source"]["file"] == str(files.mesh)
+        steps = [step["name"] for step in each["timings"]]
+        assert steps.count("map") == steps.count("write") == steps.count("read source") == 1
+        margin = each["orientation"]["runner_up"] - each["orientation"]["misfit"]
+        assert each["orientation"]["margin"] == pytest.approx(margin)
+    shown = re.findall("Warning: alternative-[23]: ", ended.err)
+    assert len(shown) == sum(len(set(each["warnings"]) - set(reports[0]["warnings"])) for each in reports[1:])

@@ -169,10 +169,23 @@ MISTAKES = {
     "truth": (lambda d, t: [with_long_truth(d)], "names vertex 163"),
     "no faces": (lambda d, t: [without_faces(d)], "one.off has no faces"),
     "too many drawn": (lambda d, t: [d, "--n-pairs", 3], "--n-pairs is 3, but"),
-    "maps and method": (
-        lambda d, t: [d, "--maps", d, "--method", "axiomatic"],
-        "leave --weights, --method and --adapt",
-    ),
+    **{
+        f"maps and {words[0]}": (
+            lambda d, t, words=words: [d, "--maps", d, *words],
+            f"--maps scores maps that are there already, so that {words[0]} has no effect; leave it out",
+        )
+        for words in (
+            ["--method", "axiomatic"],
+            ["--weights", "people"],
+            ["--adapt", 3],
+            ["--turn", "any"],
+            ["--orient", "given"],
+            ["--noise", 0.1],
+            ["--device", "cpu"],
+            ["--no-cache"],
+            ["--pre-aligned"],
+        )
+    },
     "base alone": (lambda d, t: [d, "--base", 1], "--base is 1, but is about the files of --maps"),
     "registration of parts": (
         lambda d, t: [d, "--method", "registration", "--partial"],

@@ -13,7 +13,7 @@ import torch
 import homolog
 from homolog.core.errors import ArgumentError
 from homolog.core.memory import get_working_memory, set_working_memory
-from homolog.features import load_weights
+from homolog.features import FeatureInfo, NetworkSettings, load_weights
 from homolog.geometry import OperatorCache, OperatorSettings, compute_operators, unit_frame
 from homolog.maps import (
     confidence,
@@ -117,7 +117,8 @@ def test_the_bound_stays_when_another_is_refused() -> None:
 @pytest.mark.parametrize("device", [None, "tpu", 0, torch.device("meta")])
 def test_what_is_no_device_is_refused_with_the_devices(device: Any) -> None:
     message = refusal(lambda: choose_device(device))
-    assert f"device is '{device}'" in message
+    found = device.type if isinstance(device, torch.device) else device
+    assert f"device is {found!r}" in message
     assert "auto, cpu, cuda" in message
 
 
@@ -187,3 +188,90 @@ def test_maps_of_other_shapes_are_no_match() -> None:
 def test_the_package_itself_offers_what_the_messages_name() -> None:
     for name in ("Matcher", "MatcherSettings", "Shape", "compute_operators", "read_shape"):
         assert hasattr(homolog, name)
+
+
+@pytest.mark.parametrize("one", [1, 1.0, np.float32(1), np.float64(1), np.int64(1)])
+def test_numbers_of_numpy_are_numbers(one: Any) -> None:
+    assert homolog.PairOptions(partial="source", partial_scale=one).partial_scale == 1
+    assert homolog.PairOptions(partial=np.str_("source"), strict=np.bool_(True)).strict is True
+    before = get_working_memory()
+    set_working_memory(1000 * one)
+    assert get_working_memory() == 1000
+    set_working_memory(before)
+    assert sinkhorn_matches(FEATURES, FEATURES, temperature=one).x_to_y.shape == (30,)
+    assert compute_operators(SHAPE, scale=one).scale == 1
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: homolog.PairOptions(partial=X, partial_scale=2), "partial is 'x', but must be one of source, target"),
+        (
+            lambda: homolog.PairOptions(partial=np.array(["source"])),
+            "partial is ['source'], but must be one of 'source'",
+        ),
+        (lambda: homolog.PairOptions(orient=np.zeros(2)), "orient is [0.0, 0.0], but must be one of 'auto', 'given'"),
+        (
+            lambda: homolog.PairOptions(partial="source", partial_scale=True),
+            "partial_scale is True, but must be a number",
+        ),
+        (
+            lambda: homolog.PairOptions(partial="source", partial_scale=NAN),
+            "partial_scale is nan, but must be a number",
+        ),
+        (lambda: homolog.PairOptions(partial_scale=2), "partial_scale is 2.0, but neither shape is partial"),
+        (lambda: homolog.PairOptions(pre_aligned=1), "pre_aligned is 1, but must be true or false"),
+        (lambda: FeatureInfo(n_eigenpairs=2.5), "n_eigenpairs is 2.5, but must be a whole number of at least 1"),
+        (lambda: FeatureInfo(temperature=0), "temperature is 0, but must be a number above 0"),
+        (lambda: FeatureInfo(input=X), "input is 'x', but must be one of xyz, wks, hks, operators"),
+        (lambda: NetworkSettings(dropout=1), "dropout is 1, but must be a number of at least 0 and below 1"),
+        (lambda: NetworkSettings(width=0), "width is 0, but must be a whole number of at least 1"),
+        (lambda: homolog.MatcherSettings(method="zzz"), "method is 'zzz', but must be one of auto, axiomatic, "),
+        (lambda: homolog.stand_upright(SHAPE, np.zeros(2)), "up is array([0., 0.]), but must be one of x, y, z"),
+        (lambda: homolog.stand_upright(X, "y"), "shape is a str, but must be a Shape"),
+        (lambda: choose_device(np.zeros(2)), "device is array([0., 0.]), but must be one of auto, cpu, cuda"),
+        (lambda: Shape(POINTS, name=3), "name is 3, but must be a text"),
+        (lambda: OperatorCache(3), "path is 3, but must be a path"),
+        (lambda: OperatorCache("x", max_bytes=X), "max_bytes is 'x', but must be a number of bytes"),
+        (lambda: OperatorCache("x", eigenvectors=X), "eigenvectors is 'x', but must be one of float32, float16"),
+        (lambda: Preprocessor()(SHAPE, orient=X), "orient is 'x', but must be one of auto, given"),
+        (lambda: Preprocessor()(SHAPE, centre=[1, 2]), "centre is [1, 2], but must be three finite numbers"),
+        (
+            lambda: homolog.match(SHAPE, SHAPE, weights=""),
+            "there are no weights ''; give the path of a file, or one of ",
+        ),
+        (
+            lambda: load_weights(""),
+            "there are no weights ''; give the path of a file, or one of the pretrained ones: peo",
+        ),
+    ],
+)
+def test_words_and_numbers_that_cannot_be_are_one_line(call: Call, said: str) -> None:
+    with pytest.raises(homolog.HomologError) as refused:
+        call()
+    assert str(refused.value).startswith(said) and "\n" not in str(refused.value)
+
+
+def test_long_values_are_cut() -> None:
+    with pytest.raises(ArgumentError) as refused:
+        homolog.PairOptions(partial=np.arange(10000))
+    assert len(str(refused.value)) < 300
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ((np.zeros((5, 3)), [[0, 1, 2]]), " cannot be used: 0 usable faces"),
+        (np.zeros((5, 3)), " cannot be used: 1 usable points"),
+        (Shape(np.zeros((5, 3))), " cannot be used: 1 usable points"),
+        ((POINTS, [[0, 1, 99]]), ": faces hold the index 99"),
+        (POINTS[:, :2], ": points have shape (30, 2)"),
+        (3, ": a shape is needed, but int was given"),
+    ],
+)
+def test_a_shape_without_a_name_is_called_by_its_side(side: str, given: Any, said: str) -> None:
+    shapes = {"source": SHAPE, "target": SHAPE, side: given}
+    with pytest.raises(homolog.HomologError) as refused:
+        homolog.match(shapes["source"], shapes["target"], method="registration", device="cpu")
+    assert str(refused.value).startswith(f"{side}{said}")

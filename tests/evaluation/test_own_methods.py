@@ -6,12 +6,15 @@ import csv
 
 import numpy as np
 import pytest
+import scipy.io
+import torch
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import write_csv
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import MapsFolder, Protocol, evaluate, plot_pck
-from homolog.matching import Match
+from homolog.matching import Match, Matcher
+from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, write_shape
 
 N, UNUSED = 162, 50
@@ -238,3 +241,106 @@ def test_a_protocol_that_cannot_be_is_refused_as_it_is_made(values, said):
     with pytest.raises(ArgumentError, match=f"^{said}") as caught:
         Protocol(**values)
     assert "\n" not in str(caught.value)
+
+
+def write_maps(folder, root, name, indices):
+    root.mkdir()
+    for source, target in folder.pairs("all"):
+        if name.endswith(".mat"):
+            scipy.io.savemat(root / name.format(source, target), {"matches": indices})
+        else:
+            np.savetxt(root / name.format(source, target), indices, fmt="%d")
+    return root
+
+
+FROM_ZERO = np.roll(np.arange(N), 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "indices", "said", "base"),
+    [
+        ("{}_{}.vts", FROM_ZERO, f"holds 0, and {N - 1} at most: its indices seem to count from 0", 0),
+        ("{}_{}.map", np.minimum(FROM_ZERO, 5), "holds 0, and 5 at most: its indices seem to count from 0", 0),
+        ("{}_{}.mat", FROM_ZERO, f"count from 1, to {N}; give base=0, or base=1 if 0 stands for a point without", 0),
+        ("{}_{}.vts", np.where(FROM_ZERO == 2, -1, FROM_ZERO), "holds -1, but must hold indices from 1, or 0 for", 0),
+        ("{}_{}.txt", FROM_ZERO + 1, f"holds {N}, but must hold indices from 0 to {N - 1}; give base=1", 1),
+        ("{}_{}.txt", np.where(FROM_ZERO == 2, 0, FROM_ZERO + 1), f"holds {N}, but must hold indices from 0", 1),
+    ],
+)
+def test_maps_that_count_from_another_index_are_noticed(folder, tmp_path, name, indices, said, base):
+    maps = write_maps(folder, tmp_path / "maps", name, indices)
+    with pytest.raises(DataError, match=said) as caught:
+        evaluate(None, folder, ALL, match=MapsFolder(maps))
+    assert f"base={base}" in str(caught.value) and "\n" not in str(caught.value)
+    found = evaluate(None, folder, ALL, match=MapsFolder(maps, base=base))
+    expected = evaluate(None, folder, ALL, match=lambda source, target: indices - base)
+    np.testing.assert_array_equal(found.errors, expected.errors)
+
+
+def test_zero_for_none_is_no_mistake_where_the_last_point_is_there(folder, tmp_path):
+    indices = np.where(FROM_ZERO == 2, 0, FROM_ZERO + 1)
+    found = evaluate(None, folder, ALL, match=MapsFolder(write_maps(folder, tmp_path / "maps", "{}_{}.vts", indices)))
+    assert sum((~pair.matched).sum() for pair in found.pairs) == 3
+
+
+MATCHER = Matcher(settings=MatcherSettings(method="registration"), device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (
+            lambda folder: evaluate(MATCHER, str(folder.root)),
+            "folder is a str, but must be a ShapeFolder; open one with",
+        ),
+        (lambda folder: evaluate(MATCHER, None), "folder is None, but must be a ShapeFolder"),
+        (
+            lambda folder: evaluate(identity, folder),
+            "matcher is the function identity, but must be a Matcher; give None",
+        ),
+        (lambda folder: evaluate("people", folder), "matcher is a str, but must be a Matcher; make one with"),
+        (lambda folder: evaluate(folder, MATCHER), "matcher is a ShapeFolder, but must be a Matcher"),
+        (lambda folder: evaluate(MATCHER, folder, "all"), "protocol is a str, but must be a Protocol"),
+        (lambda folder: evaluate(None, folder, match="maps"), "match is 'maps', but must be a function"),
+        (lambda folder: evaluate(MATCHER, folder, match_pair=3), "match_pair is 3, but must be a function"),
+        (
+            lambda folder: evaluate(MATCHER, folder, match=identity, match_pair=identity),
+            "match and match_pair are both",
+        ),
+        (
+            lambda folder: evaluate(MATCHER, folder, match_pair=lambda pair: 3),
+            "what match_pair gave is an int, but must",
+        ),
+        (lambda folder: evaluate(None, folder, match=identity, metrics=[len]), "metrics is .*, but must be a table of"),
+        (
+            lambda folder: evaluate(None, folder, match=identity, metrics={"one": 1}),
+            r"metrics\['one'\] is 1, but must be",
+        ),
+        (lambda folder: evaluate(None, folder, match=identity, metrics={1: len}), r"metrics\[1\] is .*, under a name"),
+        *(
+            (
+                lambda folder, figure=figure: evaluate(
+                    None, folder, ALL, match=identity, metrics={"mine": lambda scored: figure}
+                ),
+                f"the metric 'mine' of a - b is {said}, but must be a finite number",
+            )
+            for figure, said in (
+                (None, "None"),
+                ("much", "'much'"),
+                (np.zeros(2), r"array\(.*\)"),
+                (np.nan, "nan"),
+                (1j, "1j"),
+            )
+        ),
+    ],
+)
+def test_what_evaluate_cannot_use_is_one_line(folder, call, said):
+    with pytest.raises(ArgumentError, match=said) as caught:
+        call(folder)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("figure", [np.float32(2), torch.tensor(2.0), np.array(2), True])
+def test_figures_may_be_numbers_of_any_kind(folder, figure):
+    found = evaluate(None, folder, ALL, match=identity, metrics={"mine": lambda scored: figure})
+    assert found.to_dict()["metrics"]["mine"] == float(figure)

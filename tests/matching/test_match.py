@@ -205,8 +205,11 @@ def test_files_go_round_in_both_bases(given, tmp_path, suffix, base, direction):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"path": "map.csv"}, "suffix is '.csv', but must be one of .npz, .mat, .txt, .vts"),
-        ({"path": "map.txt", "base": 2}, "base is 2, but the first index must be 0 or 1"),
+        (
+            {"path": "map.csv"},
+            "the suffix '.csv', but a point map must have one of .npz, .mat, .txt, .vts; without",
+        ),
+        ({"path": "map.txt", "base": 2}, "base is 2, but must be the first index, 0 or 1"),
         ({"path": "map.txt", "direction": "forth"}, "direction is 'forth', but must be one of"),
     ],
 )
@@ -377,3 +380,117 @@ def test_its_repr_is_short_and_says_what_it_is(given, build, blobs):
     for each in (build().match(blobs.source, blobs.target), *build().pair(blobs.source, blobs.target)[:1]):
         assert repr(each).count("\n") < 5
         assert "array(" not in repr(each) and "tensor(" not in repr(each)
+
+
+@pytest.mark.parametrize("base", [7, -1, "a", 1.0, True, None])
+@pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
+def test_the_first_index_is_checked_as_a_map_is_read(given, tmp_path, suffix, base):
+    given.save(tmp_path / f"map{suffix}")
+    if base is None:
+        np.testing.assert_array_equal(read_point_map(tmp_path / f"map{suffix}", base=base), given.target_to_source)
+        return
+    with pytest.raises(ArgumentError, match=f"base is {base!r}, but must be the first index, 0 or 1"):
+        read_point_map(tmp_path / f"map{suffix}", base=base)
+    with pytest.raises(ArgumentError, match="direction is 'back', but must be one of target_to_source, source_to_"):
+        read_point_map(tmp_path / f"map{suffix}", direction="back")
+    expected = given.target_to_source
+    usual = {".txt": 0, ".vts": 1, ".mat": 1, ".npz": 0}[suffix]
+    np.testing.assert_array_equal(read_point_map(tmp_path / f"map{suffix}", base=np.int64(usual)), expected)
+
+
+@pytest.mark.parametrize("text", ["-2\n0\n", "3\n-7\n"])
+def test_numbers_below_none_are_no_indices(tmp_path, text):
+    (tmp_path / "map.txt").write_text(text)
+    with pytest.raises(DataError, match=r"map.txt holds -\d, but must hold indices from 0, or -1 for none$"):
+        read_point_map(tmp_path / "map.txt")
+
+
+@pytest.mark.parametrize("name", ["o.map", "o.npy", "result.v2"])
+def test_a_suffix_that_is_not_known_is_told_with_those_that_are(given, tmp_path, name):
+    said = rf"{name} has the suffix '\.\w+', but a point map must have one of .npz, .mat, .txt, .vts; without a suff"
+    with pytest.raises(ArgumentError, match=said):
+        given.save(tmp_path / name)
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(DataError, match=f"there is no folder {tmp_path / 'nope'}; give a folder that homolog match"):
+        Match.load(tmp_path / "nope")
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="file is a file; give a folder"):
+        Match.load(tmp_path / "file")
+    for path in ("", None, 3):
+        with pytest.raises(ArgumentError, match=f"path is {path!r}, but must be a path"):
+            Match.load(path)
+
+
+def test_the_functional_map_has_the_size_asked_for_or_none(make):
+    """No more than there are eigenfunctions on either shape, or points with a counterpart."""
+    blob, few = make.blob(3), make.blob(0)
+    for call, said in (
+        (lambda: identity(few).functional_map(50), r"k is 50, but the source, blob, has \d+ eigenfunctions; give at m"),
+        (lambda: Match(blob, few, np.zeros(642, int), np.arange(12)).functional_map(20), "but the target, blob, has"),
+        (lambda: identity(blob).functional_map(0), "k is 0, but must be a whole number of at least 1"),
+        (lambda: identity(blob).functional_map(2.5), "k is 2.5, but must be a whole number"),
+        (
+            lambda: Match(blob, blob, np.full(642, -1), np.where(np.arange(642) < 9, 5, -1)).functional_map(10),
+            "k is 10, but only 9 points of the target, blob, have a counterpart",
+        ),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            call()
+    n = few.n_points
+    largest = max(k for k in range(1, n) if compute_operators(few, settings=OperatorSettings(k)).n_eigenpairs == k)
+    assert identity(few).functional_map(largest).shape == (largest, largest)
+    assert identity(blob).functional_map(np.int64(7)).shape == (7, 7)
+
+
+def test_composed_matches_keep_the_names_of_their_shapes(given, build, blobs, tmp_path):
+    there = build().match(blobs.source, blobs.target)
+    for match, names in (
+        (there.compose(there.inverse()), ["source", "source"]),
+        (identity(given.source).compose(given), ["mesh.off", "cloud.xyz"]),
+        (given, ["mesh.off", "cloud.xyz"]),
+    ):
+        match.save(tmp_path)
+        loaded = Match.load(tmp_path)
+        assert [loaded.source.name, loaded.target.name] == names
+        assert loaded.matched("source")["points_left_out"] == match.matched("source")["points_left_out"]
+
+
+TEXTS = {
+    "the source seems to be a mirror image; say so by mirror='source'": "the target seems to be a mirror image; say so "
+    "by mirror='target'",
+    "give source_up='z' or --target-up z": "give target_up='z' or --source-up z",
+    "source_to_target is not target_confidence": "target_to_source is not source_confidence",
+    "the source's area (target) is less.": "the target's area (source) is less.",
+    "source.ply and /data/source/target.ply differ": None,
+    r"C:\source\a.off lies apart": None,
+    "weights 'source net' and \"the target\" are old": None,
+    "my-source and source-2 are names": None,
+    "resources are targeted": None,
+    "the target of source scan is off": "the source of source scan is off",
+}
+
+
+@pytest.mark.parametrize("text", TEXTS)
+def test_only_the_sides_are_exchanged_in_warnings(given, text):
+    named = replace(given, source=replace(given.source, name="source scan"), warnings=(text,))
+    (found,) = named.inverse().warnings
+    assert found == (TEXTS[text] or text)
+    assert named.inverse().inverse().warnings == (text,)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"source": "a.off"}, "source is a str, but must be a Shape"),
+        ({"target": None}, "target is None, but must be a Shape"),
+        ({"warnings": "look!"}, "warnings is 'look!', but must be a list of texts"),
+        ({"report": []}, r"report is \[\], but must be a table"),
+    ],
+)
+def test_what_makes_no_match_is_one_line(given, changes, said):
+    with pytest.raises(ArgumentError, match=said):
+        replace(given, **changes)
+    with pytest.raises(ArgumentError, match="side is 'both', but must be one of source, target"):
+        given.matched("both")

@@ -249,7 +249,7 @@ def test_methods_that_need_weights(method):
         (lambda m, s: m.match(s, s, partial="sorce"), ["partial is 'sorce'", "did you mean 'source'?"]),
         (lambda m, s: m.match(s, s, partial=""), ["partial is ''", "source, target"]),
         (lambda m, s: m.match(s, s, source_up="w"), ["source_up is 'w'", "x, y, z"]),
-        (lambda m, s: m.match(s, s, target_up=None), ["target_up is 'None'"]),
+        (lambda m, s: m.match(s, s, target_up=None), ["target_up is None", "'x', 'y', 'z'"]),
         (lambda m, s: m.match(s, s, as_cloud="sorce"), ["as_cloud is 'sorce'", "did you mean 'source'?"]),
         (
             lambda m, s: m.paired(m.preprocess(s), m.preprocess(s), PairOptions(partial="targt")),

@@ -21,6 +21,7 @@ from homolog.methods import FunctionMethod, Supports, find_method, method_names
 from homolog.pairs import MatcherSettings, PointMaps
 
 ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
+INFO = FeatureInfo(name="blobs", upright=False, map_eigenpairs=40)
 OWN = FeatureInfo(name="own", input="operators", upright=False, map_eigenpairs=40)
 
 
@@ -376,7 +377,7 @@ def test_a_method_called_like_one_of_homolog_s_own_is_told_of(installed, caplog)
     [
         (lambda pair: (1, 2), "method 'own' gave a tuple, but must give homolog.pairs.PointMaps"),
         (lambda pair: PointMaps(torch.zeros(3, dtype=int), torch.zeros(560, dtype=int)), r"x_to_y of method 'own' is"),
-        (lambda pair: PointMaps(torch.zeros(480), torch.zeros(560, dtype=int)), "must be a tensor of whole numbers"),
+        (lambda pair: PointMaps(torch.zeros(480), torch.zeros(560, dtype=int)), "must be a tensor or array of whole n"),
         (
             lambda pair: PointMaps(torch.full((480,), 560), torch.zeros(560, dtype=int)),
             "holds 560 to 560, but must hold indices of the repaired shape's points, 0 to 559",
@@ -389,3 +390,106 @@ def test_maps_that_do_not_fit_are_one_line(blobs, maps, said):
     with pytest.raises(ArgumentError, match=said) as caught:
         Matcher(settings=MatcherSettings(method=method), device="cpu").match(blobs.source, blobs.target)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("supports", [None, Supports(needs_features=False)])
+def test_the_maps_of_a_bare_function_are_refined_only_if_it_says_so(blobs, network, supports):
+    def mine(pair):
+        return nearest_points(pair)
+
+    if supports is not None:
+        mine.supports = supports
+    matcher = Matcher(None if supports else network, INFO, settings=MatcherSettings(method=mine), device="cpu")
+    found = matcher.match(blobs.source, blobs.target)
+    plain = nearest_points(matcher.pair(blobs.source, blobs.target)[0]).y_to_x.numpy()
+    same = np.mean(found.target_to_source == plain)
+    assert same == 1 if supports is None else same < 0.9
+    assert found.method == "mine"
+
+
+def test_what_a_bare_function_supports_is_said_in_one_way(blobs):
+    def mine(pair):
+        return nearest_points(pair)
+
+    mine.supports = {"refinement": False}
+    with pytest.raises(
+        ArgumentError, match=r"supports of method 'mine' is a dict, but must be homolog.methods.Supports"
+    ):
+        Matcher(settings=MatcherSettings(method=mine), device="cpu")
+
+
+@pytest.mark.parametrize(
+    "convert",
+    [
+        lambda indices: indices.numpy(),
+        lambda indices: indices.tolist(),
+        lambda indices: indices.numpy().astype(np.uint16),
+        lambda indices: np.ascontiguousarray(indices.numpy()[::-1])[::-1],
+        lambda indices: indices.int(),
+    ],
+    ids=["array", "list", "uint16", "reversed", "int32"],
+)
+def test_maps_may_be_arrays_or_lists(blobs, convert):
+    def converted(pair):
+        maps = nearest_points(pair)
+        return PointMaps(convert(maps.x_to_y), convert(maps.y_to_x))
+
+    for refinement in (False, True):
+        supports = Supports(needs_features=False, refinement=refinement)
+        found, expected = (
+            homolog.match(blobs.source, blobs.target, method=FunctionMethod("own", function, supports), device="cpu")
+            for function in (converted, nearest_points)
+        )
+        assert_same(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("features", "said"),
+    [
+        ((0, None), "features of the target are None, but must be an array"),
+        ((None, None), "features of the source are None, but must be an array"),
+        ((1j, 0), "features 'source' are complex, but must be real"),
+        ((0, np.nan), "features 'target' hold NaN or infinite numbers, but must be finite"),
+    ],
+)
+def test_arrays_of_features_that_cannot_be_compared(blobs, features, said):
+    arrays = [
+        None if number is None else shape.points + number
+        for number, shape in zip(features, (blobs.source, blobs.target), strict=True)
+    ]
+    with pytest.raises(ArgumentError, match=said) as caught:
+        homolog.match(blobs.source, blobs.target, features=arrays, device="cpu")
+    assert "\n" not in str(caught.value)
+
+
+def test_features_of_two_widths_are_called_so(blobs):
+    said = "features of the source, source, have width 3 and those of the target, target, 2, but must have the same"
+    with pytest.raises(ArgumentError, match=said):
+        homolog.match(blobs.source, blobs.target, features=(blobs.source.points, blobs.target.points[:, :2]))
+    with pytest.raises(ArgumentError, match="have width 480 and those of the target, target, 560"):
+        homolog.match(blobs.source, blobs.target, features=lambda shape: torch.eye(shape.n_points))
+
+
+@pytest.mark.parametrize("options", [{}, {"method": "nearest-features"}, {"partial": "source"}])
+def test_features_that_require_gradients_are_compared_as_they_are(blobs, options):
+    plain = [torch.tensor(shape.points) for shape in (blobs.source, blobs.target)]
+    learned = [features.clone().requires_grad_() for features in plain]
+    for given in (learned, [list(features) for features in learned]):
+        found, expected = (
+            homolog.match(blobs.source, blobs.target, features=features, device="cpu", **options)
+            for features in (given, plain)
+        )
+        assert_same(found, expected)
+
+
+@pytest.mark.parametrize("features", [lambda shape: shape.points, "arrays"])
+def test_features_that_the_method_does_not_use_are_a_warning(blobs, features):
+    given = (blobs.source.points, blobs.target.points) if features == "arrays" else features
+    found = homolog.match(blobs.source, blobs.target, features=given, method="registration", device="cpu")
+    plain = homolog.match(blobs.source, blobs.target, method="registration", device="cpu")
+    name = "given" if features == "arrays" else "<lambda>"
+    assert found.warnings[0].startswith(
+        f"the weights or features {name!r} are left aside, as the method 'registration' does not use any"
+    )
+    assert found.warnings[1:] == plain.warnings
+    assert_same(found, plain)

@@ -8,8 +8,10 @@ from scipy.spatial.transform import Rotation
 
 import homolog
 from homolog.core.errors import ArgumentError
+from homolog.core.progress import Timings
 from homolog.datasets import demo_folder
 from homolog.maps import rotation_angle
+from homolog.matching import low_confidence_warnings, orientation_warnings
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, mirrored, rotation_about
 
@@ -131,3 +133,61 @@ def test_alternatives_lead_to_other_maps(blobs):
     assert (best.source_to_target != second.source_to_target).mean() > 0.5
     misfits = [match.report["orientation"]["misfit"] for match in (best, second, third)]
     assert misfits == sorted(misfits)
+
+
+def test_the_given_pose_holds_for_shapes_that_were_preprocessed_in_another_one():
+    """Of shapes that their features' orienter has turned, and of those that it has left as they are."""
+    matcher = homolog.Matcher.from_weights("people")
+    source, target = homolog.demo_shapes()
+    given = turned(source, rotation_about(0, 180)), target
+    prepared = [matcher.preprocess(shape) for shape in given]
+    assert float(rotation_angle(prepared[0].rotation)) > 60
+    pair = matcher.paired(*prepared, PairOptions(orient="given"))
+    expected, _ = matcher.pair(*given, orient="given")
+    for shape, wanted in ((pair.source, expected.source), (pair.target, expected.target)):
+        assert torch.equal(shape.rotation, torch.eye(3)) and not shape.orientations
+        torch.testing.assert_close(shape.operators.points, wanted.operators.points, atol=1e-5, rtol=0)
+        torch.testing.assert_close(shape.features, wanted.features, atol=1e-2, rtol=1e-2)
+    found = matcher.find(pair)
+    assert found.report["orientation"] is None
+    assert (found.target_to_source == matcher.find(expected).target_to_source).mean() > 0.95
+    assert error(found) > 5 > error(matcher.find(matcher.paired(*prepared)))
+
+
+def test_pairs_of_preprocessed_shapes_have_no_options_that_these_lack(blobs):
+    matcher = homolog.Matcher(settings=homolog.MatcherSettings(method="registration"))
+    prepared = matcher.preprocess(blobs.source), matcher.preprocess(blobs.target, as_cloud=True, up="z")
+    for options, said in (
+        ({"as_cloud": "both"}, "as_cloud is 'both', but the source was preprocessed as a mesh; give as_cloud=True to"),
+        ({"source_up": "z"}, "source_up is 'z', but the source was preprocessed with 'y' up; give up='z' to"),
+        ({"target_up": "x"}, "target_up is 'x', but the target was preprocessed with 'z' up"),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            matcher.paired(*prepared, PairOptions(**options))
+    assert matcher.paired(*prepared, PairOptions(as_cloud="target", target_up="z")).target is prepared[1]
+    with pytest.raises(ArgumentError, match="source is a Shape, but must be a preprocessed shape; make one with"):
+        matcher.paired(blobs.source, blobs.target)
+
+
+@pytest.mark.parametrize("weights", [None, "people"])
+def test_each_alternative_is_made_once_with_warnings_and_a_margin_of_its_own(blobs, calls, weights):
+    method = "auto" if weights else "registration"
+    matcher = homolog.Matcher(
+        weights and homolog.load_weights(weights), settings=homolog.MatcherSettings(method=method), device="cpu"
+    )
+    pair, _ = matcher.pair(turned(blobs.source, odd(3)), blobs.source)
+    plain = matcher.match_pair(pair)
+    made = calls(homolog.Matcher, "find")
+    timings = [Timings() for _ in range(3)]
+    found = matcher.alternatives(pair, 3, timings=timings)
+    assert len(made) == len(found) > 1
+    np.testing.assert_array_equal(found[0].source_to_target, plain.source_to_target)
+    assert [[step.name for step in each.finished] for each in timings[: len(found)]] == [["map"]] * len(found)
+    told = [match.report["orientation"] for match in found]
+    for number, orientation in enumerate(told):
+        others = [other["misfit"] for other in told[:number] + told[number + 1 :]]
+        assert orientation["runner_up"] <= min(others)
+        assert orientation["margin"] == pytest.approx(orientation["runner_up"] - orientation["misfit"])
+    for match in found:
+        expected = (*orientation_warnings(match), *low_confidence_warnings(match))
+        assert [warning for warning in match.warnings if "mirror" not in warning] == list(expected)

@@ -21,17 +21,28 @@ import numpy as np
 import pytest
 import SimpleITK
 import trimesh
+from command_server import read_short_recipe
 from sybil.document import Document
 from sybil.evaluators.python import PythonEvaluator
 from sybil.parsers.markdown import CodeBlockParser
 
+from homolog import training
+from homolog.datasets import read_description
+from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, save_weights
 from homolog.shapes import Shape, write_shape
+from homolog.training import read_recipe
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 PAGES = [
     ROOT / "README.md",
-    *(DOCS / f"{name}.md" for name in ("index", "matching", "extending", "serving")),
+    *(DOCS / f"{name}.md" for name in ("index", "matching", "method", "conventions", "training", "data", "extending")),
+    DOCS / "serving.md",
     *sorted((DOCS / "tutorials").glob("*.md")),
 ]
 SHELLS = ("sh", "bash", "console", "shell")
@@ -41,6 +52,7 @@ PROGRAMS = {
     "pip": f'exec "{sys.executable}" "{HERE / "check_pip.py"}" "$@"',
     "python": f'exec "{sys.executable}" "$@"',
     "make": f'exec "{shutil.which("make")}" --directory "{ROOT}" --dry-run "$@" > /dev/null',
+    "tensorboard": 'test "$1" = --logdir && ls "$2" | grep -q events',
 }
 OUTPUT = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
@@ -117,6 +129,17 @@ class Reader:
             PythonEvaluator()(block)
         self.printed = printed.getvalue()
 
+    def toml(self, block):
+        """A file that later blocks may use: a dataset's description or a recipe, called by its title or name."""
+        table = tomllib.loads(block.parsed)
+        name = table.get("title", table.get("name"))
+        if name is None:
+            return
+        file = Path(f"{name.lower()}.toml")
+        file.write_text(block.parsed)
+        read = read_description if "title" in table else read_recipe
+        read(str(file))
+
     def look(self, block):
         expected = str(block.parsed)
         if not looks_like(self.printed, expected):
@@ -126,6 +149,7 @@ class Reader:
         parsers = [
             *(CodeBlockParser(shell, self.shell) for shell in SHELLS),
             CodeBlockParser("python", self.python),
+            CodeBlockParser("toml", self.toml),
             CodeBlockParser("text", self.look),
         ]
         for block in Document.parse(str(page), *parsers).examples():
@@ -163,12 +187,76 @@ def give_blobs(folder, make):
             (folder / "FAUST_r" / "corres" / f"{number}.vts").write_text(lines)
 
 
+def give_weights(file, **info):
+    """Small weights, for shapes in any pose."""
+    network = DiffusionNet(NetworkSettings(width=16, blocks=1, out_channels=16))
+    save_weights(file, network, FeatureInfo(upright=False, n_eigenpairs=30, map_eigenpairs=10, **info))
+
+
+def blobs(make, count, *, subdivisions=3):
+    """Shapes of one kind, each stretched a little more than the one before, and numbered alike."""
+    shape = make.blob(subdivisions)
+    return [Shape(shape.points * [1, 1 + 0.05 * number, 1], shape.faces) for number in range(count)]
+
+
+def give_for_training(folder, make):
+    """Meshes, clouds, and two files of each to match."""
+    for name in ("scans", "lungs"):
+        (folder / name).mkdir()
+    for number, shape in enumerate(blobs(make, 6)):
+        write_shape(folder / "scans" / f"{number}.ply", shape)
+        np.savetxt(folder / "lungs" / f"{number}.csv", shape.points, delimiter=",", header="x,y,z", comments="")
+    for number, name in enumerate("ab"):
+        shutil.copy(folder / "scans" / f"{number}.ply", folder / f"{name}.ply")
+        shutil.copy(folder / "lungs" / f"{number}.csv", folder / f"{name}.csv")
+
+
+def give_for_data(folder, make):
+    """Cuts in the layout of a benchmark, a dataset of one's own, and weights for both."""
+    give_weights(folder / "cuts.safetensors", partial=True)
+    give_weights(folder / "teeth.safetensors")
+    give_cuts(folder / "SHREC16", make)
+    for place in ("scans", "points"):
+        (folder / "my_teeth" / place).mkdir(parents=True)
+    for number, shape in enumerate(blobs(make, 12, subdivisions=2)):
+        write_shape(folder / "my_teeth" / "scans" / f"tooth_{number}.ply", shape)
+        lines = range(1, shape.n_points + 1)
+        np.savetxt(folder / "my_teeth" / "points" / f"tooth_{number}.vts", lines, fmt="%d")
+
+
+def give_cuts(folder, make):
+    """Each full shape with the part of it on one side of a plane, whose true points are corners of its faces."""
+    for place in ("null", "cuts"):
+        (folder / place).mkdir(parents=True)
+    names = read_description("shrec16_cuts").full_names
+    for name, full in zip(names, blobs(make, len(names)), strict=True):
+        kept = np.flatnonzero(full.points[:, 0] > -0.2)
+        index = np.full(full.n_points, -1)
+        index[kept] = np.arange(len(kept))
+        faces = index[full.faces]
+        write_shape(folder / "null" / f"{name}.off", full)
+        part = Shape(full.points[kept], faces[(faces >= 0).all(axis=1)])
+        write_shape(folder / "cuts" / f"cuts_{name}_shape_1.off", part)
+        at, corner = zip(*(np.argwhere(full.faces == point)[0] for point in kept), strict=True)
+        rows = np.column_stack([np.array(at) + 1, np.eye(3, dtype=int)[list(corner)]])
+        np.savetxt(folder / "cuts" / f"cuts_{name}_shape_1.baryc_gt", rows, fmt="%d")
+
+
+GIVEN = {
+    "README.md": give_for_readme,
+    "matching.md": give_for_readme,
+    "training.md": give_for_training,
+    "data.md": give_for_data,
+}
+
+
 @pytest.mark.pages
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_blocks_run(page, programs, make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    if page.name in ("README.md", "matching.md"):
-        give_for_readme(tmp_path, make)
+    monkeypatch.setattr(training, "read_recipe", read_short_recipe)
+    if page.name in GIVEN:
+        GIVEN[page.name](tmp_path, make)
     Reader(programs).read(page)
 
 

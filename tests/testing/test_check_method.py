@@ -80,7 +80,7 @@ def abstaining(pair):
         (at_random, "determinism"),
         (changing, "purity"),
         (abstaining, "holds -1 to"),
-        (lambda pair: (1, 2), "not PointMaps"),
+        (lambda pair: (1, 2), "gave a tuple, but must give homolog.pairs.PointMaps"),
     ],
     ids=["indices of the files", "by number", "at random", "changing", "abstaining", "a tuple"],
 )
@@ -92,5 +92,15 @@ def test_broken_methods_are_caught(function, words):
 
 
 def test_what_a_method_supports_is_said_in_one_way():
-    with pytest.raises(AssertionError, match=r"supports is a dict, not homolog.methods.Supports"):
+    with pytest.raises(AssertionError, match=r"supports of method 'broken' is a dict, but must be homolog"):
         check_method(FunctionMethod("broken", nearest_points, {"clouds": False}))
+
+
+def test_a_bare_function_passes_by_its_own_maps():
+    """Were they refined, maps of this kind would end elsewhere; as arrays and lists they pass as well."""
+
+    def bare(pair):
+        maps = nearest_points(pair)
+        return PointMaps(maps.x_to_y.numpy(), maps.y_to_x.tolist())
+
+    check_method(bare)

@@ -132,7 +132,7 @@ def test_turned_shapes_are_trained_on_as_they_are_matched(matcher, shapes, monke
     info = replace(matcher.extractor.info, upright=True)
     asked, seen = [], []
 
-    def ranked(pair, *, all_of_them):
+    def ranked(pair, *, unlikely_too):
         asked.append(pair)
         return [Hypothesis(*decided)]
 

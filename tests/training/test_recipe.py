@@ -134,7 +134,8 @@ def test_every_setting_is_documented():
 
     def check(settings):
         for field in fields(settings):
-            assert f"{field.name}: " in settings.__doc__, f"{settings.__name__}.{field.name}"
+            documented = "".join(base.__doc__ or "" for base in settings.__mro__)
+            assert f"{field.name}: " in documented, f"{settings.__name__}.{field.name}"
             value = getattr(settings(), field.name)
             if is_dataclass(value):
                 check(type(value))

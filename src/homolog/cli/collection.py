@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -112,7 +113,8 @@ def collection(
     )
     model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
-    report = {"command": ["homolog", *sys.argv[1:]], **make_matcher().describe()}
+    matcher = make_matcher()
+    report = {"command": ["homolog", *sys.argv[1:]], "warnings_of_all": list(matcher.warnings), **matcher.describe()}
     with progress_bar(quiet=quiet) as progress:
         built = models.build(
             template,
@@ -127,7 +129,7 @@ def collection(
             report=report,
         )
     if not quiet:
-        _summary(built)
+        _summary(built, matcher.warnings)
     if any(outcome.error for outcome in built.outcomes):
         raise typer.Exit(2)
 
@@ -137,8 +139,10 @@ def _tell(outcome: Outcome) -> None:
         say(f"Error: {outcome.error}")
 
 
-def _summary(built: BuiltModel) -> None:
+def _summary(built: BuiltModel, warnings_of_all: Iterable[str]) -> None:
     folder, outcomes = built.folder, built.outcomes
+    for warning in warnings_of_all:
+        say(f"Warning: {in_options(warning)}")
     registered = [outcome for outcome in outcomes if not outcome.error]
     warned = [outcome for outcome in registered if outcome.warnings]
     for outcome in warned:

@@ -34,7 +34,8 @@ from homolog.cli.options import (
     set_verbosity,
     write_figures,
 )
-from homolog.cli.progress import progress_bar
+from homolog.cli.progress import progress_bar, say
+from homolog.cli.wording import in_options
 from homolog.core.choices import Modalities, Split, Turn, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import write_csv
@@ -49,8 +50,12 @@ if TYPE_CHECKING:
     from homolog.matching import Match, Matcher
     from homolog.pairs import Pair
 
+# Options that have no effect on maps that are there already.
+_OF_MAKING_MAPS = ("noise", "turn", "orient", "method", "weights", "adapt", "pre_aligned", "device", "no_cache")
+
 
 def evaluate(
+    context: typer.Context,
     data: Annotated[
         Path,
         typer.Argument(metavar="DATA", help="A dataset's folder, or one with off/ and corres/.", show_default=False),
@@ -189,8 +194,8 @@ def evaluate(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     _check(json, (csv, plot), [path for path in (data, maps, pairs) if path is not None])
-    if maps is not None and (weights is not None or adapt or method != AUTO):
-        raise ArgumentError("--maps scores maps that are there already; leave --weights, --method and --adapt out")
+    if maps is not None:
+        _refuse_unused(context)
     if maps is None and base is not None:
         raise ArgumentError(f"--base is {base}, but is about the files of --maps; add --maps DIR, or leave it out")
     check_inputs(weights=weights)
@@ -220,17 +225,21 @@ def evaluate(
             match_pair=None if matcher is None else _adapting(matcher, adapt),
             progress=progress,
         )
-    if csv is not None:
-        write_csv(csv, evaluation.rows())
-    if plot is not None:
-        homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
-    made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **matcher.describe()}
-    figures = evaluation.to_dict()
-    write_figures(json, {**figures, **_setup(folder, protocol), **made_by})
-    if not quiet and not on_stdout(json):
-        from rich.console import Console
+    made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **_described(matcher)}
+    _write(evaluation, folder, csv, plot)
+    figures = {**evaluation.to_dict(), **_setup(folder, protocol), **made_by}
+    write_figures(json, figures)
+    if not quiet:
+        _tell(evaluation, figures, _title(folder, protocol), table=not on_stdout(json))
 
-        Console().print(_table(evaluation, figures, _title(folder, protocol)))
+
+def _refuse_unused(context: typer.Context) -> None:
+    """Refuse options of how maps are made: those of --maps are there already."""
+    for parameter in context.command.params:
+        if parameter.name in _OF_MAKING_MAPS and context.params[parameter.name] != parameter.get_default(context):
+            raise ArgumentError(
+                f"--maps scores maps that are there already, so that {parameter.opts[0]} has no effect; leave it out"
+            )
 
 
 def _check(json: Path | None, files: Iterable[Path | None], inputs: list[Path]) -> None:
@@ -239,6 +248,26 @@ def _check(json: Path | None, files: Iterable[Path | None], inputs: list[Path]) 
     for file in files:
         if file is not None:
             check_file(file, inputs=inputs)
+
+
+def _write(evaluation: Evaluation, folder: ShapeFolder, csv: Path | None, plot: Path | None) -> None:
+    if csv is not None:
+        write_csv(csv, evaluation.rows())
+    if plot is not None:
+        homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
+
+
+def _tell(evaluation: Evaluation, figures: dict[str, Any], title: str, *, table: bool) -> None:
+    for warning in figures.get("warnings", ()):
+        say(f"Warning: {in_options(warning)}")
+    if table:
+        from rich.console import Console
+
+        Console().print(_table(evaluation, figures, title))
+
+
+def _described(matcher: Matcher) -> dict[str, Any]:
+    return {"warnings": list(matcher.warnings), **matcher.describe()}
 
 
 def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
@@ -148,26 +148,22 @@ def match(
         strict=strict,
     )
     with progress_bar(quiet=quiet, form=progress_form) as progress:
-        timings = Timings(listener=counted(progress, STEPS + adapt + (adapt > 0), verbose=verbose))
+        steps = STEPS + adapt + (adapt > 0) + 2 * (alternatives - 1)
+        timings = Timings(listener=counted(progress, steps, verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         pair, files = matcher.pair(source, target, options, timings=timings)
         matcher, pair = adapted(matcher, pair, adapt, timings)
-        found = homolog.matching.with_inputs(matcher.match_pair(pair, timings=timings), files, timings, adapt=adapt)
-        paths = homolog.matching.write_folder(output, found, timings=timings)
-        remove_alternatives(output)
-        others = other_ways(matcher, pair, found, alternatives)
-        for number, other in enumerate(others, 2):
-            paths += homolog.matching.write_folder(output / f"alternative-{number}", other)
-    if page is not None or picture is not None:
-        scene = homolog.viewing.scene_of(found)
-        if page is not None:
-            homolog.viewing.write_page(page, scene)
-            paths.append(page)
-        if picture is not None:
-            homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
-            paths.append(picture)
+        each = [timings, *(timings.branch() for _ in range(alternatives - 1))]
+        matches = [
+            homolog.matching.with_inputs(match, files, own, adapt=adapt)
+            for match, own in zip(matcher.alternatives(pair, alternatives, timings=each), each, strict=False)
+        ]
+        paths = write_results(output, matches, each)
+    paths += _shown(matches[0], page, picture, width=picture_width, lines=lines)
+    if len(matches) < alternatives and not quiet:
+        say(f"Note: {len(matches)} of {alternatives} ways round were found.")
     if not quiet:
-        _summary(found, timings, paths, verbose=verbose)
+        _summary(matches, timings, paths, verbose=verbose)
 
 
 def remove_alternatives(output: Path) -> None:
@@ -179,19 +175,26 @@ def remove_alternatives(output: Path) -> None:
             folder.rmdir()
 
 
-def other_ways(matcher: Matcher, pair: Pair, found: Match, count: int) -> list[Match]:
-    """The matches of other ways round than the one that was found, so that there are ``count`` in all at most."""
-    if count == 1:
+def write_results(output: Path, matches: list[Match], timings: list[Timings]) -> list[Path]:
+    """Write the best match into a folder, and the others into folders in it, in place of those that are there."""
+    paths = homolog.matching.write_folder(output, matches[0], timings=timings[0])
+    remove_alternatives(output)
+    for number, match in enumerate(matches[1:], 2):
+        folder = output / f"alternative-{number}"
+        paths += homolog.matching.write_folder(folder, match, timings=timings[number - 1])
+    return paths
+
+
+def _shown(match: Match, page: Path | None, picture: Path | None, *, width: int, lines: int) -> list[Path]:
+    """Write a page and a picture of a match, where they are wanted."""
+    if page is None and picture is None:
         return []
-    others = [match for match in matcher.alternatives(pair, count + 1) if _rotations(match) != _rotations(found)]
-    if len(others) < count - 1:
-        say(f"Note: {len(others) + 1} of {count} ways round were found.")
-    return others[: count - 1]
-
-
-def _rotations(match: Match) -> list[Any]:
-    told = match.report["orientation"] or {}
-    return [told.get(side) for side in get_args(Side)]
+    scene = homolog.viewing.scene_of(match)
+    if page is not None:
+        homolog.viewing.write_page(page, scene)
+    if picture is not None:
+        homolog.viewing.write_picture(picture, scene, width=width, lines=lines)
+    return [path for path in (page, picture) if path is not None]
 
 
 def adapted(matcher: Matcher, pair: Pair, steps: int, timings: Timings) -> tuple[Matcher, Pair]:
@@ -217,9 +220,14 @@ def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> L
     return listen
 
 
-def _summary(match: Match, timings: Timings, paths: list[Path], *, verbose: bool) -> None:
+def _summary(matches: list[Match], timings: Timings, paths: list[Path], *, verbose: bool) -> None:
+    match, *others = matches
     for warning in match.warnings:
         say(f"Warning: {in_options(warning)}")
+    for number, other in enumerate(others, 2):
+        for warning in other.warnings:
+            if warning not in match.warnings:
+                say(f"Warning: alternative-{number}: {in_options(warning)}")
     if verbose:
         for step in timings.finished:
             say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")

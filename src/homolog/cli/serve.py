@@ -11,6 +11,7 @@ import typer
 import homolog
 from homolog.cli.browsing import PAGE, Host, NoOpen, Port, announce, interrupt_ends
 from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher, check_inputs
+from homolog.cli.progress import say
 from homolog.core.errors import needs_extra
 from homolog.core.files import expanded
 from homolog.core.pretrained import DEFAULT_WEIGHTS, pretrained_weights
@@ -83,6 +84,9 @@ def serve(
     with needs_extra("homolog serve", "serve"):
         from homolog.serving.server import MatchServer
     matcher = build_matcher(weights, method, device, no_cache=True)  # says now what would be wrong with each match
+    if not quiet:
+        for warning in matcher.warnings:
+            say(f"Warning: {warning}")
     command = homolog.serving.MatchCommand(_options(weights, method, device))
     limits = homolog.serving.Limits(
         max_mb=max_mb, jobs=jobs, queue=queue, per_address=per_address, minutes=minutes, memory_gb=memory_gb

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from homolog.core.errors import ArgumentError, bad_value
+from homolog.core.errors import ArgumentError, bad_choice, bad_value
 
 if TYPE_CHECKING:  # reading a shape does without torch, which takes long to load
     from torch import Tensor
@@ -22,6 +23,10 @@ _WAYS_TO = {
     "ConfidenceSettings": "ConfidenceSettings; make them with homolog.maps.ConfidenceSettings(...), or leave them out",
     "RegistrationSettings": "RegistrationSettings; make them with homolog.maps.RegistrationSettings(...), or leave "
     "them out",
+    "Matcher": "a Matcher; make one with homolog.Matcher(...) or homolog.Matcher.from_weights",
+    "PreprocessedShape": "a preprocessed shape; make one with Matcher.preprocess",
+    "ShapeFolder": "a ShapeFolder; open one with homolog.datasets.ShapeFolder.open",
+    "Protocol": "a Protocol; make one with homolog.evaluation.Protocol(...), or leave it out",
     "Pair": "a Pair; make one with Matcher.pair, or of preprocessed shapes with Matcher.paired",
     "Match": "a Match; make one with homolog.match, or read one with homolog.Match.load",
     "PairOptions": "PairOptions; make them with homolog.PairOptions(...), or give their fields by name",
@@ -38,6 +43,12 @@ def check_kind(name: str, found: object, *kinds: type) -> None:
         kind = type(found).__name__
         given = "None" if found is None else f"{'an' if kind[0] in 'aeiouAEIOU' else 'a'} {kind}"
         raise ArgumentError(f"{name} is {given}, but must be {_WAYS_TO[kinds[0].__name__]}")
+
+
+def check_choice(name: str, value: Any, allowed: Sequence[str]) -> None:
+    """Refuse what is not one of these words."""
+    if not (isinstance(value, str) and value in allowed):
+        raise bad_choice(name, value, allowed)
 
 
 def given_or_default(name: str, given: S | None, kind: type[S]) -> S:

@@ -7,12 +7,13 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 from typing import TypeVar
 
 import platformdirs
 
-from homolog.core.errors import ArgumentError
+from homolog.core.errors import ArgumentError, bad_value
 from homolog.core.files import expanded
 
 SUFFIX = ".safetensors"
@@ -44,7 +45,10 @@ class CacheFolder:
     max_bytes: int = 10 * _GIBIBYTE
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "folder", Path(self.folder))
+        object.__setattr__(self, "folder", expanded(self.folder))
+        most: object = self.max_bytes
+        if not isinstance(most, Real) or float(most) < 0:
+            raise bad_value("max_bytes", most, "a number of bytes of at least 0")
 
     @classmethod
     def default(cls: type[C]) -> C:

@@ -7,6 +7,9 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
+# Characters of a value that a message shows.
+_LONGEST_VALUE = 160
+
 
 class HomologError(Exception):
     """Base of all errors that a user can cause: a mistake in what was given to Homolog, not in Homolog itself.
@@ -66,7 +69,7 @@ def needs_extra(need: str, extra: str) -> Iterator[None]:
         raise MissingExtraError(need, str(error.name).partition(".")[0], extra) from None
 
 
-def bad_choice(name: str, found: str, allowed: Sequence[str], hint: str = "") -> ArgumentError:
+def bad_choice(name: str, found: Any, allowed: Sequence[str], hint: str = "") -> ArgumentError:
     """Build the error for a word that is not among those allowed, with the nearest one as a suggestion.
 
     Args:
@@ -75,12 +78,18 @@ def bad_choice(name: str, found: str, allowed: Sequence[str], hint: str = "") ->
         allowed: the words.
         hint: what else to do.
     """
-    near = get_close_matches(found, allowed, n=1)
+    near = get_close_matches(str(found), allowed, n=1)
     guess = f"; did you mean {near[0]!r}?" if near else ""
     tail = f"; {hint}" if hint else ""
-    return ArgumentError(f"{name} is {found!r}, but must be one of {', '.join(allowed)}{guess}{tail}")
+    return ArgumentError(f"{name} is {_shown(found)}, but must be one of {', '.join(allowed)}{guess}{tail}")
 
 
 def bad_value(name: str, found: Any, allowed: str) -> ArgumentError:
     """Build the error for a value outside its range: ``name`` is ``found``, but must be ``allowed``."""
-    return ArgumentError(f"{name} is {found!r}, but must be {allowed}")
+    return ArgumentError(f"{name} is {_shown(found)}, but must be {allowed}")
+
+
+def _shown(value: Any) -> str:
+    """A value on one line, cut where it is long, such as an array."""
+    line = " ".join(repr(value).split())
+    return line if len(line) <= _LONGEST_VALUE else f"{line[:_LONGEST_VALUE]} ..."

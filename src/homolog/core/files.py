@@ -11,10 +11,11 @@ import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from homolog.core.errors import ArgumentError
+from homolog.core.errors import ArgumentError, bad_value
 
 if TYPE_CHECKING:  # commands find out where files are before they load numpy
     import numpy as np
@@ -31,8 +32,10 @@ def expanded(path: str | Path) -> Path:
     """A path with ``~`` and ``~name`` replaced by a home folder.
 
     Raises:
-        ArgumentError: if there is no such user.
+        ArgumentError: if it is no path, or there is no such user.
     """
+    if path == "" or not isinstance(path, str | PathLike):
+        raise bad_value("path", path, "a path, that is a str or a pathlib.Path")
     try:
         return Path(path).expanduser()
     except RuntimeError:

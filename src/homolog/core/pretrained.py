@@ -24,9 +24,9 @@ def weights_file(given: str | Path) -> Path:
     Raises:
         WeightsError: if there is neither.
     """
-    path, known = expanded(given), pretrained_weights()
-    if path.is_file():
-        return path
+    known = pretrained_weights()
+    if str(given) and expanded(given).is_file():
+        return expanded(given)
     if str(given) in known:
         return known[str(given)]
     raise WeightsError(

@@ -43,6 +43,10 @@ class Timings:
     listener: Listener | None = None
     finished: list[Timing] = field(default_factory=list)
 
+    def branch(self) -> Timings:
+        """The same steps so far, to which other ones are added."""
+        return Timings(self.listener, [*self.finished])
+
     @contextmanager
     def measure(self, name: str) -> Iterator[None]:
         """Measure a ``with`` block as one step."""

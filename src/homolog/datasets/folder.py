@@ -15,8 +15,9 @@ from typing import get_args
 import numpy as np
 from jaxtyping import Int
 
+from homolog.core.arguments import check_choice
 from homolog.core.choices import Split, Up
-from homolog.core.errors import DataError, bad_choice, bad_value
+from homolog.core.errors import DataError, bad_value
 from homolog.core.files import expanded
 from homolog.datasets.description import DatasetDescription, read_description
 from homolog.datasets.truth import GroundTruth, read_vertices
@@ -103,8 +104,8 @@ class ShapeFolder:
             description = read_description(description)
         if description.holds == "volumes":
             raise DataError(f"{root} holds volumes; make surfaces of them with homolog volume surface, and give these")
-        if up is not None and up not in get_args(Up):
-            raise bad_choice("up", up, get_args(Up))
+        if up is not None:
+            check_choice("up", up, get_args(Up))
         names, full = names_at(root, description.shapes), names_at(root, description.full)
         for found, pattern in ((names, description.shapes), (full, description.full)):
             if pattern and not found:
@@ -177,8 +178,7 @@ class ShapeFolder:
             ArgumentError: if ``split`` is not one.
             DataError: if the split has no shapes, or lists one that is not there.
         """
-        if split not in get_args(Split):
-            raise bad_choice("split", split, get_args(Split))
+        check_choice("split", split, get_args(Split))
         if split == "all":
             return self.names
         names = self._split_names(split)

@@ -50,7 +50,7 @@ class MapsFolder:
         """The map of a pair.
 
         Raises:
-            DataError: if there is no file of it, or it cannot be read.
+            DataError: if there is no file of it, it cannot be read, or its indices seem to count from another one.
         """
         names = PurePath(source.name).stem, PurePath(target.name).stem
         file = self.file(*names)
@@ -59,4 +59,4 @@ class MapsFolder:
                 f"{self.folder} has no map of {names[0]} and {names[1]}; it must be called "
                 f"{names[0]}_{names[1]} with one of the suffixes {', '.join(_SUFFIXES)}"
             )
-        return read_point_map(file, base=self.base)
+        return read_point_map(file, base=self.base, n_others=source.n_points)

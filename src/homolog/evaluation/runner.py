@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import zlib
 from collections import Counter, defaultdict
@@ -14,7 +15,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.core.errors import ArgumentError, DataError
+from homolog.core.arguments import check_kind, given_or_default
+from homolog.core.errors import ArgumentError, DataError, bad_value
 from homolog.core.progress import Progress, ignore
 from homolog.core.reprs import function_name
 from homolog.datasets import Pair as PairOfNames
@@ -87,7 +89,8 @@ def evaluate(
         progress: told how far the work is.
 
     Raises:
-        ArgumentError: if more pairs are to be drawn than there are, or a map does not fit its shapes.
+        ArgumentError: if something given is of another kind, more pairs are to be drawn than there are, a map does not
+            fit its shapes, or a metric gives no finite number.
         DataError: if the ground truth does not fit the shapes, or not one of its points is matched.
 
     Examples:
@@ -99,17 +102,41 @@ def evaluate(
         >>> evaluation.to_dict()["mean_geodesic_error"] < 5
         True
     """
-    protocol = protocol or Protocol()
+    _check_arguments(matcher, folder, match, match_pair, metrics)
+    protocol = given_or_default("protocol", protocol, Protocol)
     folder = replace(folder, seed=protocol.seed)
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     if protocol.n_pairs is not None:
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
-    if matcher is None and match is None:
-        raise ArgumentError("matcher is None, but maps must come from a matcher or from match; give one of them")
     warnings = WarningSettings() if matcher is None else matcher.settings.warnings
     run = _Run(folder, protocol, pairs, metrics or {}, progress or ignore, warnings)
     source = _ByFunction(run, match) if match is not None else _ByMatcher(run, matcher, match_pair)
     return run.evaluation(source)
+
+
+def _check_arguments(matcher: Any, folder: Any, match: Any, match_pair: Any, metrics: Any) -> None:
+    """Refuse, before anything is read, what cannot make maps or score them."""
+    has_its_methods = all(hasattr(matcher, name) for name in ("preprocess", "paired", "find"))
+    if callable(matcher) and not has_its_methods:
+        raise ArgumentError(
+            f"matcher is the function {function_name(matcher)}, but must be a Matcher; give None, and the function by "
+            "match="
+        )
+    if matcher is not None and not has_its_methods:
+        check_kind("matcher", matcher, Matcher)
+    check_kind("folder", folder, ShapeFolder)
+    for name, function in (("match", match), ("match_pair", match_pair)):
+        if function is not None and not callable(function):
+            raise bad_value(name, function, "a function")
+    if matcher is None and match is None:
+        raise ArgumentError("matcher is None, but maps must come from a matcher or from match; give one of them")
+    if match is not None and match_pair is not None:
+        raise ArgumentError("match and match_pair are both given, but only one can make the maps; leave one out")
+    if not isinstance(metrics, Mapping | None):
+        raise bad_value("metrics", metrics, "a table of functions by name, such as {'mine': function}")
+    for name, metric in (metrics or {}).items():
+        if not (isinstance(name, str) and callable(metric)):
+            raise bad_value(f"metrics[{name!r}]", metric, "a function of a ScoredPair, under a name")
 
 
 class _Run:
@@ -235,7 +262,7 @@ class _Run:
             missing=None if known is None else Detection.of(match.source_to_target[known.points] < 0, ~known.present),
             quality=match.quality,
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
-            metrics={name: float(metric(scored)) for name, metric in self.metrics.items()},
+            metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
             exchanged=self._exchanged(pair, mapped),
         )
 
@@ -261,6 +288,18 @@ class _Run:
         if self.euclidean:
             return float(np.linalg.norm(np.ptp(shape.points, axis=0)))
         return geodesic_diameter(shape)
+
+
+def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) -> float:
+    """What a metric of one's own gives for a pair, as a number."""
+    found: Any = metric(scored)
+    try:
+        figure = float(found)
+    except (TypeError, ValueError, RuntimeError):
+        figure = math.nan
+    if not math.isfinite(figure):
+        raise bad_value(f"the metric {name!r} of {' - '.join(pair)}", found, "a finite number")
+    return figure
 
 
 class _ByFunction:
@@ -315,7 +354,9 @@ class _ByMatcher:
         source, target = self._take(pair, "source"), self._take(pair, "target")
         self.run.tick(" - ".join(pair))
         with self.run.timed("match"):
-            return self.find(self.matcher.paired(source, target, self.options))
+            found = self.find(self.matcher.paired(source, target, self.options))
+        check_kind("what match_pair gave", found, Match)
+        return found
 
     def _modality(self, pair: PairOfNames, side: Side) -> Modality:
         faces = None if self.run.protocol.is_cloud(side) else self.run.shapes[pair[SIDES.index(side)]].faces

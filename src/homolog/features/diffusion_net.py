@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from homolog.core.arguments import check_count, is_real
-from homolog.core.errors import bad_choice, bad_value
+from homolog.core.settings import Count, Settings, Share
 from homolog.features.block import Dropout, Stack, diffusion_block
 from homolog.geometry import Basis, Operators
 
@@ -37,7 +36,7 @@ _LOWEST_BITS = 0x0101010101010101
 
 
 @dataclass(frozen=True)
-class NetworkSettings:
+class NetworkSettings(Settings):
     """The architecture, stored beside the weights.
 
     Args:
@@ -49,20 +48,12 @@ class NetworkSettings:
         gradient_product: ``"equivariant"``, or ``"published"`` for the weights that the paper's authors released.
     """
 
-    in_channels: int = 3
-    out_channels: int = 128
-    width: int = 128
-    blocks: int = 4
-    dropout: float = 0.5
+    in_channels: Count = 3
+    out_channels: Count = 128
+    width: Count = 128
+    blocks: Count = 4
+    dropout: Share = 0.5
     gradient_product: GradientProduct = "equivariant"
-
-    def __post_init__(self) -> None:
-        for name in ("in_channels", "out_channels", "width", "blocks"):
-            check_count(name, getattr(self, name))
-        if self.gradient_product not in get_args(GradientProduct):
-            raise bad_choice("gradient_product", self.gradient_product, get_args(GradientProduct))
-        if not (is_real(self.dropout) and 0 <= self.dropout < 1):
-            raise bad_value("dropout", self.dropout, "at least 0 and below 1")
 
 
 class DiffusionNet(nn.Module):

@@ -144,15 +144,25 @@ def checked_features(name: str, values: Any, points: Float[Tensor, "m 3"], n_poi
     """
     wanted = f"but must have one row of numbers per point, ({n_points}, d)"
     try:
-        given = values if isinstance(values, Tensor) else np.array(values)
-        features = torch.as_tensor(given, dtype=points.dtype, device=points.device)
+        given = values if isinstance(values, Tensor) else torch.as_tensor(_array(values))
     except (TypeError, ValueError, RuntimeError):
         raise ArgumentError(f"features {name} are a {type(values).__name__} without numbers, {wanted}") from None
+    if given.is_complex():
+        raise ArgumentError(f"features {name} are complex, but must be real; give their real and imaginary parts")
+    features = given.to(points)
     if features.ndim != 2 or len(features) != n_points or not features.shape[1]:
         raise ArgumentError(f"features {name} have shape {tuple(features.shape)}, {wanted}")
     if not torch.isfinite(features).all():
         raise ArgumentError(f"features {name} hold NaN or infinite numbers, but must be finite")
     return features
+
+
+def _array(values: Any) -> np.ndarray:
+    """Rows of numbers, each of them a list, an array or a tensor, as an array that a tensor can be made of."""
+    if isinstance(values, list | tuple):
+        values = [row.detach().cpu() if isinstance(row, Tensor) else row for row in values]
+    array = np.array(values)
+    return array.astype(float) if array.dtype.kind in "biuf" else array
 
 
 def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureExtractor:

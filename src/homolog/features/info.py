@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Literal
 
-from homolog.core.arguments import check_count, is_real
-from homolog.core.errors import bad_choice, bad_value
+from homolog.core.settings import Count, Positive, Settings
 from homolog.geometry import CLOUD_NEIGHBOURS, LaplacianKind
 
 NetworkInput = Literal["xyz", "wks", "hks", "operators"]
@@ -14,7 +13,7 @@ NetworkInput = Literal["xyz", "wks", "hks", "operators"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class FeatureInfo:
+class FeatureInfo(Settings):
     """What a feature extractor expects of shapes, and how its features are to be compared.
 
     Weight files carry it in their header. It is explicit: nothing of it is derived from how a network was trained.
@@ -48,23 +47,14 @@ class FeatureInfo:
     licence: str = "unknown"
     input: NetworkInput = "xyz"
     upright: bool = True
-    n_eigenpairs: int = 128
+    n_eigenpairs: Count = 128
     laplacian: LaplacianKind = "robust"
-    n_neighbours: int = CLOUD_NEIGHBOURS
-    map_eigenpairs: int = 80
+    n_neighbours: Count = CLOUD_NEIGHBOURS
+    map_eigenpairs: Count = 80
     partial: bool = False
     near_isometric: bool = True
-    temperature: float = 0.1
+    temperature: Positive = 0.1
     sha256: str = field(default="", compare=False)
-
-    def __post_init__(self) -> None:
-        for name, allowed in (("input", get_args(NetworkInput)), ("laplacian", get_args(LaplacianKind))):
-            if getattr(self, name) not in allowed:
-                raise bad_choice(name, str(getattr(self, name)), allowed)
-        for name in ("n_eigenpairs", "n_neighbours", "map_eigenpairs"):
-            check_count(name, getattr(self, name))
-        if not (is_real(self.temperature) and self.temperature > 0):
-            raise bad_value("temperature", self.temperature, "a finite number above 0")
 
     @property
     def follows_pose(self) -> bool:

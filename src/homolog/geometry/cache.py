@@ -9,14 +9,14 @@ import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from homolog.core.arguments import check_kind, given_or_default
+from homolog.core.arguments import check_choice, check_kind, given_or_default
 from homolog.core.caches import SUFFIX, CacheFolder
 from homolog.core.errors import ArgumentError
 from homolog.core.files import atomic_path
@@ -61,6 +61,10 @@ class OperatorCache(CacheFolder):
     """
 
     eigenvectors: EigenvectorPrecision = "float32"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_choice("eigenvectors", self.eigenvectors, get_args(EigenvectorPrecision))
 
     def operators(
         self, shape: Shape, *, settings: OperatorSettings | None = None, scale: float | None = None

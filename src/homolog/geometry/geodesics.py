@@ -10,7 +10,8 @@ import scipy.sparse as sparse
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from homolog.core.errors import ShapeError, bad_choice, bad_value, needs_extra
+from homolog.core.arguments import check_choice
+from homolog.core.errors import ShapeError, bad_value, needs_extra
 from homolog.geometry.tangent import mesh_edges
 
 # Points whose distances are computed together: bounds the dense rows that Dijkstra returns.
@@ -58,8 +59,7 @@ def geodesic_distances(
     See Also:
         ``pair_distances`` for many queries on one graph.
     """
-    if geodesics not in get_args(Geodesics):
-        raise bad_choice("geodesics", str(geodesics), get_args(Geodesics))
+    check_choice("geodesics", geodesics, get_args(Geodesics))
     graph = edge_graph(points, faces)
     if geodesics == "dijkstra":
         return pair_distances(graph, starts, ends)

@@ -8,7 +8,7 @@ from homolog.matching.inputs import with_inputs
 from homolog.matching.matcher import Matcher
 from homolog.matching.quality import MEASURES, MapQuality, Quality
 from homolog.matching.refinement import refine
-from homolog.matching.result import Match, check_point_map
+from homolog.matching.result import Match, check_point_map, checked_maps
 from homolog.matching.result_files import RESULT_FILES, matched_name, read_point_map, write_folder
 from homolog.matching.search import Hypothesis, orient, orientations
 from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, unit_warnings
@@ -25,6 +25,7 @@ __all__ = [
     "align_partial",
     "best_alignment",
     "check_point_map",
+    "checked_maps",
     "features_of_weights",
     "low_confidence_warnings",
     "match",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,6 @@ from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, load_weights, on
 from homolog.methods import AUTO, as_method, find_method
 from homolog.pairs import MatcherSettings, Method
 from homolog.shapes import Modality
-
-_log = logging.getLogger(__name__)
 
 
 def chosen_method(settings: MatcherSettings, extractor: FeatureExtractor | None) -> Method:
@@ -33,15 +30,21 @@ def extractor_for(
 ) -> FeatureExtractor | None:
     """The features that the method compares."""
     if not _compares_given_features(method):
-        if given is not None:
-            _log.warning(
-                "The %s method does not use weights; the given ones, %s, are left aside.", method.name, given.info.name
-            )
         own = getattr(method, "features", None)
         return None if own is None else own(settings)
     if given is None:
         raise ArgumentError(f"method {method.name!r} needs weights; give some, or use 'axiomatic' or 'registration'")
     return on_device(given, device)
+
+
+def left_aside_warnings(method: Method, given: FeatureExtractor | None) -> tuple[str, ...]:
+    """Say if features are given that the method does not compare."""
+    if given is None or _compares_given_features(method):
+        return ()
+    return (
+        f"the weights or features {given.info.name!r} are left aside, as the method {method.name!r} does not use any; "
+        "leave them out, or choose another method",
+    )
 
 
 def needs_features(settings: MatcherSettings) -> bool:
@@ -57,7 +60,7 @@ def features_of_weights(weights: str | Path | None, settings: MatcherSettings) -
     """The features of the weights that were given; by default of those for people, where the method needs any."""
     if weights is None and not needs_features(settings):
         return None
-    return load_weights(weights or DEFAULT_WEIGHTS)
+    return load_weights(DEFAULT_WEIGHTS if weights is None else weights)
 
 
 def method_between(

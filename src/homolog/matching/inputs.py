@@ -15,7 +15,7 @@ from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Timings
 from homolog.matching.result import Match
-from homolog.pairs import PairOptions, Side
+from homolog.pairs import SIDES, PairOptions, Side
 from homolog.shapes import Shape, as_shape, read_hashed_shape
 
 
@@ -46,6 +46,9 @@ def check_two_arrays(features: Any) -> None:
             f"features given with a pair are {found}, but must be two arrays, (of_source, of_target); "
             "a function or a network is given to homolog.match or Matcher"
         )
+    for side, given in zip(SIDES, features, strict=True):
+        if given is None:
+            raise ArgumentError(f"features of the {side} are None, but must be an array (n, d); give those of both")
 
 
 def read_inputs(source: Any, target: Any, timings: Timings) -> tuple[tuple[Shape, Shape], dict[Side, dict[str, str]]]:
@@ -63,8 +66,10 @@ def read_inputs(source: Any, target: Any, timings: Timings) -> tuple[tuple[Shape
 
 
 def _shape(side: Side, given: Any) -> Shape:
+    """A shape, which messages call by its side where it has no name of its own."""
+    named = isinstance(given, Shape) and given.name != Shape.name
     try:
-        return as_shape(given)
+        return as_shape(given, name=None if named else side)
     except ArgumentError as error:
         raise ArgumentError(f"{side}: {error}") from None
 

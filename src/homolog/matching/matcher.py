@@ -5,25 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from numpy.typing import ArrayLike
 
-from homolog.core.arguments import check_kind, given_or_default, is_count
-from homolog.core.errors import ArgumentError, ShapeError, bad_value
+from homolog.core.arguments import check_choice, check_count, check_kind, given_or_default
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.progress import Timings
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
-from homolog.matching.choice import chosen_method, extractor_for, method_between
+from homolog.matching.choice import chosen_method, extractor_for, left_aside_warnings, method_between
 from homolog.matching.inputs import check_two_arrays, options_of, read_inputs, with_inputs
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.refinement import refine
-from homolog.matching.result import Match, check_maps
+from homolog.matching.result import Match, checked_maps
 from homolog.matching.search import orient, orientations
 from homolog.matching.warnings import blaming, low_confidence_warnings, orientation_warnings, unit_warnings
 from homolog.pairs import (
+    SIDES,
     Device,
     MatcherSettings,
     Method,
@@ -41,6 +42,8 @@ from homolog.shapes import Modality
 
 class Matcher:
     """Finds correspondences between two shapes, with learned features, features of one's own, or none.
+
+    Its ``warnings`` are also those of every match: features that were given, but that the method does not use.
 
     Args:
         features: what computes features: what ``load_weights`` gives, a network, a function of operators (see
@@ -82,6 +85,7 @@ class Matcher:
         self.device = choose_device(device)
         given = None if features is None else as_extractor(features, info)
         self._method = chosen_method(self.settings, given)
+        self.warnings = left_aside_warnings(self._method, given)
         self.extractor = extractor_for(self._method, given, self.settings, self.device)
         expected = FeatureInfo() if self.extractor is None else self.extractor.info
         of_features = OperatorSettings(expected.n_eigenpairs, expected.laplacian, expected.n_neighbours)
@@ -121,6 +125,8 @@ class Matcher:
 
     def method_of(self, source: Modality, target: Modality) -> Method:
         """How two shapes of these modalities are matched; see ``MatcherSettings``."""
+        for name, modality in (("source", source), ("target", target)):
+            check_choice(name, modality, get_args(Modality))
         return method_between(source, target, self._method, self.settings, self.extractor)
 
     def describe(self) -> dict[str, Any]:
@@ -172,6 +178,7 @@ class Matcher:
         check_supported(self._method, options)  # before anything is computed
         if features is not None:
             check_two_arrays(features)
+            features = None if self.warnings else features  # they are left aside
         (first, second), files = read_inputs(source, target, timings)
         pair = Pair.of(
             first,
@@ -185,50 +192,87 @@ class Matcher:
         )
         return pair, files
 
+    @torch.no_grad()
     def paired(self, source: PreprocessedShape, target: PreprocessedShape, options: PairOptions | None = None) -> Pair:
-        """Two shapes that ``preprocess`` gave, as a pair."""
+        """Two shapes that ``preprocess`` gave, as a pair.
+
+        With ``orient="given"`` they are turned back to the pose in which they were given.
+
+        Raises:
+            ArgumentError: if something given is of another kind, or the options want shapes that were preprocessed in
+                another way: as clouds, or with another axis up.
+        """
+        options = options_of(options, {})
+        for side, shape in zip(SIDES, (source, target), strict=True):
+            check_kind(side, shape, PreprocessedShape)
+            _check_preprocessed(side, shape, options)
+        if options.orient == "given" or options.pre_aligned:
+            source, target = (shape.as_given(self.extractor) for shape in (source, target))
         method = self.method_of(source.modality, target.modality)
-        return Pair(source, target, options or PairOptions(), self._resolved, method, self.extractor)
+        return Pair(source, target, options, self._resolved, method, self.extractor)
 
     @torch.no_grad()
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        return _matched(orient(pair))
+        aligned = align_partial(orient(pair))
+        maps = checked_maps(aligned, aligned.method(aligned))
+        return Match.of(aligned, refine(aligned, maps))
+
+    def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
+        """Match a pair, and check the result and their units; see ``match``."""
+        return self.alternatives(pair, 1, timings=[timings or Timings()])[0]
 
     @torch.no_grad()
-    def alternatives(self, pair: Pair, count: int) -> list[Match]:
+    def alternatives(self, pair: Pair, count: int, *, timings: Sequence[Timings] = ()) -> list[Match]:
         """Matches of the likeliest ways round that lead to different maps, the best first; at most so many.
+
+        Each has its own warnings, and its own margin to the best of the others. The first is that of ``match_pair``.
 
         Args:
             pair: two preprocessed shapes.
             count: how many, at least 1.
-        """
-        if not is_count(count):
-            raise bad_value("count", count, "a whole number of at least 1")
-        return [_matched(oriented) for oriented in orientations(pair, count)]
+            timings: for each of them, what collects its time and memory.
 
-    @torch.no_grad()
-    def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
-        """Match a pair, and check the result and their units; see ``match``."""
-        timings = timings or Timings()
+        Raises:
+            ArgumentError: if ``pair`` or ``count`` is of another kind.
+            ShapeError: if the shapes cannot be matched, or ``strict`` forbids a warning of the first match.
+        """
+        check_kind("pair", pair, Pair)
+        check_count("count", count)
+        timings = timings or [Timings() for _ in range(count)]
         units = unit_warnings(pair)
-        with timings.measure("map"), blaming(units):
-            match = self.find(pair)
+        with timings[0].measure("map"), blaming(units):
+            ways = orientations(pair, count)
+            best = self._checked(pair, self.find(ways[0]), units)
+        if pair.options.strict and best.warnings:
+            raise ShapeError(f"{best.warnings[0]} (refused as strict)")
+        others = []
+        for way, own in zip(ways[1:], timings[1:], strict=False):
+            with own.measure("map"):
+                others.append(self._checked(pair, self.find(way), units))
+        return [best, *others]
+
+    def _checked(self, pair: Pair, match: Match, units: tuple[str, ...]) -> Match:
+        """A match of a pair with all that there is to warn of."""
         checks = (*orientation_warnings(match), *mirror_warnings(pair, match))
-        warnings = (*units, *checks, *low_confidence_warnings(match, self.settings.warnings))
-        if pair.options.strict and warnings:
-            raise ShapeError(f"{warnings[0]} (refused as strict)")
-        return replace(match, warnings=warnings)
+        doubts = low_confidence_warnings(match, self.settings.warnings)
+        return replace(match, warnings=(*self.warnings, *units, *checks, *doubts))
 
     def __repr__(self) -> str:
         features = "no features" if self.extractor is None else repr(self.extractor.info.name)
         return f"Matcher({features}, method={self.settings.method!r}, device={str(self.device)!r})"
 
 
-def _matched(oriented: Pair) -> Match:
-    """The match of two shapes that are the same way round."""
-    aligned = align_partial(oriented)
-    maps = aligned.method(aligned)
-    check_maps(aligned, maps)
-    return Match.of(aligned, refine(aligned, maps))
+def _check_preprocessed(side: Side, shape: PreprocessedShape, options: PairOptions) -> None:
+    """Refuse options of preprocessing that the shape does not have."""
+    if options.is_cloud(side) and shape.modality == "mesh":
+        raise ArgumentError(
+            f"as_cloud is {options.as_cloud!r}, but the {side} was preprocessed as a mesh; "
+            "give as_cloud=True to Matcher.preprocess"
+        )
+    if options.up(side) not in (PairOptions().up(side), shape.up):
+        raise ArgumentError(
+            f"{side}_up is {options.up(side)!r}, but the {side} was preprocessed with {shape.up!r} up; "
+            f"give up={options.up(side)!r} to Matcher.preprocess"
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -16,8 +16,9 @@ from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.arguments import check_kind
-from homolog.core.errors import ArgumentError, DataError
+from homolog.core.arguments import check_choice, check_count, check_kind
+from homolog.core.errors import ArgumentError, DataError, bad_value
+from homolog.core.files import expanded
 from homolog.core.versions import versions
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import confidence, overlap, rotation_angle
@@ -34,6 +35,11 @@ if TYPE_CHECKING:
 _VIEWING = "homolog.viewing"
 # The entries of a report that speak of source and target. Inputs do as well, but hold names of files, which stay.
 _SIDED = ("quality", "options", "orientation", "matched", "timings", "warnings")
+# In a text: what is quoted, but for the sides themselves; words, in which paths and names of files are one; and those
+# that speak of the sides, such as "source", "--target-up" and "source_to_target".
+_QUOTED = r"(?<!\w)(?P<quote>['\"])(?!(?:source|target)(?P=quote)).*?(?P=quote)(?!\w)"
+_WORD = r"(?P<word>[\w./\\~@+-]*\w)"
+_TERM = r"--(?:source|target)(?:-\w+)*|(?:\w+_)*(?:source|target)(?:_\w+)*"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,8 +60,8 @@ class Match:
         report: inputs, options, settings, and what was repaired, for JSON.
 
     Raises:
-        ArgumentError: if an array is not of the length that its shape asks for, an index is that of no point, or a
-            confidence is not from 0 to 1.
+        ArgumentError: if something given is of another kind, an array is not of the length that its shape asks for, an
+            index is that of no point, or a confidence is not from 0 to 1.
 
     Examples:
         >>> import homolog
@@ -79,6 +85,13 @@ class Match:
     report: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for side in SIDES:
+            check_kind(side, getattr(self, side), Shape)
+        if not (isinstance(self.warnings, list | tuple) and all(isinstance(warning, str) for warning in self.warnings)):
+            raise bad_value("warnings", self.warnings, "a list of texts, a line each")
+        object.__setattr__(self, "warnings", tuple(self.warnings))
+        if not isinstance(self.report, Mapping):
+            raise bad_value("report", self.report, "a table, such as {}")
         for side, shape, other in (("source", self.source, self.target), ("target", self.target, self.source)):
             name = "source_to_target" if side == "source" else "target_to_source"
             indices = check_point_map(name, getattr(self, name), n_points=shape.n_points, n_others=other.n_points)
@@ -102,7 +115,7 @@ class Match:
             ArgumentError: if the maps do not fit the pair.
         """
         x, y = pair.x, pair.y
-        check_maps(pair, maps)
+        maps = checked_maps(pair, maps)
         x_to_y = _following_main_component(maps.x_to_y, x.operators)
         y_to_x = _following_main_component(maps.y_to_x, y.operators)
         settings = pair.settings.confidence
@@ -137,10 +150,17 @@ class Match:
             target_to_source=self.source_to_target,
             source_confidence=self.target_confidence,
             target_confidence=self.source_confidence,
-            warnings=_exchanged(self.warnings),
+            warnings=_exchanged(self.warnings, self._names),
             quality=None if self.quality is None else self.quality.inverse(),
-            report=_exchanged_report(self.report),
+            report=_exchanged_report(self.report, self._names),
         )
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        """What messages may call the shapes and their files: words in them say nothing of source and target."""
+        inputs = self.report.get("inputs", {}).values()
+        told = (str(value) for shape in inputs for key, value in shape.items() if key in ("file", "name"))
+        return tuple({self.source.name, self.target.name, *told} - {"", *SIDES})
 
     def compose(self, other: Match) -> Match:
         """The match from this one's source to the other's target, by way of the shape in between.
@@ -165,7 +185,11 @@ class Match:
         back, back_trust = _composed(
             other.target_to_source, other.target_confidence, self.target_to_source, self.target_confidence
         )
-        return Match(self.source, other.target, forth, back, forth_trust, back_trust, "composed")
+        ends = {"source": self, "target": other}
+        inputs = {side: match.report.get("inputs", {}).get(side, {}) for side, match in ends.items()}
+        return Match(
+            self.source, other.target, forth, back, forth_trust, back_trust, "composed", report={"inputs": inputs}
+        )
 
     def to_matrix(self) -> csr_matrix:
         """The map as a sparse matrix (n_target, n_source) that takes functions on the source to the target.
@@ -184,12 +208,28 @@ class Match:
 
         Args:
             k: how many eigenfunctions.
+
+        Raises:
+            ArgumentError: if ``k`` is no whole number of at least 1, or more than there are eigenfunctions or target
+                points with a counterpart.
         """
+        check_count("k", k)
         clean = repair(self.source), repair(self.target)
         source, target = (compute_operators(each.shape, settings=OperatorSettings(n_eigenpairs=k)) for each in clean)
+        for side, operators in (("source", source), ("target", target)):
+            if operators.n_eigenpairs < k:
+                raise ArgumentError(
+                    f"k is {k}, but the {side}, {getattr(self, side).name}, has {operators.n_eigenpairs} "
+                    "eigenfunctions; give at most as many"
+                )
         found = self.target_to_source[clean[1].kept]
         mapped = np.where(found >= 0, clean[0].clean_index[found], -1)
         (known,) = np.nonzero(mapped >= 0)
+        if len(known) < k:
+            raise ArgumentError(
+                f"k is {k}, but only {len(known)} points of the target, {self.target.name}, have a counterpart; "
+                "give at most as many"
+            )
         weight = target.mass[known].double().sqrt()[:, None]
         phi_target = weight * target.eigenvectors[known].double()
         carried = weight * source.eigenvectors[torch.from_numpy(mapped[known])].double()
@@ -226,7 +266,7 @@ class Match:
             ArgumentError: if there is no such format, the path cannot be written to, or ``base`` or ``direction`` is
                 given for a folder, which always holds both maps with indices from 0.
         """
-        if Path(path).suffix and not Path(path).is_dir():
+        if expanded(path).suffix and not expanded(path).is_dir():
             return [result_files.write_maps(path, self, base=base, direction=direction)]
         if base is not None or direction != "target_to_source":
             raise ArgumentError(
@@ -240,9 +280,12 @@ class Match:
         """Read a match from a folder that ``save`` or ``homolog match`` wrote.
 
         Raises:
-            DataError: if one of its files is missing, damaged, or does not fit the others.
+            DataError: if there is no such folder, or one of its files is missing, damaged, or does not fit the others.
             ShapeError: if a shape cannot be read.
         """
+        if not expanded(folder).is_dir():
+            found = f"{folder} is a file" if expanded(folder).exists() else f"there is no folder {folder}"
+            raise DataError(f"{found}; give a folder that homolog match or Match.save wrote")
         stored = result_files.read_folder(folder)
         try:
             return cls(**stored)
@@ -271,7 +314,12 @@ class Match:
         return html
 
     def matched(self, side: Side) -> dict[str, int | float]:
-        """What became of the points of a shape."""
+        """What became of the points of a shape.
+
+        Raises:
+            ArgumentError: if ``side`` is neither ``"source"`` nor ``"target"``.
+        """
+        check_choice("side", side, SIDES)
         indices = self.source_to_target if side == "source" else self.target_to_source
         trust = self.source_confidence if side == "source" else self.target_confidence
         left_out = int(self.report.get("inputs", {}).get(side, {}).get("points_left_out", 0))
@@ -324,23 +372,52 @@ def _checked_confidence(side: str, given: Any, n_points: int) -> Float[np.ndarra
     return trust if trust.dtype.kind == "f" else trust.astype(float)
 
 
-def check_maps(pair: Pair, maps: PointMaps) -> None:
-    """Refuse what a method gave if it does not fit the repaired shapes."""
+def checked_maps(pair: Pair, maps: Any) -> PointMaps:
+    """What a method gave as tensors of int64 on the pair's device, checked to fit the repaired shapes.
+
+    Raises:
+        ArgumentError: naming the method and what was found.
+    """
     method = pair.method.name
     if not isinstance(maps, PointMaps):
-        raise ArgumentError(f"method {method!r} gave a {type(maps).__name__}, but must give homolog.pairs.PointMaps")
-    sizes = pair.x.operators.n_points, pair.y.operators.n_points
-    for name, indices, (n, n_others) in (("x_to_y", maps.x_to_y, sizes), ("y_to_x", maps.y_to_x, sizes[::-1])):
-        if not isinstance(indices, Tensor) or indices.shape != (n,) or indices.is_floating_point():
-            found = getattr(indices, "shape", type(indices).__name__)
-            raise ArgumentError(
-                f"{name} of method {method!r} is {found}, but must be a tensor of whole numbers, ({n},)"
-            )
-        if not 0 <= int(indices.min()) <= int(indices.max()) < n_others:
-            raise ArgumentError(
-                f"{name} of method {method!r} holds {int(indices.min())} to {int(indices.max())}, but must hold "
-                f"indices of the repaired shape's points, 0 to {n_others - 1}"
-            )
+        raise ArgumentError(
+            f"method {method!r} gave a {type(maps).__name__}, but must give homolog.pairs.PointMaps(x_to_y, y_to_x)"
+        )
+    n_x, n_y = pair.x.operators.n_points, pair.y.operators.n_points
+    device = pair.x.operators.points.device
+    return PointMaps(
+        x_to_y=_checked_map(f"x_to_y of method {method!r}", maps.x_to_y, n_x, n_y).to(device),
+        y_to_x=_checked_map(f"y_to_x of method {method!r}", maps.y_to_x, n_y, n_x).to(device),
+    )
+
+
+def _checked_map(name: str, given: Any, n_points: int, n_others: int) -> Int[Tensor, " n"]:
+    """One of the maps of a method, which may be a tensor, an array or a list."""
+    try:
+        indices = given.detach() if isinstance(given, Tensor) else torch.from_numpy(_whole_numbers(given))
+    except (TypeError, ValueError, RuntimeError):
+        indices = None
+    whole = indices is not None and not (indices.is_floating_point() or indices.is_complex())
+    if indices is None or not whole or indices.dtype == torch.bool or indices.shape != (n_points,):
+        kind = type(given).__name__
+        found = f"a {kind}" if indices is None else f"a {kind} of {_dtype(indices)}, {tuple(indices.shape)}"
+        raise ArgumentError(f"{name} is {found}, but must be a tensor or array of whole numbers, ({n_points},)")
+    low, high = int(indices.min()), int(indices.max())
+    if low < 0 or high >= n_others:
+        raise ArgumentError(
+            f"{name} holds {low} to {high}, but must hold indices of the repaired shape's points, 0 to {n_others - 1}"
+        )
+    return indices.long()
+
+
+def _whole_numbers(given: Any) -> np.ndarray:
+    """An array that tensors can be made of: of int64 where it holds whole numbers of any kind."""
+    array = np.asarray(given)
+    return array.astype(np.int64) if array.dtype.kind in "iu" else array.copy()
+
+
+def _dtype(tensor: Tensor) -> str:
+    return str(tensor.dtype).removeprefix("torch.")
 
 
 def _following_main_component(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:
@@ -407,21 +484,31 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
     }
 
 
-def _exchanged_report(report: Mapping[str, Any]) -> dict[str, Any]:
+def _exchanged_report(report: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
     """A report with source and target exchanged."""
-    told = {name: _exchanged(entry) if name in _SIDED else entry for name, entry in report.items()}
+    told = {name: _exchanged(entry, names) if name in _SIDED else entry for name, entry in report.items()}
     if "inputs" in report:
         told["inputs"] = {_exchanged(side): shape for side, shape in report["inputs"].items()}
     return told
 
 
-def _exchanged(entry: Any) -> Any:
-    """An entry of a report with the words source and target exchanged, in names such as ``source_up`` as well."""
+def _exchanged(entry: Any, names: Sequence[str] = ()) -> Any:
+    """An entry of a report with the words source and target exchanged, in terms such as ``source_up`` as well.
+
+    Names that are given, quotations and paths stay as they are.
+    """
     if isinstance(entry, str):
-        words = re.split(r"(?<![a-z])(source|target)(?![a-z])", entry)
-        return "".join({"source": "target", "target": "source"}.get(word, word) for word in words)
+        kept = "".join(rf"(?<!\w){re.escape(name)}(?!\w)|" for name in sorted(names, key=len, reverse=True))
+        return re.sub(f"{kept}{_QUOTED}|{_WORD}", _exchanged_word, entry)
     if isinstance(entry, Mapping):
-        return {_exchanged(name): _exchanged(value) for name, value in entry.items()}
+        return {_exchanged(name, names): _exchanged(value, names) for name, value in entry.items()}
     if isinstance(entry, list | tuple):
-        return type(entry)(map(_exchanged, entry))
+        return type(entry)(_exchanged(each, names) for each in entry)
     return entry
+
+
+def _exchanged_word(found: re.Match[str]) -> str:
+    word = found["word"]
+    if word is None or not re.fullmatch(_TERM, word):
+        return found[0]
+    return re.sub("source|target", lambda side: "target" if side[0] == "source" else "source", word)

@@ -13,7 +13,8 @@ import numpy as np
 import scipy.io
 from jaxtyping import Int
 
-from homolog.core.errors import ArgumentError, DataError, HomologError, bad_choice
+from homolog.core.arguments import check_choice, is_count
+from homolog.core.errors import ArgumentError, DataError, HomologError, bad_value
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, write_json
 from homolog.core.progress import Timings
 from homolog.matching.colours import matched_colours
@@ -60,7 +61,9 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
             write_maps(paths[0], match)
             write_shape(paths[1], drawable(match.source), colours=source_colours)
             write_shape(paths[2], drawable(match.target), colours=target_colours)
-        told: dict[str, Any] = {"method": match.method, "warnings": list(match.warnings)}
+        known = match.report.get("inputs", {})
+        inputs = {side: {"name": getattr(match, side).name, **known.get(side, {})} for side in SIDES}
+        told: dict[str, Any] = {"inputs": inputs, "method": match.method, "warnings": list(match.warnings)}
         if match.quality is not None:
             told["quality"] = match.quality.to_dict()
         if timings is not None:
@@ -151,11 +154,8 @@ def write_maps(path: str | Path, match: Match, *, base: int | None = None, direc
         ArgumentError: if there is no such format, base or direction.
     """
     suffix = _checked_suffix(path)
+    _check_options(base, direction)
     base = _BASES[suffix] if base is None else base
-    if base not in (0, 1):
-        raise ArgumentError(f"base is {base!r}, but the first index must be 0 or 1")
-    if direction not in _DIRECTIONS:
-        raise bad_choice("direction", direction, _DIRECTIONS)
     arrays = {name: getattr(match, name) for name in _ARRAYS}
     shifted = {name: values + base if name in _DIRECTIONS else values for name, values in arrays.items()}
     # NumPy adds a suffix to a name that has none, but not to a file.
@@ -170,7 +170,7 @@ def write_maps(path: str | Path, match: Match, *, base: int | None = None, direc
 
 
 def read_point_map(
-    path: str | Path, *, base: int | None = None, direction: str = _DIRECTIONS[0]
+    path: str | Path, *, base: int | None = None, direction: str = _DIRECTIONS[0], n_others: int | None = None
 ) -> Int[np.ndarray, " n"]:
     """Read a point map that this or another program wrote: ``.npz``, ``.mat``, ``.txt``, ``.vts`` or ``.map``.
 
@@ -178,12 +178,16 @@ def read_point_map(
         path: the file. Text holds an index per line; ``.npz`` and ``.mat`` an array called ``direction``, or one alone.
         base: the first index; by default 0 for ``.npz`` and ``.txt``, 1 for the others.
         direction: which map is meant, where a file holds both.
+        n_others: how many points the shape has that the map leads to. Where it is given and ``base`` is not, a file
+            that seems to count from another index than its format is refused: one that holds the index after the last
+            point, or 0 and not the last point, though it should count from 1.
 
     Returns:
         Indices from 0, -1 for none (n,).
 
     Raises:
-        DataError: if it cannot be read as such, or holds no whole numbers.
+        ArgumentError: if ``base`` is neither 0 nor 1, or there is no such direction.
+        DataError: if it cannot be read as such, holds no whole numbers, or numbers that are no indices.
 
     Examples:
         >>> import numpy as np
@@ -194,14 +198,16 @@ def read_point_map(
     """
     file = expanded(path)
     suffix = _checked_suffix(path, reading=True)
+    _check_options(base, direction)
+    first = base
     try:
         if suffix == ".npz":
             with np.load(file, allow_pickle=False) as stored:
                 values = _only(path, {name: stored[name] for name in stored.files}, direction)
         elif suffix == ".mat":
             stored = scipy.io.loadmat(file)
-            first = stored.pop("first_index", None)
-            base = int(first.item()) if base is None and first is not None else base
+            own = stored.pop("first_index", None)
+            first = int(own.item()) if base is None and own is not None else base
             named = {name: value for name, value in stored.items() if not name.startswith("_")}
             values = _only(path, named, direction)
         else:
@@ -212,7 +218,37 @@ def read_point_map(
         raise
     except Exception as error:  # whatever NumPy and SciPy raise of a damaged file
         raise DataError(f"{path} cannot be read as a point map ({' '.join(str(error).split())[:160]})") from None
-    return _whole_numbers(path, values) - (_BASES.get(suffix, 1) if base is None else base)
+    values = _whole_numbers(path, values)
+    if first is None:
+        first = _BASES.get(suffix, 1)
+        _check_usual_base(path, values, first, n_others)
+    if values.size and values.min() < first - 1:
+        hint = "; give base=0 if they count from 0" if first == 1 and values.min() == -1 else ""
+        raise DataError(
+            f"{path} holds {values.min()}, but must hold indices from {first}, or {first - 1} for none{hint}"
+        )
+    return values - first
+
+
+def _check_options(base: Any, direction: Any) -> None:
+    if base is not None and not (is_count(base, least=0) and base <= 1):
+        raise bad_value("base", base, "the first index, 0 or 1")
+    check_choice("direction", direction, _DIRECTIONS)
+
+
+def _check_usual_base(path: str | Path, values: Int[np.ndarray, " n"], first: int, n_others: int | None) -> None:
+    """Refuse indices that fit the shape only if they count from another index than is usual in such a file."""
+    if n_others is None or not values.size:
+        return
+    if first == 0 and values.max() == n_others and values.min() >= 0:
+        raise DataError(
+            f"{path} holds {n_others}, but must hold indices from 0 to {n_others - 1}; give base=1 if they count from 1"
+        )
+    if first == 1 and values.min() == 0 and values.max() < n_others:
+        raise DataError(
+            f"{path} holds 0, and {values.max()} at most: its indices seem to count from 0, where those of such a file "
+            f"count from 1, to {n_others}; give base=0, or base=1 if 0 stands for a point without a counterpart"
+        )
 
 
 def _only(path: str | Path, arrays: dict[str, Any], direction: str) -> Any:
@@ -240,5 +276,7 @@ def _checked_suffix(path: str | Path, *, reading: bool = False) -> str:
     suffix = PurePath(path).suffix.lower()
     known = [*_BASES, ".map"] if reading else [*_BASES]
     if suffix not in known:
-        raise bad_choice("suffix", suffix, known, "of a file; a path without one is a result folder")
+        folder = "" if reading else "; without a suffix it is a result folder"
+        found = f"the suffix {suffix!r}" if suffix else "no suffix"
+        raise ArgumentError(f"{path} has {found}, but a point map must have one of {', '.join(known)}{folder}")
     return suffix

@@ -80,34 +80,33 @@ def orientations(pair: Pair, count: int) -> list[Pair]:
         return [pair]
     if pair.extractor is not None and pair.extractor.info.upright and not _has_orientations(pair):
         return [pair]
-    ranked = _ranked(pair, all_of_them=count > 1)
-    found = _distinct(_given_first(ranked, pair.settings.orientation.margin))
-    orientation = _certainty(found, pair.settings.orientation)
-    return [_turned(pair, hypothesis, orientation) for hypothesis in found[:count]]
+    found = _distinct(_ranked(pair, unlikely_too=count > 1))
+    return [_turned(pair, found, number) for number in range(len(found[:count]))]
 
 
-def _turned(pair: Pair, hypothesis: Hypothesis, orientation: PairOrientation) -> Pair:
+def _turned(pair: Pair, found: list[Hypothesis], number: int) -> Pair:
     return replace(
         pair,
-        source=pair.source.turned(hypothesis.source, pair.extractor),
-        target=pair.target.turned(hypothesis.target, pair.extractor),
-        orientation=replace(orientation, misfit=hypothesis.misfit),
+        source=pair.source.turned(found[number].source, pair.extractor),
+        target=pair.target.turned(found[number].target, pair.extractor),
+        orientation=_certainty(found, number, pair.settings.orientation),
     )
 
 
-def _ranked(pair: Pair, *, all_of_them: bool) -> list[Hypothesis]:
-    """What may be right, the least misfit first; on demand also what the orienter finds unlikely."""
+def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
+    """What may be right, the least misfit first; on demand, behind it, also what the orienter finds unlikely."""
     settings = pair.settings.orientation
-    if _has_orientations(pair):
-        margin = math.inf if all_of_them else settings.orienter_margin
-        hypotheses = _of_orienter(pair.source.orientations, pair.target.orientations, settings, margin)
-        if len(hypotheses) == 1:
-            return hypotheses
+    if not _has_orientations(pair):
         samples = Samples.of(pair)
-    else:
-        samples = Samples.of(pair)
-        hypotheses = _of_rigid_bodies(samples, settings)
-    return sorted((samples.judged(hypothesis) for hypothesis in hypotheses), key=lambda found: found.misfit)
+        return _given_first(samples.ranked(_of_rigid_bodies(samples, settings)), settings.margin)
+    both = pair.source.orientations, pair.target.orientations
+    likely = _of_orienter(*both, settings, settings.orienter_margin)
+    all_of_them = _of_orienter(*both, settings, math.inf) if unlikely_too else likely
+    if len(all_of_them) == 1:
+        return likely
+    samples = Samples.of(pair)
+    others = [found for found in all_of_them if not any(found.is_like(other) for other in likely)]
+    return [*_given_first(samples.ranked(likely), settings.margin), *samples.ranked(others)]
 
 
 def _has_orientations(pair: Pair) -> bool:
@@ -150,12 +149,13 @@ def _given_first(ranked: list[Hypothesis], margin: float) -> list[Hypothesis]:
     return [*near, *(found for found in ranked if found not in near)]
 
 
-def _certainty(distinct: list[Hypothesis], settings: OrientationSettings) -> PairOrientation:
-    best = distinct[0].misfit
-    if len(distinct) == 1:
-        return PairOrientation(best)
-    margin = abs(distinct[1].misfit - best)  # what is given may come first, though another is a little better
-    return PairOrientation(best, distinct[1].misfit, margin, ambiguous=margin < settings.margin)
+def _certainty(distinct: list[Hypothesis], number: int, settings: OrientationSettings) -> PairOrientation:
+    """How sure one of several hypotheses is, against the best of the others."""
+    misfit, others = distinct[number].misfit, [each.misfit for each in distinct if each is not distinct[number]]
+    if not others:
+        return PairOrientation(misfit)
+    margin = min(others) - misfit
+    return PairOrientation(misfit, min(others), margin, ambiguous=abs(margin) < settings.margin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,6 +187,10 @@ class Samples:
         weight = settings.handedness_upright if _has_orientations(pair) else settings.handedness
         refined = pair.near_isometric and pair.method.supports.refinement
         return cls(x, y, pair.extractor, refined, weight, settings)
+
+    def ranked(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
+        """Hypotheses with what their coarse maps tell, the least misfit first."""
+        return sorted(map(self.judged, hypotheses), key=lambda found: found.misfit)
 
     def judged(self, hypothesis: Hypothesis) -> Hypothesis:
         """The hypothesis with what its coarse map adds to its misfit."""

@@ -45,13 +45,34 @@ class FunctionMethod:
 def as_method(given: Any) -> Method:
     """Make a method of a ``Method``, or of a function of a ``Pair``.
 
+    The maps of a bare function are taken as they are, without refinement, and it gets the features of an extractor. Its
+    attribute ``supports``, where it has one, says otherwise.
+
     Raises:
-        ArgumentError: if it is neither.
+        ArgumentError: if it is neither, or its ``supports`` is no ``Supports``.
+
+    Examples:
+        >>> from homolog.methods import Supports, as_method
+        >>> def nearest_points(pair): ...
+        >>> as_method(nearest_points).supports.refinement
+        False
+        >>> nearest_points.supports = Supports(needs_features=False)
+        >>> as_method(nearest_points).supports.refinement
+        True
     """
-    if isinstance(given, Method):
-        return given
-    if callable(given):
-        return FunctionMethod(function_name(given), given)
-    raise ArgumentError(
-        f"method is a {type(given).__name__}, but must be the name of a method, or a function of a homolog.pairs.Pair"
-    )
+    if not callable(given):
+        raise ArgumentError(
+            f"method is a {type(given).__name__}, but must be the name of a method, or a function of a "
+            "homolog.pairs.Pair"
+        )
+    method = given if isinstance(given, Method) else _of_function(given)
+    supports: object = method.supports
+    if not isinstance(supports, Supports):
+        kind = type(supports).__name__
+        raise ArgumentError(f"supports of method {method.name!r} is a {kind}, but must be homolog.methods.Supports")
+    return method
+
+
+def _of_function(function: Callable[[Pair], PointMaps]) -> FunctionMethod:
+    supports = getattr(function, "supports", Supports(refinement=False))
+    return FunctionMethod(function_name(function), function, supports, getattr(function, "features", None))

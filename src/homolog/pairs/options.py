@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
-from typing import Any, get_args
+from typing import Annotated
 
 from homolog.core.choices import AsCloud, Orient, Side, Up
-from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.errors import ArgumentError
+from homolog.core.settings import Positive, Settings
 
 SIDES: tuple[Side, Side] = ("source", "target")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PairOptions:
+class PairOptions(Settings):
     """What is known of two shapes before they are matched.
 
     Args:
@@ -40,7 +40,7 @@ class PairOptions:
 
     as_cloud: AsCloud | None = None
     partial: Side | None = None
-    partial_scale: float = 1.0
+    partial_scale: Annotated[Positive, "and finite"] = 1.0
     pre_aligned: bool = False
     source_up: Up = "y"
     target_up: Up = "y"
@@ -48,18 +48,8 @@ class PairOptions:
     mirror: Side | None = None
     strict: bool = False
 
-    def __post_init__(self) -> None:
-        for name, allowed in (("as_cloud", get_args(AsCloud)), ("partial", SIDES), ("mirror", SIDES)):
-            if getattr(self, name) is not None and getattr(self, name) not in allowed:
-                raise bad_choice(name, str(getattr(self, name)), allowed)
-        for name, allowed in (("source_up", get_args(Up)), ("target_up", get_args(Up)), ("orient", get_args(Orient))):
-            if getattr(self, name) not in allowed:
-                raise bad_choice(name, str(getattr(self, name)), allowed)
-        for name in ("pre_aligned", "strict"):
-            if not isinstance(getattr(self, name), bool):
-                raise bad_value(name, getattr(self, name), "True or False")
-        if not _is_positive(self.partial_scale):
-            raise bad_value("partial_scale", self.partial_scale, "a positive finite number")
+    def check(self) -> None:
+        """Refuse what is about a partial shape where there is none."""
         if self.partial is None:
             for name, unset in (("partial_scale", 1), ("pre_aligned", False)):
                 if getattr(self, name) != unset:
@@ -75,7 +65,3 @@ class PairOptions:
     def up(self, side: Side) -> Up:
         """Which axis of a shape points up."""
         return self.source_up if side == "source" else self.target_up
-
-
-def _is_positive(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and value > 0

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.choices import Side
+from homolog.core.errors import ArgumentError
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo
 from homolog.maps import Similarity
@@ -29,7 +30,8 @@ _PARTIAL_SIZE = 50
 class PointMaps:
     """Point maps between the repaired shapes x and y of a ``Pair``; every point has a counterpart.
 
-    Their indices are those of the operators. ``Match.of(pair, maps)`` gives those of the files.
+    Their indices are those of the operators. ``Match.of(pair, maps)`` gives those of the files. Methods may also give
+    arrays or lists.
 
     Args:
         x_to_y: for each point of x its point of y (n_x,).
@@ -47,8 +49,8 @@ class PairOrientation:
     Args:
         misfit: of the hypothesis that was taken, see ``OrientationSettings``.
         runner_up: of the best of those that lead to another map; None where there was no other.
-        margin: by how much it is worse.
-        ambiguous: whether that is less than what can be told apart.
+        margin: by how much it is worse; negative where it is better, as for an alternative.
+        ambiguous: whether the two differ by less than what can be told apart.
     """
 
     misfit: float
@@ -75,7 +77,8 @@ class Pair:
             it stays.
 
     Raises:
-        ArgumentError: if a shape is partial or a cloud, and the method knows full shapes or meshes alone.
+        ArgumentError: if a shape is partial or a cloud, and the method knows full shapes or meshes alone, or the
+            features of both have different widths.
     """
 
     source: PreprocessedShape
@@ -152,6 +155,12 @@ class Pair:
 
     def __post_init__(self) -> None:
         check_supported(self.method, self.options, self.source, self.target)
+        widths = [None if shape.features is None else shape.features.shape[1] for shape in (self.source, self.target)]
+        if None not in widths and widths[0] != widths[1]:
+            raise ArgumentError(
+                f"features of the source, {self.source.name}, have width {widths[0]} and those of the target, "
+                f"{self.target.name}, {widths[1]}, but must have the same width to be compared"
+            )
 
     @property
     def x(self) -> PreprocessedShape:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from homolog.core.arguments import check_kind
+from homolog.core.arguments import check_choice, check_kind
 from homolog.core.choices import Orient
-from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
 from homolog.features import FeatureExtractor, Orientation, checked_features
@@ -89,6 +90,10 @@ class PreprocessedShape:
         features = Preprocessor(extractor=extractor).features(operators)
         return replace(self, operators=operators, features=features, rotation=rotation)
 
+    def as_given(self, extractor: FeatureExtractor | None) -> PreprocessedShape:
+        """The shape in the pose in which it was given, whatever its features' orienter found; see ``turned``."""
+        return replace(self.turned(torch.eye(3), extractor), orientations=())
+
     def to_dict(self) -> dict[str, Any]:
         """What was found in the shape, what was done about it, and how its eigenpairs were found, for JSON."""
         eigenpairs = {"number": self.operators.n_eigenpairs, "method": self.operators.method}
@@ -156,6 +161,7 @@ class Preprocessor:
             ShapeError: if the shape cannot be used, or is refused.
         """
         check_kind(label, shape, Shape)
+        check_choice("orient", orient, get_args(Orient))
         timings = timings or Timings()
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
@@ -165,7 +171,7 @@ class Preprocessor:
             repaired = replace(repaired, shape=_facing_outward(repaired.shape))
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
-            operators = operators if centre is None else operators.around(torch.as_tensor(centre))
+            operators = operators if centre is None else operators.around(_position("centre", centre))
         orientations: tuple[Orientation, ...] = ()
         rotation = torch.eye(3)
         with timings.measure(f"orientation of {label}"):
@@ -218,6 +224,17 @@ def _kept_if_near(orientation: Orientation, degrees: float) -> Orientation:
     if rotation_angle(orientation.rotation) > degrees:
         return replace(orientation, rotation=orientation.rotation.cpu())
     return replace(orientation, rotation=torch.eye(3))
+
+
+def _position(name: str, given: ArrayLike) -> Float[Tensor, " 3"]:
+    """A position that a user gave."""
+    try:
+        values = np.array(given.detach().cpu().numpy() if isinstance(given, Tensor) else given, dtype=float)
+    except (TypeError, ValueError):
+        values = np.full(3, np.nan)
+    if values.shape != (3,) or not np.isfinite(values).all():
+        raise bad_value(name, given, "three finite numbers, the coordinates of a point")
+    return torch.from_numpy(values)
 
 
 def _of_points(features: ArrayLike, shape: Shape, repaired: Repaired, operators: Operators) -> Float[Tensor, "n d"]:

@@ -8,8 +8,10 @@ from typing import Annotated, Any, get_args
 import torch
 from annotated_types import Ge, Le
 
+from homolog.core.arguments import check_choice
 from homolog.core.choices import Device
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.method_names import AUTO, method_names
 from homolog.core.reprs import function_name
 from homolog.core.settings import Count, NotNegative, Positive, Settings
 from homolog.geometry import OperatorSettings
@@ -171,7 +173,7 @@ class MatcherSettings(Settings):
     Args:
         method: name of a method (``homolog.methods.method_names()``), a method of one's own, or ``"auto"``:
             ``functional-map`` for two meshes of near-isometric kind, ``nearest-features`` otherwise, and ``axiomatic``
-            without features.
+            without features. The maps of a bare function are not refined; see ``homolog.methods.as_method``.
         functional_map: the functional map that fits features.
         soft_map: the soft map between features.
         axiomatic: the method of that name.
@@ -185,7 +187,7 @@ class MatcherSettings(Settings):
         operators: what operators to compute; by default those that the features were trained with.
 
     Raises:
-        ArgumentError: if one of them is of another kind.
+        ArgumentError: if one of them is of another kind, or there is no such method.
 
     Examples:
         >>> import homolog
@@ -193,7 +195,7 @@ class MatcherSettings(Settings):
         100.0
     """
 
-    method: Any = "auto"
+    method: Any = AUTO
     functional_map: FunctionalMapSettings = field(default_factory=FunctionalMapSettings)
     soft_map: SoftMapSettings = field(default_factory=SoftMapSettings)
     axiomatic: AxiomaticSettings = field(default_factory=AxiomaticSettings)
@@ -206,7 +208,9 @@ class MatcherSettings(Settings):
     operators: Annotated[OperatorSettings, "or None"] | None = None
 
     def check(self) -> None:
-        """Refuse a method that is no name and cannot be called; whether there is one of that name, ``Matcher`` says."""
+        """Refuse a method that is no name of one and cannot be called."""
+        if isinstance(self.method, str) and self.method not in method_names():
+            raise bad_choice("method", self.method, method_names())
         if not (isinstance(self.method, str) or callable(self.method)):
             raise bad_value("method", self.method, "the name of a method, or a function of a homolog.pairs.Pair")
 
@@ -214,7 +218,7 @@ class MatcherSettings(Settings):
         """All of them for JSON; a method of one's own by its name."""
         named = isinstance(self.method, str)
         name = self.method if named else getattr(self.method, "name", function_name(self.method))
-        return asdict(replace(self, method=name))
+        return {**asdict(replace(self, method=AUTO)), "method": name}
 
     def __repr__(self) -> str:
         return _changes(self)
@@ -239,8 +243,7 @@ def choose_device(device: Device | torch.device) -> torch.device:
         ArgumentError: if there is no such device.
     """
     kind = device.type if isinstance(device, torch.device) else device
-    if kind not in get_args(Device):
-        raise bad_choice("device", str(device), get_args(Device))
+    check_choice("device", kind, get_args(Device))
     if kind == "cuda" and not torch.cuda.is_available():
         raise ArgumentError(f"device is '{device}', but PyTorch finds no CUDA device; use 'cpu' or 'auto'")
     if device == "auto":

@@ -16,8 +16,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from homolog.core.arguments import check_kind
-from homolog.core.errors import HomologError, ShapeError, bad_choice
+from homolog.core.arguments import check_choice, check_kind
+from homolog.core.errors import HomologError, ShapeError
 from homolog.core.files import expanded, sha256
 from homolog.shapes.formats import formats, imports_of, readable_suffixes
 from homolog.shapes.formats.gltf import Pose
@@ -54,8 +54,7 @@ def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
         Shape('amber.off': mesh, 4918 points, 9832 faces)
     """
     check_kind("path", path, PathLike, str)
-    if pose not in get_args(Pose):
-        raise bad_choice("pose", pose, get_args(Pose))
+    check_choice("pose", pose, get_args(Pose))
     file = _checked(path)
     check_suffix(path)
     form = formats()[file.suffix.lower()]

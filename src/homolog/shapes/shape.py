@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.core.errors import ShapeError
+from homolog.core.errors import ShapeError, bad_value
 from homolog.shapes.finding import Finding
 
 Modality = Literal["mesh", "cloud"]
@@ -53,6 +53,8 @@ class Shape:
     allow_broken: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise bad_value("name", self.name, "a text")
         points = _columns(self.points, f"{self.name}: points").astype(np.float64, copy=False)
         object.__setattr__(self, "points", _locked(points))
         if self.faces is not None:

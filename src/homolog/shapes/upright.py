@@ -8,8 +8,8 @@ from typing import get_args
 import numpy as np
 from jaxtyping import Float
 
+from homolog.core.arguments import check_choice, check_kind
 from homolog.core.choices import Up
-from homolog.core.errors import bad_choice
 from homolog.shapes.shape import Shape
 
 
@@ -19,7 +19,7 @@ def stand_upright(shape: Shape, up: Up) -> Shape:
     A z-up shape that faces -y, as most software has it, then faces +z.
 
     Raises:
-        ArgumentError: if ``up`` is not x, y or z.
+        ArgumentError: if it is no shape, or ``up`` not x, y or z.
 
     Examples:
         >>> import homolog
@@ -27,8 +27,8 @@ def stand_upright(shape: Shape, up: Up) -> Shape:
         >>> homolog.stand_upright(shape, "z").points[3].tolist()
         [0.0, 3.0, 0.0]
     """
-    if up not in get_args(Up):
-        raise bad_choice("up", up, get_args(Up))
+    check_kind("shape", shape, Shape)
+    check_choice("up", up, get_args(Up))
     return shape if up == "y" else replace(shape, points=shape.points @ upright_rotation(up).T, space=None)
 
 

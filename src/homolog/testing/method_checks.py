@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,9 +16,9 @@ from scipy.spatial import ConvexHull
 from homolog.core.errors import ArgumentError, HomologError
 from homolog.geometry import Operators
 from homolog.maps import wave_kernel_signature
-from homolog.matching import Match, Matcher
-from homolog.methods import Method, Supports, as_method, find_method
-from homolog.pairs import MatcherSettings, Pair, PairOptions, PointMaps
+from homolog.matching import Match, Matcher, checked_maps
+from homolog.methods import Method, as_method, find_method
+from homolog.pairs import MatcherSettings, Pair, PairOptions
 from homolog.shapes import Shape
 
 # Points of the shapes that methods are tried on: enough for 100 eigenpairs, few enough for seconds.
@@ -34,7 +35,8 @@ def check_method(method: Any, *, features: Any = None) -> None:
     It is tried on small shapes: meshes, clouds and mixed pairs, and a partial shape, as far as it supports them. It
     must give maps of the right form, in the indices of the repaired shapes; change nothing; give equal maps for equal
     input, whatever the order of points; map a shape to itself; and run with the default settings, refinement included.
-    What it does not support must not reach it.
+    What it does not support must not reach it. As in a match, the maps of a bare function are not refined unless its
+    attribute ``supports`` says so.
 
     Args:
         method: a ``Method``, the name of one, or a function of a ``Pair``.
@@ -48,13 +50,21 @@ def check_method(method: Any, *, features: Any = None) -> None:
         >>> from homolog.testing import check_method
         >>> check_method("registration")
     """
-    method = as_method(find_method(method) if isinstance(method, str) else method)
+    with _asserted():
+        method = as_method(find_method(method) if isinstance(method, str) else method)
     assert isinstance(method.name, str) and method.name, "name: a method must have one"
-    kind = type(method.supports).__name__
-    assert isinstance(method.supports, Supports), f"supports is a {kind}, not homolog.methods.Supports"
     checked = _Checked(method, features)
     for check in _CHECKS:
         check(checked)
+
+
+@contextmanager
+def _asserted(what: str = "") -> Iterator[None]:
+    """What is refused as an argument breaks a promise here."""
+    try:
+        yield
+    except HomologError as error:
+        raise AssertionError(f"{what}{error}") from None
 
 
 @dataclass(frozen=True)
@@ -77,10 +87,8 @@ class _Checked:
     def match(self, source: Shape, target: Shape, *, refined: bool = False) -> Match:
         matcher = self.matcher(refined=refined)
         pair, _ = matcher.pair(source, target)
-        try:
+        with _asserted(f"{source.name} to {target.name}: "):
             return matcher.find(pair)
-        except HomologError as error:
-            raise AssertionError(f"{source.name} to {target.name}: {error}") from None
 
     def cases(self) -> Iterator[tuple[str, Shape, Shape]]:
         """Pairs of the modalities that the method supports."""
@@ -99,19 +107,8 @@ def _positions_and_signatures(operators: Operators) -> torch.Tensor:
 def _form(checked: _Checked) -> None:
     for what, source, target in checked.cases():
         pair = checked.pair(source, target)
-        maps = checked.method(pair)
-        assert isinstance(maps, PointMaps), f"form, {what}: it gave a {type(maps).__name__}, not PointMaps"
-        sizes = pair.x.operators.n_points, pair.y.operators.n_points
-        _check_map(f"form, {what}: x_to_y", maps.x_to_y, *sizes)
-        _check_map(f"form, {what}: y_to_x", maps.y_to_x, *sizes[::-1])
-
-
-def _check_map(what: str, indices: Any, n_points: int, n_others: int) -> None:
-    assert isinstance(indices, torch.Tensor), f"{what} is a {type(indices).__name__}, not a tensor"
-    assert not indices.is_floating_point(), f"{what} holds {indices.dtype}, not whole numbers"
-    assert indices.shape == (n_points,), f"{what} has shape {tuple(indices.shape)}, not ({n_points},)"
-    low, high = int(indices.min()), int(indices.max())
-    assert low >= 0 and high < n_others, f"{what} holds {low} to {high}, not indices from 0 to {n_others - 1}"
+        with _asserted(f"form, {what}: "):
+            checked_maps(pair, checked.method(pair))
 
 
 def _nothing_is_changed(checked: _Checked) -> None:
@@ -202,10 +199,8 @@ def _partial_shapes(checked: _Checked) -> None:
     partial = Shape(full.points[kept], renumbered[faces], name="partial")
     for side, shapes in (("target", (full, partial)), ("source", (partial, full))):
         pair = checked.pair(*shapes, partial=side, pre_aligned=True)
-        sizes = pair.x.operators.n_points, pair.y.operators.n_points
-        maps = checked.method(pair)
-        _check_map(f"partial {side}: x_to_y", maps.x_to_y, *sizes)
-        _check_map(f"partial {side}: y_to_x", maps.y_to_x, *sizes[::-1])
+        with _asserted(f"partial {side}: "):
+            checked_maps(pair, checked.method(pair))
 
 
 _CHECKS: tuple[Callable[[_Checked], None], ...] = (

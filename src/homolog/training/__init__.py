@@ -4,10 +4,10 @@ from homolog.training.adaptation import AdaptationSettings, adapt_to_pair
 from homolog.training.augmentation import augmented
 from homolog.training.distributed import is_started_by_another
 from homolog.training.loop import is_first_process, train
-from homolog.training.losses import BUILTIN_LOSSES, Loss, losses_of
-from homolog.training.objective import pair_losses
+from homolog.training.losses import BUILTIN_LOSSES, Loss
+from homolog.training.objective import losses_of, pair_losses
 from homolog.training.orienter import train_orienter
-from homolog.training.quantities import QUANTITIES, PairQuantities, TrainingShape
+from homolog.training.quantities import QUANTITIES, PairQuantities, QuantitySettings, TrainingShape
 from homolog.training.recipes import builtin_recipes, find_recipe, read_recipe
 from homolog.training.run_folder import WEIGHTS
 from homolog.training.settings import (
@@ -39,6 +39,7 @@ __all__ = [
     "OrienterSettings",
     "PairQuantities",
     "PartialSettings",
+    "QuantitySettings",
     "Recipe",
     "SampleSettings",
     "TrainingSettings",

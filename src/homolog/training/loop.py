@@ -26,8 +26,8 @@ from homolog.pairs import Device, MatcherSettings, OperatorSource, choose_device
 from homolog.training.data import TrainingSet
 from homolog.training.distributed import process_group, shared_errors
 from homolog.training.interrupts import Interrupts, deferred_interrupts
-from homolog.training.losses import TOTAL, Loss, losses_of
-from homolog.training.objective import pair_losses
+from homolog.training.losses import TOTAL, Loss
+from homolog.training.objective import losses_of, pair_losses
 from homolog.training.orienter import train_orienter
 from homolog.training.pairs import PairLoader, TrainingPair
 from homolog.training.prefetch import prefetched

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from jaxtyping import Float
 from torch import Tensor
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
-from homolog.core.plugins import described, fault, offered
+from homolog.core.plugins import offered
 from homolog.maps import losses as formulas
 from homolog.maps import normalised
-from homolog.training.quantities import QUANTITIES, PairQuantities, TrainingShape
-
-if TYPE_CHECKING:  # settings name the losses that stand here
-    from homolog.training.settings import LossSettings
+from homolog.training.quantities import QUANTITIES, PairQuantities, QuantitySettings, TrainingShape
 
 TOTAL = "total"
 """The name under which the sum of all losses is reported."""
@@ -135,7 +131,7 @@ def alignment(
     shape_x: TrainingShape,
     shape_y: TrainingShape,
     partial: bool,
-    settings: LossSettings,
+    settings: QuantitySettings,
 ) -> Float[Tensor, ""]:
     """The soft map of the clouds agrees with the functional map of the meshes ("coupling" in other papers).
 
@@ -158,7 +154,7 @@ def infonce(
     cloud_features_y: Float[Tensor, "m_y d"],
     shape_x: TrainingShape,
     shape_y: TrainingShape,
-    settings: LossSettings,
+    settings: QuantitySettings,
 ) -> Float[Tensor, ""]:
     """A cloud's features resemble those of its own mesh at the same points."""
 
@@ -203,7 +199,7 @@ def registration(
     shape_y: TrainingShape,
     registration_targets: Float[Tensor, "m_y 3"],
     partial: bool,
-    settings: LossSettings,
+    settings: QuantitySettings,
 ) -> Float[Tensor, ""]:
     """Points of the clouds resemble what lies where their registration takes them. For pre-aligned full shapes."""
     if partial or shape_x.cloud_is_partial or shape_y.cloud_is_partial:
@@ -212,44 +208,6 @@ def registration(
     return formulas.registration_loss(
         soft_features_x, soft_features_y, points, registration_targets, reach=reach, temperature=temperature
     )
-
-
-def losses_of(settings: LossSettings, more: Sequence[Loss] = ()) -> tuple[Loss, ...]:
-    """The losses with a weight above 0, of settings and of one's own: their sum is what a training minimises.
-
-    Raises:
-        ArgumentError: if a function cannot be imported or is no loss, a name comes twice, or no loss is left.
-    """
-    named = [_named(name, weight, settings) for name, weight in settings.weights.items() if weight]
-    losses = (*named, *(loss for loss in more if loss.weight))
-    names = [loss.name for loss in losses]
-    for name in names:
-        if names.count(name) > 1:
-            raise ArgumentError(f"there are {names.count(name)} losses {name!r}; give yours another name")
-    if not losses:
-        raise ArgumentError("no loss has a weight above 0; give [loss] of the recipe one that has")
-    return losses
-
-
-def _named(name: str, weight: float, settings: LossSettings) -> Loss:
-    if name in BUILTIN_LOSSES:
-        return Loss.of(name, weight, BUILTIN_LOSSES[name].function)
-    path = settings.functions.get(name)
-    origin = described(installed_losses()[name]) if path is None else repr(path)
-    try:
-        if path is None:
-            function = installed_losses()[name].load()
-        else:
-            module, _, attribute = path.partition(":")
-            function = getattr(importlib.import_module(module), attribute)
-        return Loss.of(name, weight, function)
-    except ArgumentError:
-        raise
-    except Exception as error:  # importing a module raises whatever its lines do
-        raise ArgumentError(
-            f"the function of the loss {name}, {origin}, cannot be used ({fault(error)}); "
-            "give package.module:function of an installed package"
-        ) from error
 
 
 def installed_losses() -> dict[str, EntryPoint]:

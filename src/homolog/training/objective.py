@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from homolog.core.errors import ArgumentError
+from homolog.core.plugins import described, fault
 from homolog.features import DiffusionNet
 from homolog.training.augmentation import augmented
-from homolog.training.losses import TOTAL, Loss, losses_of
+from homolog.training.losses import BUILTIN_LOSSES, TOTAL, Loss, installed_losses
 from homolog.training.quantities import PairQuantities, TrainingShape
 from homolog.training.settings import AugmentationSettings, LossSettings
 
@@ -56,3 +59,41 @@ def pair_losses(
 def _full_precision(device: torch.device) -> torch.autocast:
     """In bfloat16, positions would be off by as much as their jitter, and the logits of the losses by a twentieth."""
     return torch.autocast(device.type, enabled=False)
+
+
+def losses_of(settings: LossSettings, more: Sequence[Loss] = ()) -> tuple[Loss, ...]:
+    """The losses with a weight above 0, of settings and of one's own: their sum is what a training minimises.
+
+    Raises:
+        ArgumentError: if a function cannot be imported or is no loss, a name comes twice, or no loss is left.
+    """
+    named = [_named(name, weight, settings) for name, weight in settings.weights.items() if weight]
+    losses = (*named, *(loss for loss in more if loss.weight))
+    names = [loss.name for loss in losses]
+    for name in names:
+        if names.count(name) > 1:
+            raise ArgumentError(f"there are {names.count(name)} losses {name!r}; give yours another name")
+    if not losses:
+        raise ArgumentError("no loss has a weight above 0; give [loss] of the recipe one that has")
+    return losses
+
+
+def _named(name: str, weight: float, settings: LossSettings) -> Loss:
+    if name in BUILTIN_LOSSES:
+        return Loss.of(name, weight, BUILTIN_LOSSES[name].function)
+    path = settings.functions.get(name)
+    origin = described(installed_losses()[name]) if path is None else repr(path)
+    try:
+        if path is None:
+            function = installed_losses()[name].load()
+        else:
+            module, _, attribute = path.partition(":")
+            function = getattr(importlib.import_module(module), attribute)
+        return Loss.of(name, weight, function)
+    except ArgumentError:
+        raise
+    except Exception as error:  # importing a module raises whatever its lines do
+        raise ArgumentError(
+            f"the function of the loss {name}, {origin}, cannot be used ({fault(error)}); "
+            "give package.module:function of an installed package"
+        ) from error

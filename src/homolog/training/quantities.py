@@ -5,18 +5,39 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
 from homolog.core.errors import ArgumentError, TrainingError
+from homolog.core.settings import Count, NotNegative, Positive, Settings
 from homolog.geometry import Basis
 from homolog.maps import functional_map, normalised, registered_positions, resolvent_mask
-from homolog.maps.losses import partial_rank
+from homolog.maps.losses import INFONCE_TEMPERATURE, REGISTRATION_REACH, partial_rank
 
-if TYPE_CHECKING:  # settings name the losses, which ask for what is here
-    from homolog.training.settings import LossSettings
+
+@dataclass(frozen=True, kw_only=True)
+class QuantitySettings(Settings):
+    """What the quantities of a pair, and the losses, are computed with. In a recipe they are keys of ``[loss]``.
+
+    Args:
+        map_eigenpairs: size of the functional maps.
+        regularisation: weight of the resolvent mask in the functional maps.
+        soft_temperature: temperature of the soft map. The weights remember it, and matching uses it as well.
+        soft_iterations: iterations of Sinkhorn's algorithm.
+        raw_products: compute the soft map from features of any length, as the published code does, not from unit ones.
+        infonce_temperature: temperature of the contrastive loss.
+        registration_reach: width of the registration loss's target distribution, in units of sqrt(area).
+    """
+
+    map_eigenpairs: Count = 80
+    regularisation: NotNegative = 100.0
+    soft_temperature: Positive = 0.1
+    soft_iterations: Count = 10
+    raw_products: bool = False
+    infonce_temperature: Positive = INFONCE_TEMPERATURE
+    registration_reach: Positive = REGISTRATION_REACH
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +67,7 @@ class TrainingShape:
 class _Side:
     """Quantities of one of the two shapes."""
 
-    def __init__(self, shape: TrainingShape, mesh: Tensor, cloud: Tensor, settings: LossSettings) -> None:
+    def __init__(self, shape: TrainingShape, mesh: Tensor, cloud: Tensor, settings: QuantitySettings) -> None:
         self.shape, self.features, self.cloud_features, self._settings = shape, mesh, cloud, settings
 
     @cached_property
@@ -109,7 +130,7 @@ class PairQuantities:
     | `rank` | where y is a part of x: the rank of `c_xy`, see `partial_rank`; otherwise None |
     | `registration_targets` | where y's cloud lies once it is registered to x's (m_y, 3) |
     | `partial` | whether y is a part of x |
-    | `settings` | the `LossSettings` |
+    | `settings` | the `QuantitySettings`, of which a recipe's `LossSettings` are some |
 
     Args:
         x: a shape; the full one if ``partial``.
@@ -125,7 +146,7 @@ class PairQuantities:
         x: TrainingShape,
         y: TrainingShape,
         features: Sequence[Float[Tensor, "n d"]],
-        settings: LossSettings,
+        settings: QuantitySettings,
         *,
         partial: bool = False,
         registration_targets: Float[Tensor, "m_y 3"] | None = None,

@@ -14,9 +14,9 @@ from homolog.core.settings import Count, CountOrZero, NotNegative, Positive, Set
 from homolog.datasets import DatasetDescription, Split
 from homolog.features import NetworkSettings
 from homolog.geometry import OperatorSettings
-from homolog.maps.losses import INFONCE_TEMPERATURE, REGISTRATION_REACH
 from homolog.shapes import Up
 from homolog.training.losses import BUILTIN_LOSSES, installed_losses
+from homolog.training.quantities import QuantitySettings
 
 Schedule = Literal["cosine", "constant", "one-cycle"]
 Precision = Literal["32", "bf16"]
@@ -92,33 +92,20 @@ class CloudSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
-class LossSettings(Settings):
+class LossSettings(QuantitySettings):
     """The losses: weights, and what they are computed with. The defaults are the paper's but for ``raw_products``.
 
-    In a recipe each weight is a key of its own in ``[loss]``: ``infonce = 5.0``.
+    In a recipe each weight is a key of its own in ``[loss]``: ``infonce = 5.0``. The fields of ``QuantitySettings`` are
+    among its own.
 
     Args:
         weights: of the losses, by name; absent ones have their default weight. Losses of weight 0 are not computed.
         functions: losses of one's own, by name: ``"package.module:function"``, which is imported. Those installed under
             the entry-point group ``homolog.losses`` need no entry here.
-        map_eigenpairs: size of the functional maps.
-        regularisation: weight of the resolvent mask in the functional maps.
-        soft_temperature: temperature of the soft map. The weights remember it, and matching uses it as well.
-        soft_iterations: iterations of Sinkhorn's algorithm.
-        raw_products: compute the soft map from features of any length, as the published code does, not from unit ones.
-        infonce_temperature: temperature of the contrastive loss.
-        registration_reach: width of the registration loss's target distribution, in units of sqrt(area).
     """
 
     weights: dict[str, Any] = field(default_factory=dict)
     functions: dict[str, str] = field(default_factory=dict)
-    map_eigenpairs: Count = 80
-    regularisation: NotNegative = 100.0
-    soft_temperature: Positive = 0.1
-    soft_iterations: Count = 10
-    raw_products: bool = False
-    infonce_temperature: Positive = INFONCE_TEMPERATURE
-    registration_reach: Positive = REGISTRATION_REACH
 
     def check(self) -> None:
         """Weights are numbers of at least 0, of losses that there are; absent ones get their defaults."""

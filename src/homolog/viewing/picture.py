@@ -10,6 +10,7 @@ from jaxtyping import Float, Int, UInt8
 from homolog.core.arguments import is_number
 from homolog.core.choices import PICTURE_WIDTHS, Side
 from homolog.core.errors import ArgumentError, bad_value, needs_extra
+from homolog.core.files import expanded
 from homolog.pairs import SIDES
 from homolog.viewing.drawing import RADIUS, SAMPLES, Canvas, averaged, shape_drawing, view_rotation
 from homolog.viewing.png import write_png
@@ -64,7 +65,7 @@ def write_picture(path: str | Path, scene: Scene, *, width: int = 2000, lines: i
 
 def check_picture(path: str | Path) -> None:
     """Check, before any work is done, that a file's name ends in .png and that the extra ``picture`` is installed."""
-    if Path(path).suffix.lower() != ".png":
+    if expanded(path).suffix.lower() != ".png":
         raise ArgumentError(f"{path} must end in .png; pictures are written as PNG only")
     with needs_extra("pictures", "picture"):
         import PIL  # noqa: F401
