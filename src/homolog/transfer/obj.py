@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -86,10 +88,20 @@ def read_obj_texture(path: Path) -> ObjTexture | None:
 
 
 def _material(known: dict[str, Material], name: str) -> Material:
-    """The material of a name, which a comment may follow."""
-    while name not in known and " #" in name:
+    """The material of a name, which a comment may follow; in another case if need be."""
+    lower = {other.lower(): material for other, material in known.items()}
+    for spelling in _without_comments(name):
+        if found := known.get(spelling, lower.get(spelling.lower())):
+            return found
+    return Material()
+
+
+def _without_comments(name: str) -> Iterator[str]:
+    """A name, and then what is left of it where each of its marks of comments begins one, the last mark first."""
+    yield name
+    while " #" in name:
         name = name.rpartition(" #")[0].rstrip()
-    return known.get(name, Material())
+        yield name
 
 
 class _Coordinates:
@@ -181,16 +193,23 @@ def _textured(material: Material, words: str, folder: Path) -> Material:
 
 
 def _beside(folder: Path, name: str) -> Path:
-    """The file of a name, beside another file or below it: in other case, or without its folders, if need be."""
-    place = folder / name.strip().strip('"').replace("\\", "/")
-    for candidate in (place, folder / place.name):
-        if candidate.is_file():
-            return candidate
-        if candidate.parent.is_dir():
-            alike = [file for file in candidate.parent.iterdir() if file.name.lower() == candidate.name.lower()]
-            if alike:
-                return min(alike)
-    return folder / place.name
+    """The file of a name, beside another file or below it.
+
+    If need be without some of its folders, in other case, without a comment behind it, or with what ``%`` quotes.
+    """
+    spellings = [spelling.strip().strip('"').replace("\\", "/") for spelling in _without_comments(name)]
+    for spelling in dict.fromkeys([*spellings, *map(unquote, spellings)]):
+        words = Path(spelling.lstrip("/")).parts
+        # An absolute path is of another machine, but its last folders may be there.
+        places = (folder.joinpath(*words[first:]) for first in range(len(words)))
+        for place in (folder / spelling, *places):
+            if place.is_file():
+                return place
+            if place.parent.is_dir():
+                alike = [file for file in place.parent.iterdir() if file.name.lower() == place.name.lower()]
+                if alike:
+                    return min(alike)
+    return folder / Path(spellings[-1]).name
 
 
 def write_obj(
