@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -188,7 +188,10 @@ def evaluate(
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    _check(json, (csv, plot), [path for path in (data, maps, pairs) if path is not None])
+    check_json(json)
+    for file in (csv, plot):
+        if file is not None:
+            check_file(file)
     if maps is not None and (weights is not None or adapt or method != AUTO):
         raise ArgumentError("--maps scores maps that are there already; leave --weights, --method and --adapt out")
     if maps is None and base is not None:
@@ -231,14 +234,6 @@ def evaluate(
         from rich.console import Console
 
         Console().print(_table(evaluation, figures, _title(folder, protocol)))
-
-
-def _check(json: Path | None, files: Iterable[Path | None], inputs: list[Path]) -> None:
-    """Refuse outputs that cannot be written, or would replace an input, before PyTorch is loaded."""
-    check_json(json, inputs=inputs)
-    for file in files:
-        if file is not None:
-            check_file(file, inputs=inputs)
 
 
 def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:

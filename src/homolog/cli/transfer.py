@@ -12,6 +12,7 @@ from homolog.cli.options import INPUT, OUTPUT, Quiet, ResultFolder, check_folder
 from homolog.cli.progress import progress_bar, say
 from homolog.core.choices import TEXTURE_SIZE, Side, System
 from homolog.core.errors import ArgumentError
+from homolog.core.files import refuse_overwriting_inputs
 from homolog.core.versions import versions
 
 if TYPE_CHECKING:
@@ -119,8 +120,9 @@ def transfer(
         raise ArgumentError(f"--checker and --{kinds[0]} write the same files; give one at a time")
     contents = bool(kinds) or not (files or checker)
     original = transfers.read_original(match, side, origin) if contents or origin is not None else None
-    inputs = files if original is None else [*files, *original.files]
-    check_folder(output, inputs=inputs, names=[*transfers.OUTPUT_NAMES, *(file.name for file in files)])
+    names = [*transfers.OUTPUT_NAMES, *(file.name for file in files)]
+    refuse_overwriting_inputs([output / name for name in names], () if original is None else original.files)
+    check_folder(output, names=names)
     forth = match.inverse() if reverse else match
     along = transfers.Transfer(forth, source=None if original is None else original.shape)
     delivery = transfers.Delivery(along, axes=axes, texture_size=texture_size)
