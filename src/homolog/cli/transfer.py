@@ -11,12 +11,12 @@ import homolog
 from homolog.cli.options import INPUT, OUTPUT, Quiet, ResultFolder, check_folder
 from homolog.cli.progress import progress_bar, say
 from homolog.core.choices import TEXTURE_SIZE, Side, System
-from homolog.core.errors import ArgumentError
+from homolog.core.errors import ArgumentError, HomologError
 from homolog.core.files import refuse_overwriting_inputs
 from homolog.core.versions import versions
 
 if TYPE_CHECKING:
-    from homolog.transfer import Delivery, Kind
+    from homolog.transfer import Delivery, Kind, Original
 
 _WHAT = "What to transfer"
 
@@ -125,7 +125,8 @@ def transfer(
     check_folder(output, names=names)
     forth = match.inverse() if reverse else match
     along = transfers.Transfer(forth, source=None if original is None else original.shape)
-    delivery = transfers.Delivery(along, axes=axes, texture_size=texture_size)
+    target = _target(match, "source" if reverse else "target") if contents else None
+    delivery = transfers.Delivery(along, axes=axes, texture_size=texture_size, target=target)
     for paths, add in (
         (array, delivery.add_array),
         (labels, delivery.add_labels),
@@ -142,6 +143,15 @@ def transfer(
         written = delivery.write(output, {"result": str(result), "from": side, "versions": versions()})
     if not quiet:
         _tell(delivery, written)
+
+
+def _target(match: homolog.Match, side: Side) -> Original | None:
+    """The target's own file, whose look and skin are kept where no other is transferred; None if it is not there."""
+    try:
+        return homolog.transfer.read_original(match, side)
+    except HomologError as error:
+        say(f"Note: the target's own look and skin are left out: {error}")
+        return None
 
 
 def _tell(delivery: Delivery, written: list[Path]) -> None:
