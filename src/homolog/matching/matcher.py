@@ -22,7 +22,13 @@ from homolog.matching.mirror import mirror_warnings
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_maps
 from homolog.matching.search import orient, orientations
-from homolog.matching.warnings import blaming, low_confidence_warnings, orientation_warnings, unit_warnings
+from homolog.matching.warnings import (
+    blaming,
+    low_confidence_warnings,
+    orientation_warnings,
+    part_warnings,
+    unit_warnings,
+)
 from homolog.pairs import (
     Device,
     MatcherSettings,
@@ -215,8 +221,8 @@ class Matcher:
         units = unit_warnings(pair)
         with timings.measure("map"), blaming(units):
             match = self.find(pair)
-        checks = (*orientation_warnings(match), *mirror_warnings(pair, match))
-        warnings = (*units, *checks, *low_confidence_warnings(match, self.settings.warnings))
+        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair, match))
+        warnings = (*units, *checks, *low_confidence_warnings(match, self.settings.warnings, pair=pair))
         if pair.options.strict and warnings:
             raise ShapeError(f"{warnings[0]} (refused as strict)")
         return replace(match, warnings=warnings)
