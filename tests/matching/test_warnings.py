@@ -29,11 +29,11 @@ def half(shape, axis=2):
     return Shape(shape.points[used], corners.reshape(-1, 3))
 
 
-@pytest.fixture(scope="module")
-def noisy(make):
-    """A half as a cloud, with a tenth more of points far around."""
+@pytest.fixture(scope="module", params=[8.0, 3.0])
+def noisy(make, request):
+    """A half as a cloud, with a tenth more of points around it, far or less far."""
     points = half(make.blob(4)).points
-    around = np.random.default_rng(0).normal(scale=8.0, size=(len(points) // 10, 3))
+    around = np.random.default_rng(0).normal(scale=request.param, size=(len(points) // 10, 3))
     return np.concatenate([points, around])
 
 

@@ -139,7 +139,7 @@ def dirichlet_energy(
 
 def _edges(operators: Operators) -> tuple[Int[Tensor, " e"], Int[Tensor, " e"], Float[Tensor, " e"]]:
     """The edges of the Laplacian, each both ways, and their weights."""
-    laplacian = operators.laplacian.to_sparse_coo().coalesce()
+    laplacian: Tensor = operators.laplacian.to_sparse_coo().coalesce()  # type: ignore[no-untyped-call]  # PyTorch types it not
     start, end = laplacian.indices()
     apart = start != end
     return start[apart], end[apart], -laplacian.values()[apart].double()

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from homolog.core.errors import HomologError, ShapeError
 from homolog.geometry import surface_area
@@ -21,6 +22,10 @@ _SMALLEST_SHARE = 0.01
 # and their clouds of the two bodies that ship it is 0.5 to 0.8; other units differ by 2.5 at least.
 _LARGEST_SIZE = 1.1
 _SMALLEST_SIZE = 0.15
+# An outlier's third neighbour is so many times as far away as others' are.
+_NEIGHBOURS = 3
+_FAR_AWAY = 5.0
+_MANY_OUTLIERS = 0.001
 # Of 13 cuts of a body all but one have openings of 5 to 37 % of their area, and 13 views of 58 to 64 %; bodies with
 # holes have 1 to 3 %. The 120 full shapes of FAUST, SCAPE and SMAL that were looked at are closed.
 _LEAST_OPENNESS = 0.05
@@ -43,10 +48,11 @@ def unit_warnings(pair: Pair) -> tuple[str, ...]:
     own = partial.repaired.report.area  # of the faces, also where they are not used otherwise
     area = (full / partial.operators.scale) ** 2 * (surface_area(partial.repaired.shape) if own is None else own)
     full_area = full**2
+    too_large, too_small = area > _LARGEST_SHARE * full_area, area < _SMALLEST_SHARE * full_area
     # Outliers make areas of any size, but hardly move a median.
-    size = _half_size(partial) / _half_size(pair.x)
-    too_large = area > _LARGEST_SHARE * full_area and size > _LARGEST_SIZE
-    too_small = area < _SMALLEST_SHARE * full_area and size < _SMALLEST_SIZE
+    if (too_large and _has_outliers(partial)) or (too_small and _has_outliers(pair.x)):
+        size = _half_size(partial) / _half_size(pair.x)
+        too_large, too_small = too_large and size > _LARGEST_SIZE, too_small and size < _SMALLEST_SIZE
     if not (too_large or too_small):
         return ()
     exchanged = ", or name the other shape as the partial one" if area > full_area else ""
@@ -55,6 +61,13 @@ def unit_warnings(pair: Pair) -> tuple[str, ...]:
         "give partial_scale, by how much the partial shape's lengths are to be multiplied"
         f"{exchanged}",
     )
+
+
+def _has_outliers(shape: PreprocessedShape) -> bool:
+    """Whether some points lie far from all others."""
+    points = shape.operators.points.cpu().numpy()
+    away = KDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, -1]
+    return bool(np.mean(away > _FAR_AWAY * np.median(away)) > _MANY_OUTLIERS)
 
 
 def _half_size(shape: PreprocessedShape) -> float:
