@@ -126,6 +126,24 @@ def test_landmarks_far_away_are_told_of(homolog, result, tmp_path):
     assert ended.code == 0 and "Warning: a landmark of marks.csv is 89" in ended.err
 
 
+@pytest.mark.parametrize(
+    ("spaces", "axes"), [(("RAS", "LPS"), []), (("RAS", "RAS"), []), ((None, None), ["--axes", "RAS"])]
+)
+def test_landmarks_follow_the_axes_that_the_shapes_name(homolog, result, tmp_path, spaces, axes):
+    """A landmark in LPS is at -x, -y of a shape in RAS; it is written as it was, in LPS."""
+    match = Match.load(result)
+    for side, space in zip(("source", "target"), spaces, strict=True):
+        match.report["inputs"][side]["space"] = space
+    match.save(tmp_path / "named")
+    low = int(match.source.points[:, 1].argmin())
+    x, y, z = match.source.points[low].tolist()
+    (tmp_path / "marks.csv").write_text(f"l,p,s\n{-x!r},{-y!r},{z!r}\n")
+    homolog("transfer", tmp_path / "named", "--landmarks", tmp_path / "marks.csv", "-o", tmp_path / "out", *axes)
+    found = np.loadtxt(tmp_path / "out" / "marks.csv", delimiter=",", skiprows=1)
+    image = match.target.points[match.source_to_target[low]]
+    np.testing.assert_allclose(found, image if spaces[1] == "LPS" else image * [-1, -1, 1], atol=1e-3)
+
+
 def test_mistakes_are_one_line(homolog, result, rows, tmp_path):
     np.save(tmp_path / "short.npy", np.zeros(3))
     np.save(tmp_path / "half.npy", np.full(rows, 0.5))

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from homolog import Matcher, PairOptions, Shape
+from homolog import Matcher, PairOptions, Shape, match, write_shape
 from homolog.matching import Match, low_confidence_warnings, part_warnings, unit_warnings
-from homolog.pairs import MatcherSettings
+from homolog.pairs import MatcherSettings, PointMaps
 from homolog.synthesis import cut, cut_holes, view
 
 
@@ -111,3 +112,31 @@ def test_loose_pieces_are_the_cause_where_they_are_many(pair, make):
         assert "are the shapes of one kind" in said
     sure = replace(doubtful, source_confidence=np.ones(blob.n_points), target_confidence=np.ones(blob.n_points))
     assert low_confidence_warnings(sure, pair=pair(shell, blob)) == ()
+
+
+def test_points_that_are_nearly_equal_make_no_match_doubtful(make):
+    """Their images lie apart by as much as those of any neighbours, though they themselves do not."""
+    blob, rng = make.blob(3), np.random.default_rng(0)
+    which = rng.choice(blob.n_faces, 100, replace=False)
+    a, b, c = blob.faces[which].T
+    new, share = blob.n_points + np.arange(100), 1e-6
+    points = blob.points[a] * (1 - 2 * share) + blob.points[b] * share + blob.points[c] * share
+    fans = np.concatenate([np.stack(sides, axis=1) for sides in ((a, b, new), (b, c, new), (c, a, new))])
+    crowded = Shape(np.concatenate([blob.points, points]), np.concatenate([np.delete(blob.faces, which, axis=0), fans]))
+
+    def shifted(pair):
+        near = torch.cdist(pair.x.operators.points.double(), pair.y.operators.points.double())
+        there = near.argmin(dim=1)
+        there[blob.n_points :] = torch.from_numpy(b)  # a neighbour of the point that each lies at
+        return PointMaps(there, near.argmin(dim=0))
+
+    found = match(crowded, blob, method=shifted, orient="given")
+    assert found.quality.source.dirichlet_energy < 1.5 and found.warnings == ()
+
+
+def test_a_match_tells_the_axes_that_its_files_name(make, tmp_path):
+    write_shape(tmp_path / "a.ply", make.blob(2))
+    content = (tmp_path / "a.ply").read_bytes().replace(b"ply\n", b"ply\ncomment 3D Slicer output. SPACE=RAS\n", 1)
+    (tmp_path / "b.ply").write_bytes(content)
+    inputs = match(tmp_path / "a.ply", tmp_path / "b.ply", method="axiomatic").report["inputs"]
+    assert [inputs[side]["space"] for side in ("source", "target")] == [None, "RAS"]

@@ -27,7 +27,7 @@ from homolog.cli.options import (
     Verbose,
     Weights,
     build_matcher,
-    check_file,
+    check_files,
     check_inputs,
     check_json,
     on_stdout,
@@ -189,9 +189,7 @@ def evaluate(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_json(json)
-    for file in (csv, plot):
-        if file is not None:
-            check_file(file)
+    check_files(csv, plot)
     if maps is not None and (weights is not None or adapt or method != AUTO):
         raise ArgumentError("--maps scores maps that are there already; leave --weights, --method and --adapt out")
     if maps is None and base is not None:

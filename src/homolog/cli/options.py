@@ -252,6 +252,13 @@ def check_file(output: Path) -> None:
         raise ArgumentError(f"{output} cannot be written: {fault}")
 
 
+def check_files(*outputs: Path | None) -> None:
+    """Refuse result files as ``check_file`` does; those that are not wanted are None."""
+    for output in outputs:
+        if output is not None:
+            check_file(output)
+
+
 def check_picture_file(output: Path | None, lines: int, width: int) -> None:
     """Refuse a picture that cannot be written, or what says how to draw one that is not wanted, before any work."""
     if output is not None:

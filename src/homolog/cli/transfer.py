@@ -76,9 +76,13 @@ def transfer(
         ),
     ] = None,
     axes: Annotated[
-        System,
-        typer.Option(help="The shapes' coordinate system, for landmark files that have one.", rich_help_panel=INPUT),
-    ] = "LPS",
+        System | None,
+        typer.Option(
+            help="The shapes' coordinate system, for landmark files that have one.",
+            show_default="as the shapes' files say, or LPS",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files.", rich_help_panel=OUTPUT)
     ] = Path("transfer"),

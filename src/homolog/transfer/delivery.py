@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from jaxtyping import UInt8
 
-from homolog.core.choices import TEXTURE_SIZE, System
+from homolog.core.choices import TEXTURE_SIZE, Side, System
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import (
     all_or_nothing,
@@ -54,7 +54,8 @@ class Delivery:
 
     Args:
         transfer: along which match.
-        axes: the anatomical axes of both shapes, for landmark files that state theirs.
+        axes: the anatomical axes of both shapes, for landmark files that state theirs; None for those that the shapes'
+            files name, as 3D Slicer writes them, or LPS.
         texture_size: texels along the width of a new texture.
         target: the target's own file, whose look and skin are kept where no other is transferred.
 
@@ -68,7 +69,7 @@ class Delivery:
         self,
         transfer: Transfer,
         *,
-        axes: System = "LPS",
+        axes: System | None = None,
         texture_size: int = TEXTURE_SIZE,
         target: Original | None = None,
     ) -> None:
@@ -109,8 +110,8 @@ class Delivery:
         landmarks = read_landmarks(path)
 
         def write(folder: Path) -> dict[str, Any]:
-            images, distances = self.transfer.landmarks(landmarks.points_in(self.axes))
-            landmarks.write_from(folder / path.name, images, self.axes)
+            images, distances = self.transfer.landmarks(landmarks.points_in(self._axes_of("source")))
+            landmarks.write_from(folder / path.name, images, self._axes_of("target"))
             unmatched = int((np.isfinite(distances) & np.isnan(images[:, 0])).sum())
             farthest = float(np.nanmax(distances)) if np.isfinite(distances).any() else None
             self._note_landmarks(path, unmatched, farthest)
@@ -224,6 +225,11 @@ class Delivery:
         # The look counts the faces of the file.
         projector = SurfaceProjector(own.shape) if look is not None else self.transfer.target
         write_glb(path, projector, texture=texture, colours=None if look is not None else colours, look=look, skin=skin)
+
+    def _axes_of(self, side: Side) -> System:
+        """The anatomical axes of a shape: those that were given, or that its file names."""
+        named = self.transfer.found.report.get("inputs", {}).get(side, {}).get("space")
+        return self.axes or ("RAS" if named == "RAS" else "LPS")
 
     def _note_left_out(self, original: Original) -> None:
         if names := left_out(original.path):
