@@ -8,7 +8,8 @@ import torch
 
 from homolog import Matcher, PairOptions, Shape, match, write_shape
 from homolog.matching import Match, low_confidence_warnings, part_warnings, unit_warnings
-from homolog.pairs import MatcherSettings, PointMaps
+from homolog.methods.protocol import FunctionMethod
+from homolog.pairs import MatcherSettings, PointMaps, Supports
 from homolog.synthesis import cut, cut_holes, view
 
 
@@ -130,7 +131,10 @@ def test_points_that_are_nearly_equal_make_no_match_doubtful(make):
         there[blob.n_points :] = torch.from_numpy(b)  # a neighbour of the point that each lies at
         return PointMaps(there, near.argmin(dim=0))
 
-    found = match(crowded, blob, method=shifted, orient="given")
+    # Nothing is to smooth the map.
+    method = FunctionMethod("shifted", shifted, Supports(needs_features=False, refinement=False))
+    settings = MatcherSettings(method=method)
+    found = Matcher(settings=settings).match(crowded, blob, PairOptions(orient="given"))
     assert found.quality.source.dirichlet_energy < 1.5 and found.warnings == ()
 
 
