@@ -38,7 +38,7 @@ def test_mistakes_are_one_line(homolog, clouds, tmp_path):
     for arguments, told in (
         ([tmp_path / "none.xyz"], "does not exist"),
         ([ball, tmp_path / "other" / "ball.ply", "-o", tmp_path / "out"], "would both give"),
-        ([tmp_path / "other" / "ball.ply", "-o", tmp_path / "other"], "would be replaced by its surface"),
+        ([tmp_path / "other" / "ball.ply", "-o", tmp_path / "other"], "is an input and would be replaced"),
         ([ball, "-o", ball], "is a file"),
         ([ball, "--points", 1], "points"),
     ):

@@ -11,7 +11,8 @@ import trimesh
 from homolog.core.files import sha256
 from homolog.matching import Match
 from homolog.shapes import Shape, read_shape, write_shape
-from homolog.transfer import Skin, SurfaceProjector, bake_texture, png, unwrap, write_glb
+from homolog.transfer import Skin, SurfaceProjector, bake_texture, png, read_appearance, read_skin, unwrap, write_glb
+from homolog.transfer.appearance import Texture
 
 pytest.importorskip("xatlas")
 pytest.importorskip("PIL")
@@ -125,6 +126,24 @@ def test_landmarks_far_away_are_told_of(homolog, result, tmp_path):
     assert ended.code == 0 and "Warning: a landmark of marks.csv is 89" in ended.err
 
 
+@pytest.mark.parametrize(
+    ("spaces", "axes"), [(("RAS", "LPS"), []), (("RAS", "RAS"), []), ((None, None), ["--axes", "RAS"])]
+)
+def test_landmarks_follow_the_axes_that_the_shapes_name(homolog, result, tmp_path, spaces, axes):
+    """A landmark in LPS is at -x, -y of a shape in RAS; it is written as it was, in LPS."""
+    match = Match.load(result)
+    for side, space in zip(("source", "target"), spaces, strict=True):
+        match.report["inputs"][side]["space"] = space
+    match.save(tmp_path / "named")
+    low = int(match.source.points[:, 1].argmin())
+    x, y, z = match.source.points[low].tolist()
+    (tmp_path / "marks.csv").write_text(f"l,p,s\n{-x!r},{-y!r},{z!r}\n")
+    homolog("transfer", tmp_path / "named", "--landmarks", tmp_path / "marks.csv", "-o", tmp_path / "out", *axes)
+    found = np.loadtxt(tmp_path / "out" / "marks.csv", delimiter=",", skiprows=1)
+    image = match.target.points[match.source_to_target[low]]
+    np.testing.assert_allclose(found, image if spaces[1] == "LPS" else image * [-1, -1, 1], atol=1e-3)
+
+
 def test_mistakes_are_one_line(homolog, result, rows, tmp_path):
     np.save(tmp_path / "short.npy", np.zeros(3))
     np.save(tmp_path / "half.npy", np.full(rows, 0.5))
@@ -196,3 +215,77 @@ def test_a_texture_needs_its_extra_and_nothing_is_half_written(homolog, result, 
     ended = homolog("transfer", result, "--texture", "--array", tmp_path / "ones.npy", "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint() and "pip install 'homolog[transfer]'" in ended.err
     assert not list((tmp_path / "out").glob("*"))
+
+
+def painted(path, shape):
+    """The target's file with a look of its own: an image above, a colour below, and what is not carried."""
+    upper = shape.points[shape.faces].mean(axis=1)[:, 1] > 0
+    image = np.random.default_rng(0).integers(0, 255, (4, 4, 3), np.uint8)
+    places = np.random.default_rng(1).random((shape.n_faces, 3, 2))
+    green = np.full((1, 1, 3), (0, 255, 0), np.uint8)
+    np.savez(path.with_suffix(".npz"), places=places, upper=upper, image=image)
+    if path.suffix == ".glb":
+        write_glb(path, SurfaceProjector(shape), look=Texture(places, np.where(upper, 0, 1), (image, green)))
+        return
+    path.with_name("my look.png").write_bytes(png(image))
+    path.with_name("look.mtl").write_text("newmtl up\nmap_Kd my look.png\nmap_bump x.png\nnewmtl low\nKd 0 1 0\n")
+    lines = ["mtllib look.mtl", *("v %r %r %r" % tuple(p) for p in shape.points.tolist())]  # noqa: UP031
+    lines += ["vt %r %r" % (u, 1 - v) for u, v in places.reshape(-1, 2).tolist()]  # noqa: UP031
+    for number in np.argsort(~upper, kind="stable"):
+        corners = [f"{point + 1}/{3 * number + k + 1}" for k, point in enumerate(shape.faces[number])]
+        lines += [f"usemtl {'up' if upper[number] else 'low'}", "f " + " ".join(corners)]
+    path.write_text("\n".join(lines))
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".obj"])
+def test_the_target_keeps_its_look_where_the_skin_alone_is_transferred(homolog, result, make, tmp_path, suffix):
+    target = tmp_path / f"own{suffix}"
+    shape = Shape(2 * make.blob(2).points, make.blob(2).faces)
+    painted(target, shape)
+    read = read_shape(target)
+    old = Match.load(result)
+    point_of = np.linalg.norm(read.points[:, None] - shape.points, axis=2).argmin(axis=1)
+    place_of = np.linalg.norm(read.points[:, None] - shape.points, axis=2).argmin(axis=0)
+    there = np.where(old.source_to_target < 0, -1, place_of[old.source_to_target])
+    inputs = old.report["inputs"] | {"target": {"file": str(target), "sha256": sha256(target)}}
+    found = Match(old.source, read, there, old.target_to_source[point_of], method="a", report={"inputs": inputs})
+    found.save(tmp_path / "again")
+    ended = homolog("transfer", tmp_path / "again", "--skin", "-o", tmp_path / "out")
+    assert ended.code == 0
+    assert ("own.obj: left out of its look: normal maps" in ended.err) == (suffix == ".obj")
+    carried = tmp_path / "out" / "carried.glb"
+    written = read_shape(carried)
+    look, expected = (read_appearance(file, read_shape(file)).texture for file in (carried, target))
+    assert look.images[0].tolist() == expected.images[0].tolist() and look.images[1].tolist() == [[[0, 255, 0]]]
+    np.testing.assert_allclose(written.points[written.faces], read.points[read.faces], atol=1e-5)
+    np.testing.assert_allclose(look.coordinates, expected.coordinates, atol=1e-5)
+    assert read_skin(carried, written).names == ("hip", "head")
+    # Another look takes its place.
+    homolog("transfer", tmp_path / "again", "--texture", "--texture-size", 64, "-o", tmp_path / "other")
+    (image,) = read_appearance(
+        tmp_path / "other" / "carried.glb", read_shape(tmp_path / "other" / "carried.glb")
+    ).texture.images
+    assert image.shape[1] == 64
+    # Without the target's file its look is left out, and that is said.
+    target.unlink()
+    ended = homolog("transfer", tmp_path / "again", "--skin", "-o", tmp_path / "bare")
+    assert ended.code == 0 and "the target's own look and skin are left out" in ended.err
+
+
+def test_the_texture_files_of_the_source_are_inputs(homolog, make, tmp_path):
+    """They have the names that a transfer writes."""
+    painted(tmp_path / "textured.obj", make.blob(2))
+    for old, new in (("look.mtl", "textured.mtl"), ("my look.png", "textured.png")):
+        (tmp_path / old).rename(tmp_path / new)
+    for name in ("textured.obj", "textured.mtl"):
+        text = (tmp_path / name).read_text().replace("look.mtl", "textured.mtl").replace("my look.png", "textured.png")
+        (tmp_path / name).write_text(text)
+    (tmp_path / "textured.obj").rename(tmp_path / "mine.obj")
+    shape = read_shape(tmp_path / "mine.obj")
+    points = np.arange(shape.n_points)
+    inputs = {side: {"file": str(tmp_path / "mine.obj")} for side in ("source", "target")}
+    Match(shape, shape, points, points, method="a", report={"inputs": inputs}).save(tmp_path / "result")
+    before = sha256(tmp_path / "textured.mtl", tmp_path / "textured.png")
+    ended = homolog("transfer", tmp_path / "result", "--texture", "-o", tmp_path)
+    assert ended.is_one_line_of_complaint() and "textured.mtl is an input and would be replaced" in ended.err
+    assert sha256(tmp_path / "textured.mtl", tmp_path / "textured.png") == before

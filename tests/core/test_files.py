@@ -7,7 +7,17 @@ from pathlib import Path
 import pytest
 
 from homolog.core.errors import ArgumentError
-from homolog.core.files import atomic_path, expanded, refuse_overwriting_inputs, sha256, write_csv
+from homolog.core.files import (
+    atomic_path,
+    expanded,
+    keeping,
+    refuse_overwriting_inputs,
+    remove,
+    resuming,
+    sha256,
+    write_csv,
+    write_json,
+)
 
 
 def written(path):
@@ -73,3 +83,45 @@ def test_outputs_replace_no_file_of_an_input_folder(tmp_path):
     for output in (folder / "off" / "a.off", tmp_path / "link" / "a.off"):
         with pytest.raises(ArgumentError, match="lies in the input"):
             refuse_overwriting_inputs([output], [folder])
+
+
+def test_a_second_name_for_a_file_of_an_input_folder(tmp_path):
+    """Its content is an input, wherever the name lies."""
+    (tmp_path / "data" / "off").mkdir(parents=True)
+    given = tmp_path / "data" / "off" / "a.off"
+    given.write_text("precious")
+    (tmp_path / "out.json").hardlink_to(given)
+    with pytest.raises(ArgumentError, match="lies in the input"):
+        refuse_overwriting_inputs([tmp_path / "out.json"], [tmp_path / "data"])
+
+
+def test_nothing_that_is_kept_is_written_or_removed(tmp_path):
+    """By whatever function writes it; what was written since may be written again."""
+    (tmp_path / "data").mkdir()
+    given, other = tmp_path / "data" / "a.json", tmp_path / "b.json"
+    for file in (given, other):
+        file.write_text("precious")
+    with keeping([tmp_path / "data", other]):
+        for file in (given, other):
+            for change in (lambda file: write_json(file, {}), remove):
+                with pytest.raises(ArgumentError, match="would be replaced"):
+                    change(file)
+        for _ in range(2):
+            write_json(tmp_path / "data" / "new.json", {})
+    assert given.read_text() == other.read_text() == "precious"
+    remove(given)
+    assert not given.exists()
+
+
+def test_a_folder_that_is_resumed_is_its_own(tmp_path):
+    """But the input folder itself is not."""
+    run = tmp_path / "data" / "run"
+    run.mkdir(parents=True)
+    for folder in (run, run.parent):
+        write_json(folder / "report.json", {})
+    with keeping([tmp_path / "data"]), resuming(run):
+        write_json(run / "report.json", {"step": 1})
+        with pytest.raises(ArgumentError, match="would be replaced"):
+            write_json(run.parent / "report.json", {})
+    with keeping([tmp_path / "data"]), resuming(run.parent), pytest.raises(ArgumentError, match="would be replaced"):
+        write_json(run.parent / "report.json", {})

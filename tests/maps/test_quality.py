@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+import trimesh
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import OperatorSettings, Surface, compute_operators
@@ -61,6 +62,71 @@ def test_energy_is_that_of_a_loop_over_the_edges(blob):
     found = dirichlet_energy(blob, blob.points[:300], torch.from_numpy(point_map))
     assert found == pytest.approx(energies["mapped"] / energies["own"], rel=1e-4)
     assert found > 10
+
+
+def with_near_duplicates(shape, count, share):
+    """A point more in each of some triangles, as near to a corner as ``share`` of a side."""
+    rng = np.random.default_rng(0)
+    which = rng.choice(shape.n_faces, count, replace=False)
+    a, b, c = shape.faces[which].T
+    new = shape.n_points + np.arange(count)
+    points = shape.points[a] * (1 - 2 * share) + shape.points[b] * share + shape.points[c] * share
+    fans = np.concatenate([np.stack(sides, axis=1) for sides in ((a, b, new), (b, c, new), (c, a, new))])
+    return Shape(np.concatenate([shape.points, points]), np.concatenate([np.delete(shape.faces, which, axis=0), fans]))
+
+
+@pytest.fixture(scope="module")
+def energy_onto_another_mesh(make):
+    """The energy of the map from a mesh of the blob to the nearest points of another mesh of it."""
+    turned = make.sphere(3).points @ make.rotation(3).T
+    x, y, z = turned.T
+    radius = 1 + 0.25 * x * y + 0.2 * np.sin(2 * z + 0.4) + 0.15 * np.cos(3 * x + y + 0.7) + 0.1 * np.sin(2 * x - z)
+    other = operators(Shape(turned * radius[:, None] * [1.0, 1.4, 0.8], make.sphere(3).faces))
+
+    def energy(shape, **options):
+        own = operators(shape)
+        there = torch.cdist(own.points.double(), other.points.double()).argmin(dim=1)
+        return dirichlet_energy(own, other.points, there, **options), other.mass.sqrt()
+
+    def robust(shape):
+        return energy(shape, spacing_y=energy(shape)[1])[0]
+
+    return lambda shape: energy(shape)[0], robust
+
+
+@pytest.mark.parametrize("share", [1e-2, 1e-4, 1e-6])
+def test_energy_does_not_depend_on_points_that_are_nearly_equal(energy_onto_another_mesh, make, share):
+    plain, robust = energy_onto_another_mesh
+    # A map on the edge between two points sends a point and its near duplicate to different ones.
+    shape, rng = make.blob(3), np.random.default_rng(1)
+    crowded = with_near_duplicates(shape, 100, share)
+    jittered = Shape(crowded.points + 1e-9 * rng.normal(size=crowded.points.shape), crowded.faces)
+    assert robust(jittered) == pytest.approx(robust(shape), rel=0.03)
+    assert robust(shape) == pytest.approx(plain(shape), rel=0.08)
+
+
+def test_energy_of_nearly_equal_points_that_are_torn_apart(blob, make):
+    """The Laplacian's weight between them grows as their distance shrinks; what they add does not."""
+    crowded = operators(with_near_duplicates(make.blob(3), 50, 1e-5))
+    own = make.blob(3)
+    there = torch.cat(
+        [torch.arange(own.n_points), torch.randint(own.n_points, (50,), generator=torch.Generator().manual_seed(0))]
+    )
+    other = operators(own)
+    near = torch.cdist(crowded.points.double(), other.points.double()).topk(4, largest=False).indices
+    there[own.n_points :] = near[own.n_points :, 3]
+    assert dirichlet_energy(crowded, other.points, there) > 20
+    assert dirichlet_energy(crowded, other.points, there, spacing_y=other.mass.sqrt()) < 1.2
+
+
+def test_energy_does_not_depend_on_how_finely_the_shape_is_meshed(energy_onto_another_mesh, make):
+    plain, robust = energy_onto_another_mesh
+    coarse = make.blob(3)
+    fine = trimesh.remesh.subdivide(coarse.points, coarse.faces)
+    finest = trimesh.remesh.subdivide(*fine)
+    energies = [robust(shape) for shape in (coarse, Shape(*fine), Shape(*finest))]
+    assert np.ptp(energies) < 0.12 * energies[0]
+    assert plain(Shape(*finest)) > 3 * energies[0]
 
 
 def slow_flips(x, y, point_map, facing):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from homolog.core.errors import ShapeError
-from homolog.shapes import Shape, check, read_shape, write_shape
+from homolog.shapes import Shape, as_shape, check, read_shape, write_shape
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]], float)
 FACES = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 4]])
@@ -32,7 +32,13 @@ def is_cloud(shape):
 OFF_FACES = rows(FACES, "3 {}")
 
 
-@pytest.mark.parametrize("head", ["OFF\n6\n3\n0\n", "OFF 6 3\n", "6 3 0\n", "OFF # x\n6\n3\n\n0\n", "STCNOFF\n6 3 0\n"])
+OFF_HEADS = [
+    *("OFF\n6\n3\n0\n", "OFF 6 3\n", "6 3 0\n", "OFF # x\n6\n3\n\n0\n", "STCNOFF\n6 3 0\n", "off\n6 3 0\n"),
+    *("OFF\n6 3\n0\n", "OFF\n6\n3 0\n", "OFF\n6\n3\n", "nOFF\n3\n6 3 0\n", "nOFF 3\n6 3\n", "CnOFF\n# x\n3\n6\n3\n0\n"),
+]
+
+
+@pytest.mark.parametrize("head", OFF_HEADS)
 def test_off_headers(tmp_path, head):
     shape = read_shape(put(tmp_path, "a.off", head + rows(POINTS) + OFF_FACES))
     np.testing.assert_array_equal(shape.points, POINTS)
@@ -46,10 +52,23 @@ def test_off_with_four_coordinates(tmp_path):
     np.testing.assert_array_equal(shape.points, POINTS)
 
 
+@pytest.mark.parametrize("head", ["OFF\n", "4OFF\n"])
+def test_off_whose_line_breaks_mean_nothing(tmp_path, head):
+    four = np.concatenate([POINTS, np.ones((6, 1))], axis=1) if "4" in head else POINTS
+    numbers = f"6 3 0 {rows(four)} {OFF_FACES}".split()
+    for width in (1, 7, 100):
+        lines = [" ".join(numbers[first : first + width]) for first in range(3, len(numbers), width)]
+        shape = read_shape(put(tmp_path, "a.off", head + "6 3 0\n" + "\n".join(lines)))
+        np.testing.assert_array_equal(shape.points, POINTS)
+        np.testing.assert_array_equal(shape.faces, FACES)
+
+
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
         (b"OFF BINARY\n" + bytes(60), "it is a binary OFF"),
+        (b"# x\nCOFF binary\n" + bytes(60), "it is a binary OFF"),
+        ("nOFF\n4\n6 3 0\n" + rows(POINTS, "{} 1"), "have 4 coordinates, but three are needed"),
         ("HOFF\n6 3 0\n" + rows(POINTS), "does not start with OFF, .*, but with 'HOFF'"),
         ("5 6 oops\n" + rows(POINTS), "but with '5 6 oops'"),
     ],
@@ -141,7 +160,7 @@ def test_stl_binary_with_bytes_after_its_triangles(tmp_path, title):
         read_shape(put(tmp_path, "a.stl", stl(4, title=title)))
 
 
-@pytest.mark.parametrize("end", ["endsolid x\n", "end solid x\n", ""])
+@pytest.mark.parametrize("end", ["endsolid x\n", "end solid x\n", "", "END SOLID", "endsolid\n\0\0"])
 def test_stl_text_with_any_end(tmp_path, end):
     facets = ""
     for face in POINTS[FACES]:
@@ -149,6 +168,11 @@ def test_stl_text_with_any_end(tmp_path, end):
     assert read_shape(put(tmp_path, "a.stl", "solid x\n" + facets + end)).n_faces == 3
     with pytest.raises(ShapeError, match="last triangle"):
         read_shape(put(tmp_path, "a.stl", "solid x\n" + facets.removesuffix("endfacet\n") + end))
+
+
+def decimal_commas(index, mark):
+    lines = [index.format(number) + mark.join(map(str, point)) for number, point in enumerate(POINTS)]
+    return "\n".join(lines).replace(".", ",") + "\n"
 
 
 NUMBERED = {
@@ -167,6 +191,16 @@ NUMBERED = {
     "names of points": "".join(f"P{i}, {', '.join(map(str, p))}\n" for i, p in enumerate(POINTS)),
     "names with commas": "".join(f'"P, {i}",{",".join(map(str, p))}\n' for i, p in enumerate(POINTS)),
     "another column": "".join(f"{' '.join(map(str, p))} {i}\n" for i, p in enumerate(POINTS)),
+    "an index in any order": "".join(
+        f"{i} {rows([p + 0.5])}" for i, p in zip((9, 2, 40, 7, 1, 3), POINTS - 0.5, strict=True)
+    ),
+    "elements by number": "6\nwater\n" + "".join(f"{i % 3} {rows([p])}" for i, p in enumerate(POINTS)),
+    "decimal commas": "x;y;z\n" + "".join(";".join(map(str, p)).replace(".", ",") + "\n" for p in POINTS),
+    "decimal commas, an index": ";X;Y;Z\n" + decimal_commas("{};", ";"),
+    "decimal commas and tabs": decimal_commas("", "\t"),
+    "decimal commas and blanks": decimal_commas("", "  "),
+    "what separates cells": "sep=;\nx;y;z\n" + decimal_commas("", ";"),
+    "a count and names": "6\nx y z\n" + rows(POINTS),
     "a comma at the end": "x,y,z\n" + "".join(f"{','.join(map(str, p))},\n" for p in POINTS),
 }
 
@@ -186,14 +220,29 @@ def test_tables_in_utf_16(tmp_path):
     assert is_cloud(read_shape(put(tmp_path, "a.txt", rows(POINTS).encode("utf-16"))))
 
 
+def test_rows_without_coordinates_stay_points(tmp_path):
+    for text in ("x,y,z\n,,\n", "x;y;z\nNA;NA;NA\n", "i,x,y,z\n7,,,\n"):
+        mark, index = text[1], "1" + text[1] if text[0] == "i" else ""
+        table = text + "".join(index + mark.join(map(str, p)) + "\n" for p in POINTS)
+        shape = read_shape(put(tmp_path, "a.csv", table))
+        assert np.isnan(shape.points[0]).all()
+        np.testing.assert_array_equal(shape.points[1:], POINTS)
+
+
+def test_whole_coordinates_are_no_index(tmp_path):
+    """Only rows with decimal places show that the first column is another thing than x."""
+    whole = rows([[i, 2, 3, 4] for i in (9, 2, 40, 7)])
+    assert read_shape(put(tmp_path, "a.xyz", whole)).points[0].tolist() == [9, 2, 3]
+
+
 def test_a_count_that_does_not_fit_is_refused(tmp_path):
     for count in (5, 7, 10**30):
         with pytest.raises(ShapeError, match=f"announces {count} points, but 6 lines follow"):
             read_shape(put(tmp_path, "a.xyz", f"{count}\n" + rows(POINTS)))
 
 
-@pytest.mark.parametrize("points", ["points", "vertices", "verts", "v", "V", "xyz"])
-@pytest.mark.parametrize("faces", ["faces", "triangles", "tris", "f", "F"])
+@pytest.mark.parametrize("points", ["points", "vertices", "verts", "V", "xyz", "pos", "coords"])
+@pytest.mark.parametrize("faces", ["faces", "triangles", "tris", "F", "face", "tri", "polys"])
 def test_npz_keys(tmp_path, points, faces):
     np.savez(tmp_path / "a.npz", **{points: POINTS, faces: FACES})
     shape = read_shape(tmp_path / "a.npz")
@@ -202,10 +251,25 @@ def test_npz_keys(tmp_path, points, faces):
 
 
 def test_npz_arrays_that_are_left_out_are_named(tmp_path):
-    np.savez(tmp_path / "a.npz", points=POINTS, polys=FACES, weights=np.ones(6))
+    np.savez(tmp_path / "a.npz", points=POINTS, edges=FACES, weights=np.ones(6))
     shape = read_shape(tmp_path / "a.npz")
     assert shape.faces is None
-    assert "polys, weights are not points or faces" in notes(shape)["arrays left out"[:6]][1]
+    assert "edges, weights are not points or faces" in notes(shape)["arrays left out"[:6]][1]
+
+
+def test_npz_of_one_array(tmp_path):
+    np.savez(tmp_path / "a.npz", POINTS)
+    assert is_cloud(read_shape(tmp_path / "a.npz"))
+
+
+def test_faces_as_columns_are_refused(tmp_path):
+    """They would be read as three polygons."""
+    faces = np.tile(FACES, (3, 1)).T
+    np.savez(tmp_path / "a.npz", pos=POINTS, face=faces)
+    with pytest.raises(ShapeError, match=r"faces has shape \(3, 9\), but must have shape \(n, 3\)"):
+        read_shape(tmp_path / "a.npz")
+    with pytest.raises(ShapeError, match=r"faces have shape \(3, 9\), but must have shape \(m, 3\)"):
+        as_shape((POINTS, faces))
 
 
 def test_npz_with_quadrilaterals(tmp_path):

@@ -2,12 +2,13 @@
 
 import base64
 import json
+from urllib.parse import quote
 
 import numpy as np
 import pytest
 
 from homolog.core.errors import ArgumentError, ShapeError
-from homolog.shapes import check, read_shape
+from homolog.shapes import check, files_of_shape, read_shape, write_shape
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1]], "<f4")
 FACES = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 4]], "<u2")
@@ -134,7 +135,7 @@ def test_scenes(tmp_path, file):
     for changes, shift in (({"scene": 1}, 5), ({"scene": 0}, 0)):
         shape = read_shape(file.put(tmp_path, nodes=nodes, scenes=scenes, **changes))
         np.testing.assert_array_equal(shape.points, np.add(POINTS, [shift, 0, 0]))
-        assert [(f.rule, f.count) for f in shape.notes] == [("meshes outside the scene", 1)]
+        assert [(f.rule, f.count) for f in shape.notes] == [("meshes outside the scene or hidden", 1)]
     del file.tree["scene"]
     is_plain(read_shape(file.put(tmp_path, nodes=nodes, scenes=scenes)))
     del file.tree["scenes"]
@@ -279,3 +280,70 @@ def test_two_meshes_of_one_character_fit(tmp_path, file):
     shape = read_shape(file.put(tmp_path))
     np.testing.assert_allclose(shape.points[:5], shape.points[5:])
     assert check(shape).extent == pytest.approx(np.sqrt(3))
+
+
+def test_buffers_in_files_beside_and_below(tmp_path, file):
+    file.primitive(POINTS, FACES)
+    (tmp_path / "parts").mkdir()
+    for uri, name in (
+        ("my%20b.bin", "my b.bin"),
+        ("b c.bin", "b c.bin"),
+        ("d%20e.bin", "d%20e.bin"),
+        *[("parts/b.bin",) * 2],
+    ):
+        (tmp_path / name).write_bytes(file.buffer)
+        path = file.put(tmp_path, buffers=[{"byteLength": len(file.buffer), "uri": uri}])
+        is_plain(read_shape(path))
+        assert files_of_shape(path) == (path, tmp_path / name)
+    for uri in ("../b.bin", "parts/../../b.bin", "https://example.org/b.bin"):
+        with pytest.raises(ShapeError, match="outside its own folder"):
+            read_shape(file.put(tmp_path, buffers=[{"byteLength": len(file.buffer), "uri": uri}]))
+
+
+def test_embedded_buffers_without_base64(tmp_path, file):
+    file.primitive(POINTS, FACES)
+    uri = "data:application/octet-stream," + quote(file.buffer)
+    is_plain(read_shape(file.put(tmp_path, buffers=[{"byteLength": len(file.buffer), "uri": uri}])))
+
+
+def test_the_content_says_whether_it_is_binary(tmp_path, file, make):
+    file.primitive(POINTS, FACES)
+    is_plain(read_shape(file.put(tmp_path).rename(tmp_path / "b.glb")))
+    write_shape(tmp_path / "c.glb", make.blob(1))
+    np.testing.assert_array_equal(
+        read_shape((tmp_path / "c.glb").rename(tmp_path / "c.gltf")).faces, make.blob(1).faces
+    )
+
+
+@pytest.mark.parametrize("name", ["EXT_meshopt_compression", "KHR_meshopt_compression"])
+@pytest.mark.parametrize("where", ["extensionsRequired", "extensionsUsed"])
+def test_meshopt_is_one_clear_line(tmp_path, file, name, where):
+    """Its buffers without content may be of any size."""
+    file.primitive(POINTS, FACES)
+    file.tree["bufferViews"][0] |= {"buffer": 1, "extensions": {name: {"buffer": 0, "byteLength": 9}}}
+    own = json.loads(file.put(tmp_path).read_text())["buffers"]
+    empty = {"byteLength": 10**6, "extensions": {name: {"fallback": True}}}
+    with pytest.raises(ShapeError, match=f"compressed with {name}; export it without compression"):
+        read_shape(file.put(tmp_path, buffers=[*own, empty], **{where: [name]}))
+
+
+def test_draco_that_holds_the_triangles_alone(tmp_path, file):
+    name = "KHR_draco_mesh_compression"
+    file.primitive(POINTS, FACES, extensions={name: {"bufferView": 0, "attributes": {"POSITION": 0}}})
+    del file.tree["accessors"][1]["bufferView"]
+    with pytest.raises(ShapeError, match=f"compressed with {name}"):
+        read_shape(file.put(tmp_path, extensionsUsed=[name]))
+
+
+def test_what_viewers_do_not_show(tmp_path, file):
+    """Nodes that are hidden, with all below them, and primitives without points."""
+    file.primitive(POINTS, FACES)
+    hidden = {"children": [2], "extensions": {"KHR_node_visibility": {"visible": False}}}
+    file.tree["meshes"][0]["primitives"].append({"attributes": {}})
+    nodes = [{"mesh": 0}, hidden, {"mesh": 0, "translation": [9, 0, 0]}]
+    shape = read_shape(file.put(tmp_path, nodes=nodes, scenes=[{"nodes": [0, 1]}]))
+    is_plain(shape)
+    assert {note.rule: note.count for note in shape.notes} == {
+        "primitives without points": 1,
+        "meshes outside the scene or hidden": 1,
+    }

@@ -72,6 +72,27 @@ def test_points_in_one_place_stay_corners(repeated):
     assert outline(triangles) == {(i, (i + 1) % 7) for i in range(7)}
 
 
+@pytest.mark.parametrize("start", range(12))
+def test_outlines_that_turn_back_on_themselves(start):
+    """Every corner twice, and spikes without width, wherever they begin."""
+    spiky = np.array([[0, 0, 0], [4, 0, 0], [4, 4, 0], [2, 4, 0], [2, 7, 0], [2, 5, 0], [2, 4, 0], [0, 4, 0]], float)
+    for ring, expected in ((np.repeat(L, 2, axis=0), 7), (spiky, 16), (np.append(L, L[:1], axis=0), 7)):
+        n = len(ring)
+        ring = np.roll(ring, start, axis=0)
+        triangles = triangulate(ring, np.array([n]), np.arange(n))
+        assert area(ring, triangles) == pytest.approx(expected)
+        assert outline(triangles) == {(i, (i + 1) % n) for i in range(n)}
+
+
+@pytest.mark.parametrize("start", range(10))
+def test_a_hole_that_a_bridge_leads_to(make, start):
+    outside, inside = [[0, 0, 0], [6, 0, 0], [6, 6, 0], [0, 6, 0]], [[2, 2, 0], [2, 4, 0], [4, 4, 0], [4, 2, 0]]
+    ring = np.roll(np.array([*outside, outside[0], *inside, inside[0]], float), start, axis=0) @ make.rotation(5).T
+    triangles = triangulate(ring, np.array([10]), np.arange(10))
+    assert area(ring, triangles) == pytest.approx(36 - 4)
+    assert outline(triangles) == {(i, (i + 1) % 10) for i in range(10)}
+
+
 def test_convex_polygons_keep_their_fans_and_their_order():
     points = np.random.default_rng(0).random((9, 3))
     sizes = np.array([3, 2, 0, 4, 1])

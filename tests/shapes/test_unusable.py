@@ -293,7 +293,7 @@ def test_tables_with_cells_that_are_no_numbers(tmp_path, suffix):
     refused(put(tmp_path, "a" + suffix, "0 0 0\n1 0 0\n0 1 oops\n0 0 1\n1 1 1\n"), "'0 1 oops'")
     refused(put(tmp_path, "b" + suffix, "x,y,z\n0,0,0\n1,0,0\n0,,1\n0,0,1\n1,1,1\n"), "'0,,1'")
     refused(put(tmp_path, "c" + suffix, "0 0\n1 0\n0 1\n1 1\n"), "'0 0'", "2 values")
-    refused(put(tmp_path, "d" + suffix, "0,5;0,0;1,0\n" * 4), "numbers")
+    refused(put(tmp_path, "d" + suffix, "1.000,5;0,0;1,0\n" * 4), "numbers")
     refused(put(tmp_path, "e" + suffix, "x,y,z\n"), "0 usable points")
 
 

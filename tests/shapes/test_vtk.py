@@ -110,12 +110,42 @@ def test_linear_and_quadratic_cells_in_one_grid(tmp_path):
     assert check(read_shape(tmp_path / "a.vtu")).area == pytest.approx(24)
 
 
+ANY_NUMBER = {
+    # Kind, nodes, and the area that it adds beside a cube whose face x = 1 it may share.
+    "polyhedron": (42, [6, *(n for f in ([1, 2, 6, 5], [20, 22, 23, 21], [1, 5, 22, 20]) for n in (4, *f))], 4),
+    "polygon": (7, [20, 21, 23, 22], 1),
+    "strip": (6, [20, 21, 22, 23], 1),
+    "quadratic polygon": (36, [20, 21, 23, 22, 24, 25, 26, 27], 1),
+    "points": (1, [20], 0),
+    "quadratic edge": (21, [20, 21, 24], 0),
+}
+ANY_NUMBER["polyhedron"][1].extend(n for f in ([2, 21, 23, 6], [1, 20, 21, 2], [5, 6, 23, 22]) for n in (4, *f))
+
+
+@pytest.mark.parametrize(("kind", "nodes", "area"), ANY_NUMBER.values(), ids=ANY_NUMBER)
+@pytest.mark.parametrize("quadratic", [True, False])
+def test_cells_of_any_number_of_corners(tmp_path, kind, nodes, area, quadratic):
+    """Beside quadratic cells, and beside linear ones."""
+    box, cells = with_middles(BOX, np.arange(8)[None], HEXAHEDRON_EDGES)
+    square = np.array([[2, 0, 0], [2, 1, 0], [2, 0, 1], [2, 1, 1]], float)
+    middles = np.array([[2, 0.5, 0], [2, 1, 0.5], [2, 0.5, 1], [2, 0, 0.5]])
+    cube = [20, *cells[0]] if quadratic else [8, *range(8)]
+    points = np.concatenate([box, square, middles])
+    grid = pyvista.UnstructuredGrid(
+        np.array([*cube, len(nodes), *nodes]), np.array([25 if quadratic else 12, kind]), points
+    )
+    grid.save(tmp_path / "a.vtu")
+    shape = read_shape(tmp_path / "a.vtu")
+    assert check(shape).area == pytest.approx(6 + area)
+    np.testing.assert_array_equal(shape.points, points)
+
+
 def test_cells_of_higher_order_are_refused(tmp_path):
     grid = pyvista.UnstructuredGrid(
         np.array([10, *range(10)]), np.array([69]), np.random.default_rng(0).random((10, 3))
     )
     grid.save(tmp_path / "a.vtu")
-    with pytest.raises(ShapeError, match="vtkLagrangeTriangle are not read; export it with linear cells"):
+    with pytest.raises(ShapeError, match=r"vtkLagrangeTriangle are not read; export it with linear cells alone$"):
         read_shape(tmp_path / "a.vtu")
 
 

@@ -1,6 +1,7 @@
 """Materials of OBJ and glTF, however programs spell them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ from PIL import Image
 
 from homolog.core.errors import DataError
 from homolog.shapes import read_shape, write_shape
-from homolog.transfer import read_appearance
+from homolog.shapes.formats.gltf import GlbWriter
+from homolog.transfer import SurfaceProjector, read_appearance, write_glb
+from homolog.transfer.appearance import Texture, left_out
 from homolog.transfer.obj import read_obj_texture
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)
@@ -53,6 +56,11 @@ def test_names_with_marks(tmp_path):
         ("newmtl a\nmap_Kd -blendu on -mm 0 1 -bm 0.5 -texres 2 red.png", "usemtl a"),
         ("newmtl a\nmap_Kd C:\\art\\red.png", "usemtl a"),
         ("newmtl a\nmap_Kd gone/red.png", "usemtl a"),
+        ("newmtl a\nmap_Kd D:\\far away\\art\\Red.png", "usemtl a"),
+        ("newmtl a\nmap_Kd /home/her/art/red.png", "usemtl a"),
+        ("newmtl a\nmap_Kd red.png # of the skin", "usemtl a"),
+        ("newmtl a\nmap_Kd art%2Fred.png", "usemtl a"),
+        ("newmtl Skin\nmap_Kd red.png", "usemtl SKIN"),
         ("newmtl a\nKd spectral file.rfl 1\nmap_Kd red.png", "usemtl a"),
         ("newmtl a\nKd 1\nmap_Kd red.png", "usemtl a"),
     ],
@@ -111,6 +119,96 @@ def test_texture_of_a_concave_polygon(tmp_path):
     np.testing.assert_allclose(texture.coordinates, expected)
 
 
+KD = "newmtl a\nKd 1 0 0\nnewmtl b\nkd 0 0 1\n"
+
+
+@pytest.mark.parametrize("face", [FACE, "f 1 2 3 4\n"])
+def test_materials_of_one_colour_each(tmp_path, face):
+    """With texture coordinates and without; one grey alone, as programs write it for all, says nothing."""
+    faces = f"mtllib m.mtl\nusemtl a\n{face}usemtl b\n{face}"
+    assert colours(obj(tmp_path, faces, m=KD)) == [RED, RED, BLUE, BLUE]
+    assert colours(obj(tmp_path, faces, m="newmtl a\nKd 0.8 0.8 0.8\nnewmtl b\nKd 0.8 0.8 0.8\n")) is None
+    assert colours(obj(tmp_path, faces, m="newmtl a\nKd 0.8 0.8 0.8\nnewmtl b\nKd 0.2 0.2 0.2\n")) is not None
+
+
+def test_colours_of_points_before_those_of_materials(tmp_path):
+    path = obj(tmp_path, f"mtllib m.mtl\nusemtl a\n{FACE}", m=KD)
+    path.write_text(re.sub(r"(?m)^(v .*)$", r"\1 0 1 0", path.read_text()))
+    look = read_appearance(path, read_shape(path))
+    assert look.texture is None and look.point_colours.tolist() == [[0, 1, 0]] * 4
+
+
+def painted(path, shape, *factors, **more):
+    """A GLB whose upper and lower faces have materials of one colour each."""
+    upper = shape.points[shape.faces].mean(axis=1)[:, 1] > 0
+    writer = GlbWriter()
+    position = writer.accessor(shape.points.astype("<f4"), bounds=True)
+    for factor, faces in zip(factors, (shape.faces[upper], shape.faces[~upper]), strict=True):
+        material = writer.add("materials", {"pbrMetallicRoughness": {"baseColorFactor": [*factor, 1]}, **more})
+        indices = writer.accessor(faces.ravel().astype("<u4"), indices=True)
+        first = {"attributes": {"POSITION": position}, "indices": indices, "material": material}
+        writer.header.setdefault("meshes", [{"primitives": []}])[0]["primitives"].append(first)
+    writer.header |= {"nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}], "scene": 0}
+    path.write_bytes(writer.content())
+    return read_shape(path)
+
+
+def test_gltf_materials_of_one_colour_each(tmp_path, make):
+    shape = painted(tmp_path / "a.glb", make.blob(2), (1, 0, 0), (0, 0, 0.5))
+    look = read_appearance(tmp_path / "a.glb", shape).texture
+    upper = shape.points[shape.faces].mean(axis=1)[:, 1] > 0
+    assert colours(tmp_path / "a.glb") == [RED] * upper.sum() + [(0, 0, 188)] * (~upper).sum()
+    # Written as the look of a mesh, they are materials again, with the same factors.
+    write_glb(tmp_path / "b.glb", SurfaceProjector(shape), look=look)
+    materials = glb_tree(tmp_path / "b.glb")[0]["materials"]
+    factors = [m["pbrMetallicRoughness"]["baseColorFactor"] for m in materials]
+    np.testing.assert_allclose(factors, [[1, 0, 0, 1], [0, 0, 0.5, 1]], atol=3e-3)
+    assert colours(tmp_path / "b.glb") == colours(tmp_path / "a.glb")
+    painted(tmp_path / "c.glb", make.blob(2), (0.8, 0.8, 0.8), (0.8, 0.8, 0.8))
+    assert colours(tmp_path / "c.glb") is None
+
+
+def test_a_look_keeps_coordinates_and_images(tmp_path, make):
+    """Each face has its own places in its own image, whatever shares its points."""
+    shape, rng = make.blob(1), np.random.default_rng(0)
+    images = (rng.integers(0, 255, (4, 4, 3), np.uint8), rng.integers(0, 255, (2, 8, 3), np.uint8))
+    places, image_of = rng.random((shape.n_faces, 3, 2)) * 3 - 1, np.arange(shape.n_faces) % 2
+    write_glb(tmp_path / "a.glb", SurfaceProjector(shape), look=Texture(places, image_of, images))
+    found = read_shape(tmp_path / "a.glb")
+    look = read_appearance(tmp_path / "a.glb", found).texture
+    order = np.argsort(image_of, kind="stable")
+    np.testing.assert_allclose(found.points[found.faces], shape.points[shape.faces[order]], atol=1e-6)
+    np.testing.assert_allclose(look.coordinates, places[order], atol=1e-6)
+    for image, expected in zip(look.images, images, strict=True):
+        np.testing.assert_array_equal(image, expected)
+
+
+def test_transforms_of_texture_coordinates(tmp_path, make):
+    """KHR_texture_transform scales, turns counterclockwise as one sees it, and moves."""
+    shape = make.blob(1)
+    places = np.random.default_rng(0).random((shape.n_faces, 3, 2))
+    image = np.full((2, 2, 3), (255, 0, 0), np.uint8)
+    write_glb(tmp_path / "a.glb", SurfaceProjector(shape), look=Texture(places, np.zeros(shape.n_faces, int), (image,)))
+    tree, binary = glb_tree(tmp_path / "a.glb")
+    moved = {"scale": [2, 3], "rotation": np.pi / 2, "offset": [0.25, 0.5]}
+    texture = tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    texture["extensions"] = {"KHR_texture_transform": moved}
+    tree["buffers"] = [{"byteLength": len(binary), "uri": "a.bin"}]
+    (tmp_path / "a.bin").write_bytes(binary)
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    found = read_appearance(tmp_path / "a.gltf", read_shape(tmp_path / "a.gltf")).texture.coordinates
+    u, v = places[..., 0], places[..., 1]
+    np.testing.assert_allclose(found, np.stack([3 * v + 0.25, 0.5 - 2 * u], axis=-1), atol=1e-6)
+
+
+def test_what_is_left_out_of_a_look(tmp_path, make):
+    painted(tmp_path / "a.glb", make.blob(1), (1, 0, 0), (0, 1, 0), normalTexture={"index": 0}, alphaMode="BLEND")
+    assert left_out(tmp_path / "a.glb") == ("normal maps", "transparency")
+    assert left_out(obj(tmp_path, f"mtllib m.mtl\nusemtl a\n{FACE}", m=f"{KD}map_Bump red.png")) == ("normal maps",)
+    write_shape(tmp_path / "a.ply", make.blob(1))
+    assert left_out(tmp_path / "a.ply") == ()
+
+
 def glb_tree(path):
     content = path.read_bytes()
     length = int.from_bytes(content[12:16], "little")
@@ -142,7 +240,8 @@ def test_gltf_textures_in_files_below(tmp_path, make):
     assert read.n_points == shape.n_points and read.n_faces == 2 * shape.n_faces
     texture = read_appearance(tmp_path / "a.gltf", read).texture
     np.testing.assert_allclose(texture.coordinates[: shape.n_faces], places[shape.faces])
-    assert colours(tmp_path / "a.gltf") == [(51, 0, 0)] * shape.n_faces + [BLUE] * shape.n_faces
+    # Factors are of linear light: a fifth of it looks half as bright.
+    assert colours(tmp_path / "a.gltf") == [(124, 0, 0)] * shape.n_faces + [BLUE] * shape.n_faces
     tree["images"] = [{"uri": "../red.png"}]
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     with pytest.raises(DataError, match="outside its own folder"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,7 +27,7 @@ from homolog.cli.options import (
     Verbose,
     Weights,
     build_matcher,
-    check_file,
+    check_files,
     check_inputs,
     check_json,
     on_stdout,
@@ -193,7 +193,8 @@ def evaluate(
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    _check(json, (csv, plot), [path for path in (data, maps, pairs) if path is not None])
+    check_json(json)
+    check_files(csv, plot)
     if maps is not None:
         _refuse_unused(context)
     if maps is None and base is not None:
@@ -240,14 +241,6 @@ def _refuse_unused(context: typer.Context) -> None:
             raise ArgumentError(
                 f"--maps scores maps that are there already, so that {parameter.opts[0]} has no effect; leave it out"
             )
-
-
-def _check(json: Path | None, files: Iterable[Path | None], inputs: list[Path]) -> None:
-    """Refuse outputs that cannot be written, or would replace an input, before PyTorch is loaded."""
-    check_json(json, inputs=inputs)
-    for file in files:
-        if file is not None:
-            check_file(file, inputs=inputs)
 
 
 def _write(evaluation: Evaluation, folder: ShapeFolder, csv: Path | None, plot: Path | None) -> None:

@@ -34,7 +34,7 @@ def info(
     from rich.console import Console
     from rich.markup import escape
 
-    check_json(json, inputs=files)
+    check_json(json)
     entries, failed = list[dict[str, Any]](), False
     for file in files:
         try:

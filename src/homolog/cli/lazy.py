@@ -5,12 +5,15 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterator, MutableMapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
 from homolog.cli.wording import speak_of
+from homolog.core.errors import HomologError
+from homolog.core.files import keeping
 
 OTHER = "Other"
 """The last group of options in a command's help."""
@@ -28,7 +31,34 @@ class Command(TyperCommand):
     def invoke(self, ctx: Any) -> Any:
         """Run it."""
         speak_of(self.params)
-        return super().invoke(ctx)
+        with keeping(inputs_of(self.params, ctx.params)):
+            return super().invoke(ctx)
+
+
+OUTPUTS = ("output", "page", "picture", "json", "csv", "plot")
+"""The parameters of commands that name what is written; all others that name files, name what is read."""
+
+
+def inputs_of(params: list[Any], values: dict[str, Any]) -> Iterator[Path]:
+    """The files and folders that a command reads, by its parameters; a name may be that of a file as well."""
+    for param in params:
+        value = values.get(param.name)
+        for one in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(one, Path) and param.name not in OUTPUTS:
+                yield one
+                yield from _beside(one)
+            elif isinstance(one, str) and "FILE" in (param.metavar or ""):
+                yield Path(one)
+
+
+def _beside(path: Path) -> tuple[Path, ...]:
+    """The other files that a shape is read from; what is wrong with it, the command tells."""
+    from homolog.shapes import files_of_shape
+
+    try:
+        return files_of_shape(path)[1:] if path.suffix else ()
+    except (HomologError, OSError, ValueError):
+        return ()
 
 
 def _without_types_of_flags(params: list[Any]) -> list[Any]:

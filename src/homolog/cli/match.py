@@ -36,6 +36,7 @@ from homolog.cli.options import (
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.cli.wording import in_options
 from homolog.core.choices import AsCloud, Side, Up
+from homolog.core.files import expanded, refuse_overwriting_inputs, remove
 from homolog.core.progress import Listener, Timings
 
 if TYPE_CHECKING:
@@ -130,12 +131,13 @@ def match(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
-    check_folder(output, inputs=(source, target), names=homolog.matching.RESULT_FILES)
+    check_folder(output, names=homolog.matching.RESULT_FILES)
     if page is not None:
-        check_file(page, inputs=(source, target))
-    check_picture_file(picture, lines, picture_width, inputs=(source, target))
+        check_file(page)
+    check_picture_file(picture, lines, picture_width)
     for number in range(2, alternatives + 1):
         check_folder(output / f"alternative-{number}", names=homolog.matching.RESULT_FILES)
+    refuse_overwriting_inputs(_alternatives(output))
     options = homolog.PairOptions(
         as_cloud=as_cloud,
         partial=partial,
@@ -168,11 +170,17 @@ def match(
 
 def remove_alternatives(output: Path) -> None:
     """Remove the alternatives that an earlier match left in the folder: they belong to other maps."""
-    for folder in output.glob("alternative-*"):
-        for name in homolog.matching.RESULT_FILES:
-            (folder / name).unlink(missing_ok=True)
+    for file in _alternatives(output):
+        remove(file)
+    for folder in expanded(output).glob("alternative-*"):
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
+
+
+def _alternatives(output: Path) -> list[Path]:
+    """The files of alternatives that an earlier match left in the folder."""
+    folders = expanded(output).glob("alternative-*")
+    return [folder / name for folder in folders for name in homolog.matching.RESULT_FILES]
 
 
 def write_results(output: Path, matches: list[Match], timings: list[Timings]) -> list[Path]:

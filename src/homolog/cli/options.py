@@ -197,10 +197,10 @@ def check_inputs(*shapes: Path, weights: str | None = None) -> None:
         homolog.shapes.check_suffix(file)
 
 
-def check_json(output: Path | None, *, inputs: Iterable[Path] = ()) -> None:
+def check_json(output: Path | None) -> None:
     """Refuse a JSON file that cannot be written, or would replace an input."""
     if output is not None and not on_stdout(output):
-        check_file(output, inputs=inputs)
+        check_file(output)
 
 
 def on_stdout(output: Path | None) -> bool:
@@ -224,7 +224,7 @@ def set_verbosity(*, quiet: bool, verbose: bool) -> None:
     logging.getLogger("homolog").setLevel(level)
 
 
-def check_folder(output: Path, *, inputs: Iterable[Path] = (), names: Iterable[str] = ()) -> None:
+def check_folder(output: Path, *, names: Iterable[str] = ()) -> None:
     """Refuse a result folder that cannot be made, or where a file of such a name would replace an input or is a folder.
 
     Before any work is done; nothing is made or changed.
@@ -236,26 +236,33 @@ def check_folder(output: Path, *, inputs: Iterable[Path] = (), names: Iterable[s
     if not os.access(nearest, os.W_OK):
         raise ArgumentError(f"{output} cannot be written to: {nearest} is read-only; give another -o")
     names = list(names)
-    refuse_overwriting_inputs([folder / name for name in names], inputs)
+    refuse_overwriting_inputs([folder / name for name in names])
     for name in names:
         if (folder / name).is_dir():
             raise ArgumentError(f"{folder / name} is a folder, where a result file belongs; give another -o")
 
 
-def check_file(output: Path, *, inputs: Iterable[Path] = ()) -> None:
+def check_file(output: Path) -> None:
     """Refuse a result file that cannot be written, or would replace an input, before any work is done for it.
 
     Nothing is made or changed.
     """
-    refuse_overwriting_inputs([output], inputs)
+    refuse_overwriting_inputs([output])
     if fault := _fault(expanded(output).resolve()):
         raise ArgumentError(f"{output} cannot be written: {fault}")
 
 
-def check_picture_file(output: Path | None, lines: int, width: int, *, inputs: Iterable[Path] = ()) -> None:
+def check_files(*outputs: Path | None) -> None:
+    """Refuse result files as ``check_file`` does; those that are not wanted are None."""
+    for output in outputs:
+        if output is not None:
+            check_file(output)
+
+
+def check_picture_file(output: Path | None, lines: int, width: int) -> None:
     """Refuse a picture that cannot be written, or what says how to draw one that is not wanted, before any work."""
     if output is not None:
-        check_file(output, inputs=inputs)
+        check_file(output)
         homolog.viewing.check_picture(output)
     elif lines or width != PICTURE_WIDTH:
         option = "--lines" if lines else "--picture-width"

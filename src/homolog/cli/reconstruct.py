@@ -69,12 +69,9 @@ def reconstruct(
 
 
 def _mesh_files(clouds: list[Path], output: Path) -> list[Path]:
-    """Where each mesh goes; no two to one file, and none over a cloud."""
+    """Where each mesh goes; no two to one file."""
     files = [output / f"{cloud.stem}.ply" for cloud in clouds]
-    given = {expanded(cloud).resolve() for cloud in clouds}
     for number, file in enumerate(files):
         if file in files[:number]:
             raise ArgumentError(f"{clouds[number]} and another cloud would both give {file}; give them one at a time")
-        if expanded(file).resolve() in given:
-            raise ArgumentError(f"{file} is a cloud and would be replaced by its surface; give another -o")
     return files

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 import homolog
-from homolog.cli.options import OUTPUT, Quiet, Seed, check_inputs
+from homolog.cli.options import OUTPUT, Quiet, Seed, check_folder, check_inputs
 from homolog.cli.progress import progress_bar
 from homolog.core.errors import ArgumentError
-from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder
+from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, remove
 
 if TYPE_CHECKING:
     import numpy as np
@@ -53,6 +53,7 @@ def part(
 
     check_inputs(file)
     _check_folder(output)
+    check_folder(output, names=_FILES)
     with progress_bar(quiet=quiet) as progress:
         progress(0, 2, "read and repair")
         repaired = homolog.repair(homolog.read_shape(file))
@@ -66,7 +67,7 @@ def part(
                 np.savez_compressed(temporary, allow_pickle=False, **_way_back(made, repaired))
     for name in _FILES:
         if Path(name).stem not in parts:  # of a view that was made here before
-            (folder / name).unlink(missing_ok=True)
+            remove(folder / name)
     if not quiet:
         typer.echo(output)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ import homolog
 from homolog.cli.options import DatasetOption, DeviceOption, Quiet, Verbose, set_verbosity
 from homolog.cli.progress import progress_bar
 from homolog.core.errors import HomologError
-from homolog.core.files import expanded
+from homolog.core.files import expanded, refuse_overwriting_inputs, resuming
 
 
 def train(
@@ -77,8 +78,10 @@ def train(
     settings = homolog.training.read_recipe(recipe)
     description = None if dataset is None else homolog.datasets.read_description(dataset)
     first = homolog.training.is_first_process()
+    goes_on = resume and homolog.training.is_begun(expanded(output))
     try:
-        with progress_bar(quiet=quiet or not first) as progress:
+        with resuming(output) if goes_on else nullcontext(), progress_bar(quiet=quiet or not first) as progress:
+            refuse_overwriting_inputs([output / name for name in homolog.training.RUN_FILES])
             state = homolog.training.train(
                 settings,
                 data,

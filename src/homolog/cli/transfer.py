@@ -11,11 +11,12 @@ import homolog
 from homolog.cli.options import INPUT, OUTPUT, Quiet, ResultFolder, check_folder
 from homolog.cli.progress import progress_bar, say
 from homolog.core.choices import TEXTURE_SIZE, Side, System
-from homolog.core.errors import ArgumentError
+from homolog.core.errors import ArgumentError, HomologError
+from homolog.core.files import refuse_overwriting_inputs
 from homolog.core.versions import versions
 
 if TYPE_CHECKING:
-    from homolog.transfer import Delivery, Kind
+    from homolog.transfer import Delivery, Kind, Original
 
 _WHAT = "What to transfer"
 
@@ -75,9 +76,13 @@ def transfer(
         ),
     ] = None,
     axes: Annotated[
-        System,
-        typer.Option(help="The shapes' coordinate system, for landmark files that have one.", rich_help_panel=INPUT),
-    ] = "LPS",
+        System | None,
+        typer.Option(
+            help="The shapes' coordinate system, for landmark files that have one.",
+            show_default="as the shapes' files say, or LPS",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the files.", rich_help_panel=OUTPUT)
     ] = Path("transfer"),
@@ -119,11 +124,13 @@ def transfer(
         raise ArgumentError(f"--checker and --{kinds[0]} write the same files; give one at a time")
     contents = bool(kinds) or not (files or checker)
     original = transfers.read_original(match, side, origin) if contents or origin is not None else None
-    inputs = files if original is None else [*files, *original.files]
-    check_folder(output, inputs=inputs, names=[*transfers.OUTPUT_NAMES, *(file.name for file in files)])
+    names = [*transfers.OUTPUT_NAMES, *(file.name for file in files)]
+    refuse_overwriting_inputs([output / name for name in names], () if original is None else original.files)
+    check_folder(output, names=names)
     forth = match.inverse() if reverse else match
     along = transfers.Transfer(forth, source=None if original is None else original.shape)
-    delivery = transfers.Delivery(along, axes=axes, texture_size=texture_size)
+    target = _target(match, "source" if reverse else "target") if contents else None
+    delivery = transfers.Delivery(along, axes=axes, texture_size=texture_size, target=target)
     for paths, add in (
         (array, delivery.add_array),
         (labels, delivery.add_labels),
@@ -140,6 +147,15 @@ def transfer(
         written = delivery.write(output, {"result": str(result), "from": side, "versions": versions()})
     if not quiet:
         _tell(delivery, written)
+
+
+def _target(match: homolog.Match, side: Side) -> Original | None:
+    """The target's own file, whose look and skin are kept where no other is transferred; None if it is not there."""
+    try:
+        return homolog.transfer.read_original(match, side)
+    except HomologError as error:
+        say(f"Note: the target's own look and skin are left out: {error}")
+        return None
 
 
 def _tell(delivery: Delivery, written: list[Path]) -> None:

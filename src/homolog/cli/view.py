@@ -79,8 +79,8 @@ def view(
     On a remote machine: run it there, run `ssh -L 8080:127.0.0.1:8080 MACHINE` here, and open the address here.
     """
     if page is not None:
-        check_file(page, inputs=(result,))
-    check_picture_file(picture, lines, picture_width, inputs=(result,))
+        check_file(page)
+    check_picture_file(picture, lines, picture_width)
     found = homolog.Match.load(result)
     scene = homolog.viewing.scene_of(found, _layers(found, truth, weights, quiet=quiet))
     if picture is not None:

@@ -9,7 +9,7 @@ import typer
 
 import homolog
 from homolog.cli.lazy import lazy_typer
-from homolog.cli.options import OUTPUT, Quiet, Seed
+from homolog.cli.options import OUTPUT, Quiet, Seed, check_file
 from homolog.cli.progress import progress_bar
 
 volume = lazy_typer(
@@ -49,6 +49,7 @@ def surface(
 
       homolog volume surface femur.nii.gz -o femur.ply --points 20000
     """
+    check_file(output)
     with progress_bar(quiet=quiet) as progress:
         progress(0, 2, "read")
         found = homolog.volumes.read_mask(mask, label=label)
@@ -86,6 +87,7 @@ def slices(
 
       homolog volume slices lungs.mhd --label 3 --span 0 0.6 --points 3000 -o lower_lung.ply
     """
+    check_file(output)
     with progress_bar(quiet=quiet) as progress:
         progress(0, 2, "read")
         found = homolog.volumes.read_mask(mask, label=label)

@@ -11,6 +11,7 @@ import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -56,15 +57,59 @@ def made_folder(path: str | Path) -> Path:
     return folder
 
 
-def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path]) -> None:
-    """Refuse outputs that would replace an input, or a file in a folder that is an input.
+@dataclass(frozen=True)
+class _Kept:
+    """What ``keeping`` keeps: its inputs, the folder that is the writer's own, and what was written since."""
 
-    Files are compared by their identity, so that links, other spellings and relative paths are recognised. An output
-    that does not exist yet replaces nothing, and may lie in an input folder.
+    inputs: tuple[Path, ...]
+    own: Path | None = None
+    written: set[Path] = field(default_factory=set)
+
+
+_keeping: ContextVar[_Kept | None] = ContextVar("keeping", default=None)
+
+
+@contextmanager
+def keeping(inputs: Iterable[str | Path]) -> Iterator[None]:
+    """Let nothing that is written in this block replace an input, whoever writes it.
+
+    Each command runs in such a block, with what its arguments name. ``atomic_path`` refuses such files, and so does
+    ``refuse_overwriting_inputs`` before any work is done.
 
     Args:
-        outputs: files that are to be written.
-        inputs: files and folders that are read; those that do not exist are passed over.
+        inputs: files and folders that are read.
+
+    Examples:
+        >>> with keeping(["source.ply"]):
+        ...     write_json("figures.json", {})  # doctest: +SKIP
+    """
+    token = _keeping.set(_Kept(tuple(map(expanded, inputs))))
+    try:
+        yield
+    finally:
+        _keeping.reset(token)
+
+
+@contextmanager
+def resuming(folder: str | Path) -> Iterator[None]:
+    """Within ``keeping``, let a folder below an input folder be the writer's own, of an earlier run that goes on."""
+    kept = _keeping.get() or _Kept(())
+    token = _keeping.set(replace(kept, own=expanded(folder).resolve()))
+    try:
+        yield
+    finally:
+        _keeping.reset(token)
+
+
+def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path] = ()) -> None:
+    """Refuse outputs that would replace an input, or a file in a folder that is an input.
+
+    Files are compared by their identity, so that links of both kinds, other spellings and relative paths are
+    recognised. An output that does not exist yet replaces nothing, and may lie in an input folder.
+
+    Args:
+        outputs: files that are to be written, or removed.
+        inputs: files and folders that are read, beside those of ``keeping``; those that do not exist are passed over.
 
     Raises:
         ArgumentError: naming the first such output.
@@ -72,17 +117,46 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
     Examples:
         >>> refuse_overwriting_inputs(["map.npz"], ["source.ply", "target.ply"])
     """
-    read = [path for path in map(expanded, inputs) if path.exists()]
+    kept = _keeping.get() or _Kept(())
+    read = [path for path in (*map(expanded, inputs), *kept.inputs) if path.exists()]
     for output in map(expanded, outputs):
-        if not output.exists():
+        target = output.resolve()
+        if not output.exists() or target in kept.written:
             continue
         for given in read:
             if given.samefile(output):
                 raise ArgumentError(f"{output} is an input and would be replaced by the result; give another output")
-            if given.is_dir() and any(folder.samefile(given) for folder in output.resolve().parents):
+            if given.is_dir() and not _is_own(kept, target, given) and _lies_in(target, given):
                 raise ArgumentError(
                     f"{output} lies in the input {given} and would be replaced by the result; give another output"
                 )
+
+
+def _is_own(kept: _Kept, target: Path, given: Path) -> bool:
+    own = kept.own
+    return own is not None and own in target.parents and given.resolve() in own.parents
+
+
+def _lies_in(target: Path, folder: Path) -> bool:
+    """Whether a file lies in a folder or below it, be it by another name for the same content."""
+    if any(parent.samefile(folder) for parent in target.parents):
+        return True
+    status = target.stat()
+    return status.st_nlink > 1 and stat.S_ISREG(status.st_mode) and any(map(target.samefile, _files_below(folder)))
+
+
+def _files_below(folder: Path) -> Iterator[Path]:
+    return (path for path in folder.rglob("*") if path.is_file())
+
+
+def remove(path: Path) -> None:
+    """Remove a file of an earlier result, if it is there.
+
+    Raises:
+        ArgumentError: if it is an input, as ``refuse_overwriting_inputs`` has it.
+    """
+    refuse_overwriting_inputs([path])
+    path.unlink(missing_ok=True)
 
 
 @contextmanager
@@ -99,13 +173,16 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         A path in the same folder with the same suffix. The block must create the file.
 
     Raises:
-        ArgumentError: if the folder does not exist, or ``path`` is a folder.
+        ArgumentError: if the folder does not exist, ``path`` is a folder, or an input that ``keeping`` keeps.
     """
     target = expanded(path).resolve()
     if not target.parent.is_dir():
         raise ArgumentError(f"{path} cannot be written: the folder {target.parent} does not exist; create it first")
     if target.is_dir():
         raise ArgumentError(f"{path} cannot be written: it is a folder; give a file name")
+    refuse_overwriting_inputs([path])
+    if kept := _keeping.get():
+        kept.written.add(target)
     temporary = _beside(target)
     with all_or_nothing() as moves, _blamed(path):
         mode = _mode(target if target.exists() else temporary)

@@ -87,17 +87,28 @@ def _spacing(operators: Operators) -> float:
     return float((operators.mass.sum() / operators.n_points).sqrt())
 
 
-def dirichlet_energy(operators_x: Operators, points_y: Float[Tensor, "n_y 3"], x_to_y: Int[Tensor, " n_x"]) -> float:
+def dirichlet_energy(
+    operators_x: Operators,
+    points_y: Float[Tensor, "n_y 3"],
+    x_to_y: Int[Tensor, " n_x"],
+    *,
+    spacing_y: Float[Tensor, " n_y"] | None = None,
+) -> float:
     """Dirichlet energy of a map from x to y, relative to that of the identity of x: how smooth the map is.
 
     trace(Y^T L Y) of the mapped coordinates Y = points_y[x_to_y] as functions on x, over that of x's own coordinates.
     An isometry has 1, a constant map 0, a map that tears neighbours apart much more. Magnet et al. ("Smooth non-rigid
     shape matching via effective Dirichlet energy optimization", 3DV 2022) report such energies.
 
+    A map to points jumps from one to the next, and nearly equal points of x jump as far as others, though the edge
+    between them is short. So what an edge of x adds is scaled by its length over the spacing of y where it is shorter
+    than that: what the map resolves then counts, and not how finely x is meshed. New here.
+
     Args:
         operators_x: of x.
         points_y: positions, at the scale of x (n_y, 3).
         x_to_y: for each point of x a point of y (n_x,).
+        spacing_y: of y at each of its points, sqrt(mass) (n_y,); None to take every edge as it is.
 
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
@@ -116,13 +127,22 @@ def dirichlet_energy(operators_x: Operators, points_y: Float[Tensor, "n_y 3"], x
         True
     """
     check_indices("x_to_y", x_to_y, len(points_y))
-    return _energy(operators_x, points_y[x_to_y]) / _energy(operators_x, operators_x.points)
+    start, end, weight = _edges(operators_x)
+    points_x, images = operators_x.points.double(), points_y.double()[x_to_y]
+    lengths, steps = (points_x[start] - points_x[end]).norm(dim=1), (images[start] - images[end]).square().sum(dim=1)
+    energy = weight * steps
+    if spacing_y is not None:
+        spacing = spacing_y.double()[x_to_y]
+        energy *= (lengths / torch.maximum(spacing[start], spacing[end])).clamp(max=1.0)
+    return float(energy.sum() / (weight * lengths.square()).sum())
 
 
-def _energy(operators: Operators, functions: Float[Tensor, "n 3"]) -> float:
-    share = operators.mass / operators.mass.sum()
-    centred = functions - (share[:, None] * functions).sum(dim=0)  # or rounding would be of the size of the shift
-    return float((centred * (operators.laplacian @ centred)).sum(dtype=torch.float64))
+def _edges(operators: Operators) -> tuple[Int[Tensor, " e"], Int[Tensor, " e"], Float[Tensor, " e"]]:
+    """The edges of the Laplacian, each both ways, and their weights."""
+    laplacian: Tensor = operators.laplacian.to_sparse_coo().coalesce()  # type: ignore[no-untyped-call]  # PyTorch types it not
+    start, end = laplacian.indices()
+    apart = start != end
+    return start[apart], end[apart], -laplacian.values()[apart].double()
 
 
 def flipped_triangles(x: Surface, y: Surface, x_to_y: Int[np.ndarray, " n_x"]) -> Bool[np.ndarray, " m_x"]:

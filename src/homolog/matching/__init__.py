@@ -11,7 +11,7 @@ from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_point_map, checked_maps
 from homolog.matching.result_files import RESULT_FILES, matched_name, read_point_map, write_folder
 from homolog.matching.search import Hypothesis, orient, orientations
-from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, unit_warnings
+from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, part_warnings, unit_warnings
 
 __all__ = [
     "MEASURES",
@@ -35,6 +35,7 @@ __all__ = [
     "orient",
     "orientation_warnings",
     "orientations",
+    "part_warnings",
     "position_colours",
     "read_point_map",
     "refine",

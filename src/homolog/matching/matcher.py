@@ -22,7 +22,13 @@ from homolog.matching.mirror import mirror_warnings
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, checked_maps
 from homolog.matching.search import orient, orientations
-from homolog.matching.warnings import blaming, low_confidence_warnings, orientation_warnings, unit_warnings
+from homolog.matching.warnings import (
+    blaming,
+    low_confidence_warnings,
+    orientation_warnings,
+    part_warnings,
+    unit_warnings,
+)
 from homolog.pairs import (
     SIDES,
     Device,
@@ -255,8 +261,8 @@ class Matcher:
 
     def _checked(self, pair: Pair, match: Match, units: tuple[str, ...]) -> Match:
         """A match of a pair with all that there is to warn of."""
-        checks = (*orientation_warnings(match), *mirror_warnings(pair, match))
-        doubts = low_confidence_warnings(match, self.settings.warnings)
+        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair, match))
+        doubts = low_confidence_warnings(match, self.settings.warnings, pair=pair)
         return replace(match, warnings=(*self.warnings, *units, *checks, *doubts))
 
     def __repr__(self) -> str:

@@ -98,7 +98,9 @@ def quality(
     return Quality(
         coverage=coverage(shape.operators, other.operators, back),
         cycle_error=float(cycle_error(points, there, back).mean()),
-        dirichlet_energy=dirichlet_energy(shape.operators, other.operators.points, there),
+        dirichlet_energy=dirichlet_energy(
+            shape.operators, other.operators.points, there, spacing_y=other.operators.mass.sqrt()
+        ),
         flipped_triangles=_share_flipped(shape, other, there),
         confidence=float(confidences.mean()),
     )

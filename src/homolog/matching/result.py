@@ -465,7 +465,12 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
     """What is known of a match, for JSON."""
     info = None if pair.extractor is None else asdict(pair.extractor.info)
     inputs = {
-        side: {"name": shape.name, **shape.to_dict(), "points_left_out": shape.n_left_out}
+        side: {
+            "name": shape.name,
+            **shape.to_dict(),
+            "points_left_out": shape.n_left_out,
+            "space": shape.given.space,
+        }
         for side, shape in zip(SIDES, (pair.source, pair.target), strict=True)
     }
     described = replace(match, report={"inputs": inputs})

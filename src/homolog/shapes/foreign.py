@@ -21,6 +21,8 @@ _ALLOWED = (
     "a Shape, a path, points (n, 3), a tuple (vertices, faces), or a mesh or cloud of trimesh, pyvista, VTK, Open3D, "
     "meshio, PyTorch Geometric, pyFM or GeomFuM"
 )
+# Three rows of more numbers than this are faces as columns, and not three polygons.
+_MOST_CORNERS = 8
 # Cells of meshio that are polygons of a surface; those of quadratic ones have other points than corners.
 _MESHIO_FACES = ("triangle", "quad", "polygon")
 _MESHIO_VOLUMES = ("tetra", "hexahedron", "wedge", "pyramid", "voxel", "polyhedron")
@@ -83,6 +85,8 @@ def _polygons(faces: Any, name: str) -> tuple[Int[np.ndarray, " m"], Int[np.ndar
         sizes, corners = np.array([row.size for row in rows]), np.concatenate(rows)
     else:
         table = np.atleast_2d(np.asarray(faces))
+        if len(table) == 3 and table.shape[1] > _MOST_CORNERS:
+            raise ShapeError(f"{name}: faces have shape {table.shape}, but must have shape (m, 3); transpose them")
         sizes, corners = np.full(len(table), table.shape[1]), table.ravel()
     if corners.dtype.kind not in "biuf" or not np.array_equal(corners, np.round(corners)):
         raise ShapeError(f"{name}: faces must be whole numbers, indices of points from 0")

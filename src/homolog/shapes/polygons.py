@@ -81,10 +81,37 @@ def _folded(
 
 def _ears(ring: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, "k-2 3"]:
     """The triangles of one polygon, as positions in it; the fan around its first corner where ears fail."""
-    found = mapbox_earcut.triangulate_float64(_in_own_plane(ring), np.array([len(ring)], dtype=np.uint32))
+    flat = _in_own_plane(ring)
+    corners, cut_off = _without_spikes(flat)
+    found = mapbox_earcut.triangulate_float64(flat[corners], np.array([len(corners)], dtype=np.uint32))
     triangles = np.asarray(found, dtype=np.int64).reshape(-1, 3)
-    triangles = np.concatenate([triangles, _flat_triangles(triangles, len(ring))])
+    triangles = corners[np.concatenate([triangles, _flat_triangles(triangles, len(corners))])]
+    triangles = np.concatenate([triangles, cut_off])
     return triangles if len(triangles) == len(ring) - 2 else fans(np.array([len(ring)]))
+
+
+def _without_spikes(ring: Float[np.ndarray, "k 2"]) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, "s 3"]]:
+    """The corners without those at which the outline turns back on itself, and the triangles without area cut off so.
+
+    Corners that repeat the one before are among them. Ears know nothing of either.
+    """
+    kept, cut_off = list[int](), list[tuple[int, int, int]]()
+    for corner in range(len(ring)):
+        while len(kept) > 1 and _turns_back(ring, kept[-2], kept[-1], corner):
+            cut_off.append((kept[-2], kept.pop(), corner))
+        kept.append(corner)
+    # The ends of the list are neighbours as well.
+    while len(kept) > 3 and _turns_back(ring, kept[-2], kept[-1], kept[0]):
+        cut_off.append((kept[-2], kept.pop(), kept[0]))
+    while len(kept) > 3 and _turns_back(ring, kept[-1], kept[0], kept[1]):
+        cut_off.append((kept[-1], kept.pop(0), kept[0]))
+    return np.array(kept), np.array(cut_off, dtype=np.int64).reshape(-1, 3)
+
+
+def _turns_back(ring: Float[np.ndarray, "k 2"], a: int, b: int, c: int) -> bool:
+    (u, v), (s, t) = (ring[b] - ring[a]).tolist(), (ring[c] - ring[b]).tolist()
+    cross, along = u * t - v * s, u * s + v * t
+    return bool(along <= 0 and cross**2 <= _ROUNDING * (u * u + v * v) * (s * s + t * t))
 
 
 def _in_own_plane(ring: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:

@@ -9,7 +9,7 @@ from homolog.training.objective import losses_of, pair_losses
 from homolog.training.orienter import train_orienter
 from homolog.training.quantities import QUANTITIES, PairQuantities, QuantitySettings, TrainingShape
 from homolog.training.recipes import builtin_recipes, find_recipe, read_recipe
-from homolog.training.run_folder import WEIGHTS
+from homolog.training.run_folder import RUN_FILES, WEIGHTS, is_begun
 from homolog.training.settings import (
     AugmentationSettings,
     CloudSettings,
@@ -28,6 +28,7 @@ from homolog.training.state import TrainingState
 __all__ = [
     "BUILTIN_LOSSES",
     "QUANTITIES",
+    "RUN_FILES",
     "WEIGHTS",
     "AdaptationSettings",
     "AugmentationSettings",
@@ -50,6 +51,7 @@ __all__ = [
     "augmented",
     "builtin_recipes",
     "find_recipe",
+    "is_begun",
     "is_first_process",
     "is_started_by_another",
     "losses_of",

@@ -30,6 +30,9 @@ from homolog.training.state import TrainingState
 
 WEIGHTS = "weights.safetensors"
 """The weights to use: those with the lowest validation loss, or the latest where nothing is validated."""
+_LAST, _BEST, _REPORT, _ALIGNMENT = "last.safetensors", "best.safetensors", "report.json", "alignment.json"
+RUN_FILES = (WEIGHTS, _LAST, _BEST, _REPORT, _ALIGNMENT)
+"""Names of the files that a training writes and replaces, beside those of TensorBoard."""
 _LOCK = ".lock"
 
 
@@ -55,7 +58,7 @@ class RunFolder:
     @property
     def last(self) -> Path:
         """The latest checkpoint."""
-        return self.path / "last.safetensors"
+        return self.path / _LAST
 
     def make(self, *, resume: bool) -> None:
         """Make the folder, or make sure that it is one to go on in.
@@ -111,7 +114,7 @@ class RunFolder:
 
     @property
     def _alignment(self) -> Path:
-        return self.path / "alignment.json"
+        return self.path / _ALIGNMENT
 
     def load(self, device: torch.device | str, *, weights: str | Path | None = None) -> TrainingState:
         """The state of the latest checkpoint, or a new one where there is none, with these weights if any are given."""
@@ -127,7 +130,7 @@ class RunFolder:
 
     def save_best(self, state: TrainingState) -> None:
         """Write the best checkpoint, and its weights for use."""
-        save_checkpoint(self.path / "best.safetensors", state, self.recipe, self._digest, losses=self.losses)
+        save_checkpoint(self.path / _BEST, state, self.recipe, self._digest, losses=self.losses)
         self._export(state)
 
     def lacks_orienter(self) -> bool:
@@ -159,7 +162,7 @@ class RunFolder:
             "orienter": orienter,
             "versions": versions(),
         }
-        write_json(self.path / "report.json", report)
+        write_json(self.path / _REPORT, report)
 
     def _export(self, state: TrainingState) -> None:
         save_weights(self.path / WEIGHTS, state.result(), weights_info(self.recipe))
@@ -170,6 +173,11 @@ class RunFolder:
         contents = sha256(*(self.shapes.files[name] for name in self.shapes.used))
         described: Any = [self.shapes.names, self.shapes.pairs, self.shapes.held_out, contents]
         return hashlib.sha256(json.dumps(described).encode()).hexdigest()
+
+
+def is_begun(path: Path) -> bool:
+    """Whether a training has begun in a folder."""
+    return (path / _LAST).is_file()
 
 
 def weights_info(recipe: Recipe) -> FeatureInfo:

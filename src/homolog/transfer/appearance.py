@@ -15,8 +15,10 @@ from jaxtyping import Float, Int, UInt8
 from homolog.core.errors import DataError, HomologError, needs_extra
 from homolog.shapes import Shape
 from homolog.shapes.formats.ply import read_ply_colours
-from homolog.transfer.gltf import read_gltf_look
-from homolog.transfer.obj import read_obj_colours, read_obj_texture
+from homolog.transfer.gltf import linear, read_gltf_look, srgb
+from homolog.transfer.gltf import looks_left_out as _left_out_of_gltf
+from homolog.transfer.obj import looks_left_out as _left_out_of_obj
+from homolog.transfer.obj import obj_files, read_obj_colours, read_obj_texture, tells_colours
 from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 
 NO_COLOUR = (160, 160, 160)
@@ -167,17 +169,23 @@ def _of_ply(path: Path, shape: Shape) -> Appearance:
 
 
 def _of_obj(path: Path, shape: Shape) -> Appearance:
-    found = read_obj_texture(path)
-    if found is None or shape.faces is None:
-        return Appearance(point_colours=read_obj_colours(path))
+    found, colours = read_obj_texture(path), read_obj_colours(path)
+    # Colours of points say more than those of materials.
+    if found is None or shape.faces is None or (colours is not None and not any(m.image for m in found.materials)):
+        return Appearance(point_colours=colours)
     images = [_WHITE if material.image is None else read_image(material.image) for material in found.materials]
     tints = [1.0 if material.image is not None else np.array(material.colour) for material in found.materials]
     tinted = tuple(_tinted(image, tint) for image, tint in zip(images, tints, strict=True))
-    return Appearance(Texture(found.coordinates, found.material_of, tinted), read_obj_colours(path))
+    return Appearance(Texture(found.coordinates, found.material_of, tinted), colours)
 
 
 def _tinted(image: Image, tint: Any) -> Image:
     return np.asarray(np.round(image * tint).clip(0, 255), dtype=np.uint8)
+
+
+def _lit(image: Image, factor: Any) -> Image:
+    """An image times a factor of linear light, as glTF has it."""
+    return image if np.all(factor == 1) else _tinted(srgb(linear(image / 255.0) * factor), 255.0)
 
 
 def _of_gltf(path: Path, shape: Shape) -> Appearance:
@@ -185,10 +193,12 @@ def _of_gltf(path: Path, shape: Shape) -> Appearance:
     if len(look.coordinates) != shape.n_faces or len(look.colours) != shape.n_points:
         raise DataError(f"{path} was changed since its shape was read; read it again")
     colours = None if np.isnan(look.colours).all() else look.colours
-    if all(material.image is None for material in look.materials) or shape.faces is None:
+    bare = all(material.image is None for material in look.materials)
+    tells = colours is None and tells_colours([material.colour for material in look.materials])
+    if (bare and not tells) or shape.faces is None:
         return Appearance(point_colours=colours)
     images = [_WHITE if m.image is None else read_image(m.image, f"{path}, its texture") for m in look.materials]
-    tinted = [_tinted(image, np.array(m.colour)) for image, m in zip(images, look.materials, strict=True)]
+    tinted = [_lit(image, np.array(m.colour)) for image, m in zip(images, look.materials, strict=True)]
     return Appearance(Texture(look.coordinates, look.material_of, tuple(tinted)), colours)
 
 
@@ -198,3 +208,20 @@ _READERS: dict[str, Callable[[Path, Shape], Appearance]] = {
     ".glb": _of_gltf,
     ".gltf": _of_gltf,
 }
+
+
+def left_out(path: Path) -> tuple[str, ...]:
+    """What a file says of a shape's look that ``read_appearance`` does not read, such as normal maps."""
+    found = {".obj": _left_out_of_obj, ".glb": _left_out_of_gltf, ".gltf": _left_out_of_gltf}.get(path.suffix.lower())
+    with _blamed(path):
+        return () if found is None else tuple(sorted(found(path)))
+
+
+def files_of_look(path: Path) -> tuple[Path, ...]:
+    """The files beside a shape's own that its texture and colours are read from."""
+    with _blamed(path):
+        if path.suffix.lower() == ".obj":
+            return tuple(obj_files(path))
+        if path.suffix.lower() in (".glb", ".gltf"):
+            return tuple(m.image for m in read_gltf_look(path).materials if isinstance(m.image, Path))
+    return ()

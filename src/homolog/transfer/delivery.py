@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from jaxtyping import UInt8
 
-from homolog.core.choices import TEXTURE_SIZE, System
+from homolog.core.choices import TEXTURE_SIZE, Side, System
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import (
     all_or_nothing,
@@ -20,12 +21,14 @@ from homolog.core.files import (
     write_npy,
 )
 from homolog.shapes import drawable, write_shape
-from homolog.transfer.appearance import Appearance, Checkerboard
+from homolog.transfer.appearance import Appearance, Checkerboard, left_out
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels
 from homolog.transfer.landmarks import read_landmarks
 from homolog.transfer.obj import write_obj
+from homolog.transfer.projection import SurfaceProjector
+from homolog.transfer.skin import Skin
 from homolog.transfer.transfer import Transfer, no_counterpart_label
 
 Kind = Literal["texture", "colours", "skin"]
@@ -51,8 +54,10 @@ class Delivery:
 
     Args:
         transfer: along which match.
-        axes: the anatomical axes of both shapes, for landmark files that state theirs.
+        axes: the anatomical axes of both shapes, for landmark files that state theirs; None for those that the shapes'
+            files name, as 3D Slicer writes them, or LPS.
         texture_size: texels along the width of a new texture.
+        target: the target's own file, whose look and skin are kept where no other is transferred.
 
     Examples:
         >>> delivery = Delivery(Transfer(homolog.Match.load("result")))  # doctest: +SKIP
@@ -60,8 +65,15 @@ class Delivery:
         >>> delivery.write(Path("transferred"), {})  # doctest: +SKIP
     """
 
-    def __init__(self, transfer: Transfer, *, axes: System = "LPS", texture_size: int = TEXTURE_SIZE) -> None:
-        self.transfer, self.axes, self.texture_size = transfer, axes, texture_size
+    def __init__(
+        self,
+        transfer: Transfer,
+        *,
+        axes: System | None = None,
+        texture_size: int = TEXTURE_SIZE,
+        target: Original | None = None,
+    ) -> None:
+        self.transfer, self.axes, self.texture_size, self.target = transfer, axes, texture_size, target
         self.notes: list[str] = []
         """Messages for the user, a line each, complete after ``write``."""
         self._inputs: list[Path] = []
@@ -98,8 +110,8 @@ class Delivery:
         landmarks = read_landmarks(path)
 
         def write(folder: Path) -> dict[str, Any]:
-            images, distances = self.transfer.landmarks(landmarks.points_in(self.axes))
-            landmarks.write_from(folder / path.name, images, self.axes)
+            images, distances = self.transfer.landmarks(landmarks.points_in(self._axes_of("source")))
+            landmarks.write_from(folder / path.name, images, self._axes_of("target"))
             unmatched = int((np.isfinite(distances) & np.isnan(images[:, 0])).sum())
             farthest = float(np.nanmax(distances)) if np.isfinite(distances).any() else None
             self._note_landmarks(path, unmatched, farthest)
@@ -127,12 +139,14 @@ class Delivery:
             texture = self._texture(folder, original.appearance) if "texture" in kinds else None
             colours = self.transfer.colours(original.appearance) if "colours" in kinds else None
             skin = self.transfer.skin(original.skin) if "skin" in kinds and original.skin is not None else None
+            if texture is not None or colours is not None:
+                self._note_left_out(original)
             written = [_OBJ, _MTL, _PNG] if texture is not None else []
             if colours is not None:
                 write_shape(folder / _PLY, drawn, colours=colours)
                 written.append(_PLY)
             if drawn.faces is not None:
-                write_glb(folder / _GLB, self.transfer.target, texture=texture, colours=colours, skin=skin)
+                self._write_glb(folder / _GLB, texture, colours, skin)
                 written.append(_GLB)
             return {name: {"kind": "contents", "file": str(original.path), "holds": sorted(kinds)} for name in written}
 
@@ -187,6 +201,39 @@ class Delivery:
             }
             write_json(root / _REPORT, report | {"target": target, "files": files})
         return [root / name for name in (*files, _REPORT)]
+
+    def _write_glb(
+        self,
+        path: Path,
+        texture: tuple[Atlas, bytes] | None,
+        colours: UInt8[np.ndarray, "n 3"] | None,
+        skin: Skin | None,
+    ) -> None:
+        """Write the target with what is transferred, and with its own look or skin where no other is."""
+        own = self.target
+        if own is None or own.shape.faces is None:
+            write_glb(path, self.transfer.target, texture=texture, colours=colours, skin=skin)
+            return
+        skin = own.skin if skin is None else skin
+        look = None
+        if texture is None and colours is None:
+            self._note_left_out(own)
+            look, of_points = own.appearance.texture, own.appearance.point_colours
+            colours = (
+                None if of_points is None else np.round(255 * np.nan_to_num(of_points).clip(0, 1)).astype(np.uint8)
+            )
+        # The look counts the faces of the file.
+        projector = SurfaceProjector(own.shape) if look is not None else self.transfer.target
+        write_glb(path, projector, texture=texture, colours=None if look is not None else colours, look=look, skin=skin)
+
+    def _axes_of(self, side: Side) -> System:
+        """The anatomical axes of a shape: those that were given, or that its file names."""
+        named = self.transfer.found.report.get("inputs", {}).get(side, {}).get("space")
+        return self.axes or ("RAS" if named == "RAS" else "LPS")
+
+    def _note_left_out(self, original: Original) -> None:
+        if names := left_out(original.path):
+            self.notes.append(f"{original.path.name}: left out of its look: {', '.join(names)}")
 
     def _note_landmarks(self, path: Path, unmatched: int, farthest: float | None) -> None:
         if unmatched:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -13,9 +13,12 @@ from scipy.spatial.transform import Rotation
 from homolog.core.errors import needs_extra
 from homolog.core.files import atomic_path
 from homolog.geometry import unit
-from homolog.shapes import drawable
+from homolog.shapes import Shape, drawable
+from homolog.shapes.cleaning import clean
 from homolog.shapes.formats.gltf import GlbWriter
+from homolog.transfer.appearance import Texture
 from homolog.transfer.atlas import Atlas
+from homolog.transfer.gltf import linear
 from homolog.transfer.projection import SurfaceProjector
 from homolog.transfer.skin import Skin, strongest_influences
 
@@ -44,40 +47,90 @@ def write_glb(
     *,
     texture: tuple[Atlas, bytes] | None = None,
     colours: UInt8[np.ndarray, "n 3"] | None = None,
+    look: Texture | None = None,
     skin: Skin | None = None,
 ) -> None:
     """Write a mesh with normals, texture or vertex colours, and a skin as GLB; the whole file or none.
 
-    Points keep their indices, unless there is a texture: then the points at its seams are repeated.
+    Points keep their indices, unless there is a texture or a look: then the points at seams are repeated.
 
     Args:
         path: the file; its folder exists.
         projector: the mesh.
         texture: its atlas, and the image as a PNG file.
         colours: of its points; passed over where there is a texture, which programs would multiply with them.
+        look: the images of the mesh's own file, in place of ``texture``; those of one texel become colours.
         skin: skeleton and skinning weights.
     """
     glb = GlbWriter()
     shape = drawable(projector.given)
     assert shape.faces is not None
-    point_of = np.arange(shape.n_points) if texture is None else texture[0].point_of
-    faces = shape.faces if texture is None else texture[0].faces
-    attributes = {"POSITION": glb.accessor(shape.points[point_of].astype("<f4"), bounds=True)}
-    attributes["NORMAL"] = glb.accessor(_normals(projector)[point_of].astype("<f4"))
     if texture is not None:
-        attributes["TEXCOORD_0"] = glb.accessor(texture[0].uv.astype("<f4"))
-    elif colours is not None:
-        attributes["COLOR_0"] = _colours(glb, colours)
-    if skin is not None:
-        attributes |= _influences(glb, skin, point_of)
-    material = glb.add("materials", _material(glb, None if texture is None else texture[1]))
-    primitive = {"attributes": attributes, "indices": _indices(glb, faces), "material": material}
-    node: dict[str, Any] = {"mesh": glb.add("meshes", {"primitives": [primitive]}), "name": path.stem}
+        pieces = [_Piece(texture[0].point_of, texture[0].faces, texture[0].uv, texture[1])]
+    elif look is not None:
+        pieces = _pieces(projector.given, look)
+    else:
+        pieces = [_Piece(np.arange(shape.n_points), shape.faces)]
+    normals, primitives = _normals(projector), list[dict[str, Any]]()
+    for piece in pieces:
+        attributes = {"POSITION": glb.accessor(shape.points[piece.point_of].astype("<f4"), bounds=True)}
+        attributes["NORMAL"] = glb.accessor(normals[piece.point_of].astype("<f4"))
+        if piece.uv is not None:
+            attributes["TEXCOORD_0"] = glb.accessor(piece.uv.astype("<f4"))
+        elif colours is not None:
+            attributes["COLOR_0"] = _colours(glb, colours)
+        if skin is not None:
+            attributes |= _influences(glb, skin, piece.point_of)
+        material = glb.add("materials", _material(glb, piece, clamped=look is None))
+        primitives.append({"attributes": attributes, "indices": _indices(glb, piece.faces), "material": material})
+    node: dict[str, Any] = {"mesh": glb.add("meshes", {"primitives": primitives}), "name": path.stem}
     roots = [] if skin is None else _skeleton(glb, skin, node)
     glb.header["scenes"] = [{"nodes": [*roots, glb.add("nodes", node)]}]
     glb.header["scene"] = 0
     with atomic_path(path) as temporary:
         temporary.write_bytes(glb.content())
+
+
+class _Piece(NamedTuple):
+    """Triangles of one material.
+
+    Args:
+        point_of: for each of its vertices the point of the shape.
+        faces: of its vertices.
+        uv: texture coordinates of its vertices.
+        image: as a PNG file.
+        colour: a factor of linear light.
+    """
+
+    point_of: Int[np.ndarray, " v"]
+    faces: Int[np.ndarray, "m 3"]
+    uv: Float[np.ndarray, "v 2"] | None = None
+    image: bytes | None = None
+    colour: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+
+def _pieces(given: Shape, look: Texture) -> list[_Piece]:
+    """The triangles of each image; vertices are repeated where texture coordinates or images change."""
+    kept = clean(given).kept_faces
+    assert given.faces is not None and kept is not None
+    faces, coordinates, image_of = given.faces[kept], look.coordinates[kept], look.image_of[kept]
+    # Parts of a scene that share an image share a material.
+    number_of: dict[bytes, int] = {}
+    same = np.array(
+        [number_of.setdefault(i.tobytes() + bytes(str(i.shape), "ascii"), n) for n, i in enumerate(look.images)]
+    )
+    found = list[_Piece]()
+    for number in np.unique(same[image_of]).tolist():
+        which, image = same[image_of] == number, look.images[number]
+        rows = np.concatenate([faces[which][..., None], coordinates[which]], axis=2).reshape(-1, 3)
+        vertices, vertex_of = np.unique(rows, axis=0, return_inverse=True)
+        plain = image.shape[:2] == (1, 1)
+        uv = None if plain and not np.ptp(vertices[:, 1:], axis=0).any() else vertices[:, 1:]
+        red, green, blue = linear(image[0, 0] / 255.0).tolist() if plain else (1.0, 1.0, 1.0)
+        content = None if plain else png(image)
+        of_points = vertices[:, 0].astype(np.int64)
+        found.append(_Piece(of_points, vertex_of.reshape(-1, 3), uv, content, (red, green, blue)))
+    return found
 
 
 def _normals(projector: SurfaceProjector) -> Float[np.ndarray, "n 3"]:
@@ -103,11 +156,15 @@ def _influences(glb: GlbWriter, skin: Skin, point_of: Int[np.ndarray, " v"]) -> 
     return {"JOINTS_0": glb.accessor(joints.astype("<u2")), "WEIGHTS_0": glb.accessor(weights.astype("<f4"))}
 
 
-def _material(glb: GlbWriter, image: bytes | None) -> dict[str, Any]:
+def _material(glb: GlbWriter, piece: _Piece, *, clamped: bool) -> dict[str, Any]:
     looks: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 0.9}
-    if image is not None:
-        filters = {"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP_LINEAR, "wrapS": _CLAMP, "wrapT": _CLAMP}
-        source = glb.add("images", {"bufferView": glb.view(image), "mimeType": "image/png"})
+    if piece.colour != (1.0, 1.0, 1.0):
+        looks["baseColorFactor"] = [*piece.colour, 1.0]
+    if piece.image is not None:
+        # An atlas has no neighbours beyond its edge; the images of files repeat.
+        wrap = {"wrapS": _CLAMP, "wrapT": _CLAMP} if clamped else {}
+        filters = {"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP_LINEAR, **wrap}
+        source = glb.add("images", {"bufferView": glb.view(piece.image), "mimeType": "image/png"})
         texture = glb.add("textures", {"source": source, "sampler": glb.add("samplers", filters)})
         looks["baseColorTexture"] = {"index": texture}
     return {"pbrMetallicRoughness": looks, "doubleSided": True}

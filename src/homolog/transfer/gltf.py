@@ -59,11 +59,45 @@ def read_gltf_look(path: Path) -> GltfLook:
 
 def _corners(file: Gltf, part: Part) -> Float[np.ndarray, "m 3 2"]:
     """The texture coordinates of a part's triangles; zeros without any."""
-    name = f"TEXCOORD_{_colours_of(file, part.primitive)[0].get('texCoord', 0)}"
+    texture = _colours_of(file, part.primitive)[0]
+    moved = texture.get("extensions", {}).get("KHR_texture_transform", {})
+    name = f"TEXCOORD_{moved.get('texCoord', texture.get('texCoord', 0))}"
     if name not in part.primitive["attributes"]:
         return np.zeros((len(part.faces), 3, 2))
     corners: np.ndarray = file.accessor(part.primitive["attributes"][name]).astype(np.float64)[part.faces]
-    return corners
+    angle = moved.get("rotation", 0.0)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    moved_corners: np.ndarray = (corners * moved.get("scale", (1.0, 1.0))) @ turn.T + moved.get("offset", (0.0, 0.0))
+    return moved_corners
+
+
+def srgb(linear: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
+    """Colours as images hold them, of those in linear light, as glTF has factors of colour; both from 0 to 1."""
+    dark, bright = 12.92 * linear, 1.055 * np.maximum(linear, 0.0) ** (1 / 2.4) - 0.055
+    return np.where(linear <= 0.0031308, dark, bright)
+
+
+def linear(srgb: Float[np.ndarray, ...]) -> Float[np.ndarray, ...]:
+    """Colours in linear light of those that images hold; both from 0 to 1."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+# What materials and meshes have that a transfer does not carry, and how it is called.
+_NOT_CARRIED = {
+    "normalTexture": "normal maps",
+    "occlusionTexture": "occlusion maps",
+    "emissiveTexture": "emission",
+    "emissiveFactor": "emission",
+    "metallicRoughnessTexture": "metal and roughness",
+}
+
+
+def looks_left_out(path: Path) -> set[str]:
+    """What a glTF says of its look beside the colours that ``read_gltf_look`` reads."""
+    materials = Gltf(path).header.get("materials", [])
+    keys = {key for material in materials for key in (*material, *material.get("pbrMetallicRoughness", {}))}
+    left_out = {called for key, called in _NOT_CARRIED.items() if key in keys}
+    return left_out | {"transparency" for material in materials if material.get("alphaMode", "OPAQUE") != "OPAQUE"}
 
 
 def _colours_of(file: Gltf, primitive: dict[str, Any]) -> tuple[dict[str, Any], list[float]]:

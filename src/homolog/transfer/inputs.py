@@ -14,7 +14,7 @@ from homolog.core.files import expanded, sha256
 from homolog.matching import Match
 from homolog.pairs import Side
 from homolog.shapes import Shape, files_of_shape, read_shape
-from homolog.transfer.appearance import Appearance, read_appearance
+from homolog.transfer.appearance import Appearance, files_of_look, read_appearance
 from homolog.transfer.skin import Skin, read_skin
 
 
@@ -42,8 +42,8 @@ class Original:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All the files that its shape is read from."""
-        return files_of_shape(self.path)
+        """All the files that its shape and its look are read from."""
+        return (*files_of_shape(self.path), *files_of_look(self.path))
 
 
 def read_original(result: Match, side: Side, path: Path | None = None) -> Original:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -63,33 +65,86 @@ def read_obj_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
 
 
 def read_obj_texture(path: Path) -> ObjTexture | None:
-    """The texture of an OBJ file, for the triangles that ``read_shape`` makes of it; None if no face has an image.
+    """The images and colours of an OBJ file's materials, for the triangles that ``read_shape`` makes of it.
+
+    None if no face has an image, and all have the same grey, which says nothing.
 
     Raises:
-        DataError: if its materials are missing.
+        DataError: if its materials are missing, though faces have texture coordinates.
     """
     statements = obj_statements(read_text(path))
     coordinates = _Coordinates()
     for key, rest in statements:
         coordinates.take(key, rest)
-    if not any(number >= 0 for number in coordinates.numbers):
+    if not coordinates.material_of:
         return None
     known = dict[str, Material]()
-    for library in (rest for key, rest in statements if key == "mtllib"):
-        for file in _library_files(path.parent, library):
-            known |= _materials(file)
+    for file in libraries(path, statements, may_lack=all(number < 0 for number in coordinates.numbers)):
+        known |= _materials(file)
     names = list(dict.fromkeys(coordinates.material_of))
     materials = tuple(_material(known, name) for name in names)
-    if all(material.image is None for material in materials):
+    if all(material.image is None for material in materials) and not tells_colours([m.colour for m in materials]):
         return None
     return coordinates.assembled(parse_obj(statements), names, materials)
 
 
+def tells_colours(colours: Sequence[tuple[float, float, float]]) -> bool:
+    """Whether the colours of materials say anything of a shape: more than one grey, which all programs write."""
+    return len({*colours}) > 1 or any(len({*colour}) > 1 for colour in colours)
+
+
+def libraries(path: Path, statements: list[tuple[str, str]], *, may_lack: bool = False) -> list[Path]:
+    """The files of materials that the statements of an OBJ file name.
+
+    Raises:
+        DataError: if one is not there, unless ``may_lack``.
+    """
+    named = [rest for key, rest in statements if key == "mtllib"]
+    files = [file for library in named for file in _library_files(path.parent, library)]
+    for file in files:
+        if not file.is_file() and not may_lack:
+            raise DataError(f"{file}, the materials of an OBJ file, is not there; put it beside that file")
+    return [file for file in files if file.is_file()]
+
+
+def obj_files(path: Path) -> list[Path]:
+    """The files that an OBJ's materials and images are read from; those that are not there are left out."""
+    files = libraries(path, obj_statements(read_text(path)), may_lack=True)
+    images = [material.image for file in files for material in _materials(file).values()]
+    return [*files, *(image for image in images if image is not None and image.is_file())]
+
+
+# What materials have that a transfer does not carry, and how it is called.
+_NOT_CARRIED = {
+    "normal maps": ("bump", "map_bump", "norm", "disp"),
+    "gloss": ("map_ks", "map_ns", "refl"),
+    "transparency": ("map_d",),
+    "emission": ("map_ke",),
+}
+
+
+def looks_left_out(path: Path) -> set[str]:
+    """What an OBJ's materials say of its look beside images and colours."""
+    files = libraries(path, obj_statements(read_text(path)), may_lack=True)
+    keys = {key for file in files for key, _ in obj_statements(read_text(file))}
+    return {called for called, of_it in _NOT_CARRIED.items() if keys & {*of_it}}
+
+
 def _material(known: dict[str, Material], name: str) -> Material:
-    """The material of a name, which a comment may follow."""
-    while name not in known and " #" in name:
+    """The material of a name, which a comment may follow; in another case if need be."""
+    lower = {other.lower(): material for other, material in known.items()}
+    for spelling in _without_comments(name):
+        if found := known.get(spelling, lower.get(spelling.lower())):
+            return found
+    return Material()
+
+
+def _without_comments(name: str) -> Iterator[str]:
+    """A name, and then what is left of it where each of its marks of comments begins one, the last mark first."""
+    yield name
+    while " #" in name:
         name = name.rpartition(" #")[0].rstrip()
-    return known.get(name, Material())
+        yield name
 
 
 class _Coordinates:
@@ -134,18 +189,10 @@ class _Coordinates:
 
 
 def _library_files(folder: Path, words: str) -> list[Path]:
-    """The files of materials that a statement names: one whose name may hold blanks, or several.
-
-    Raises:
-        DataError: if one is not there.
-    """
+    """The files of materials that a statement names: one whose name may hold blanks, or several."""
     whole = _beside(folder, words)
     names = [words] if whole.is_file() else re.findall(r'"[^"]+"|\S.*?\.mtl(?=\s|$)', words, re.IGNORECASE) or [words]
-    files = [_beside(folder, name) for name in names]
-    for file in files:
-        if not file.is_file():
-            raise DataError(f"{file}, the materials of an OBJ file, is not there; put it beside that file")
-    return files
+    return [_beside(folder, name) for name in names]
 
 
 def _materials(library: Path) -> dict[str, Material]:
@@ -181,16 +228,23 @@ def _textured(material: Material, words: str, folder: Path) -> Material:
 
 
 def _beside(folder: Path, name: str) -> Path:
-    """The file of a name, beside another file or below it: in other case, or without its folders, if need be."""
-    place = folder / name.strip().strip('"').replace("\\", "/")
-    for candidate in (place, folder / place.name):
-        if candidate.is_file():
-            return candidate
-        if candidate.parent.is_dir():
-            alike = [file for file in candidate.parent.iterdir() if file.name.lower() == candidate.name.lower()]
-            if alike:
-                return min(alike)
-    return folder / place.name
+    """The file of a name, beside another file or below it.
+
+    If need be without some of its folders, in other case, without a comment behind it, or with what ``%`` quotes.
+    """
+    spellings = [spelling.strip().strip('"').replace("\\", "/") for spelling in _without_comments(name)]
+    for spelling in dict.fromkeys([*spellings, *map(unquote, spellings)]):
+        words = Path(spelling.lstrip("/")).parts
+        # An absolute path is of another machine, but its last folders may be there.
+        places = (folder.joinpath(*words[first:]) for first in range(len(words)))
+        for place in (folder / spelling, *places):
+            if place.is_file():
+                return place
+            if place.parent.is_dir():
+                alike = [file for file in place.parent.iterdir() if file.name.lower() == place.name.lower()]
+                if alike:
+                    return min(alike)
+    return folder / Path(spellings[-1]).name
 
 
 def write_obj(

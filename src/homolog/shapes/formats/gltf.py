@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
-from urllib.parse import unquote
+from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,7 +27,7 @@ Pose = Literal["posed", "rest"]
 """Skinned meshes as their joints pose them in the file, as viewers show them, or as they were bound."""
 
 _DRACO = "KHR_draco_mesh_compression"
-_MESHOPT = "EXT_meshopt_compression"
+_MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _INSTANCES = "EXT_mesh_gpu_instancing"
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -57,7 +57,9 @@ class Gltf:
         self.files = _files_beside(path.parent, self.header)
         entries = self.header.get("buffers", [])
         available = len(content) + sum(file.stat().st_size for file in self.files.values())
-        check_claim(sum(int(entry["byteLength"]) for entry in entries), "bytes of buffers", 1, available)
+        # Compressed files have buffers without content, which what they hold is unpacked to.
+        held = [entry for number, entry in enumerate(entries) if "uri" in entry or (binary is not None and number == 0)]
+        check_claim(sum(int(entry["byteLength"]) for entry in held), "bytes of buffers", 1, available)
         for accessor in self.header.get("accessors", []):
             check_claim(int(accessor["count"]), "elements", 1, available)
         self._entries, self._binary = entries, binary
@@ -71,16 +73,14 @@ class Gltf:
         name = entry.get("uri")
         if name is None:
             return self._binary if number == 0 else None
-        if name.startswith("data:"):
-            return base64.b64decode(name.partition(",")[2])
-        return self.files[name].read_bytes()
+        return _embedded(name) if name.startswith("data:") else self.files[name].read_bytes()
 
     def view(self, number: int) -> bytes:
         """The bytes of a buffer view."""
         view = self.header["bufferViews"][number]
         content: bytes | None = self.buffers[view["buffer"]]
         if content is None:
-            raise self._compressed(_MESHOPT)
+            raise self._compressed(_used(view, *_MESHOPT) or _MESHOPT[0])
         start = int(view.get("byteOffset", 0))
         end = start + int(view["byteLength"])
         if not 0 <= start <= end <= len(content):
@@ -118,12 +118,7 @@ class Gltf:
         if "uri" not in entry:
             return self.view(entry["bufferView"])
         name = str(entry["uri"])
-        if name.startswith("data:"):
-            return base64.b64decode(name.partition(",")[2])
-        file = (self.folder / unquote(name)).resolve()
-        if "://" in name or not file.is_relative_to(self.folder.resolve()):
-            raise UnreadableError(f"it refers to {shorten(name)!r} outside its own folder; put that file beside it")
-        return file
+        return _embedded(name) if name.startswith("data:") else _file_beside(self.folder, name)
 
     def _compressed(self, extension: str) -> UnreadableError:
         return UnreadableError(f"it is compressed with {extension}; export it without compression")
@@ -157,6 +152,9 @@ class Gltf:
             roots = [number for number in range(len(self.nodes)) if number not in self.parents]
         found, waiting = list[int](), list(reversed(roots))
         while waiting:
+            if _is_hidden(self.nodes[waiting[-1]]):
+                waiting.pop()
+                continue
             found.append(waiting.pop())
             if len(found) > len(self.nodes):
                 raise UnreadableError("its nodes make no tree; export it again")
@@ -166,19 +164,37 @@ class Gltf:
     def check_compression(self) -> None:
         """Refuse a file whose numbers, or some of them, exist in compressed form alone."""
         required = self.header.get("extensionsRequired", [])
-        for extension in (_DRACO, _MESHOPT):
+        for extension in (_DRACO, *_MESHOPT):
             if extension in required:
                 raise self._compressed(extension)
         accessors = self.header.get("accessors", [])
         for primitive in (entry for mesh in self.header.get("meshes", []) for entry in mesh["primitives"]):
-            position = accessors[primitive["attributes"]["POSITION"]]
-            if _DRACO in primitive.get("extensions", {}) and "bufferView" not in position:
+            numbers = [primitive["attributes"].get("POSITION"), primitive.get("indices")]
+            held = all("bufferView" in accessors[number] for number in numbers if number is not None)
+            if not held and _used(primitive, _DRACO):
                 raise self._compressed(_DRACO)
+
+
+def _used(entry: dict[str, Any], *extensions: str) -> str | None:
+    """The first of some extensions that an object has."""
+    return next((name for name in extensions if name in entry.get("extensions", {})), None)
+
+
+def _is_hidden(node: dict[str, Any]) -> bool:
+    """Whether viewers show neither a node nor what is below it."""
+    return not node.get("extensions", {}).get("KHR_node_visibility", {}).get("visible", True)
+
+
+def _embedded(uri: str) -> bytes:
+    """The content of a URI that begins with ``data:``."""
+    kind, _, content = uri.partition(",")
+    plain = unquote_to_bytes(content)
+    return base64.b64decode(plain) if kind.endswith(";base64") else plain
 
 
 def _opened(path: Path, content: bytes) -> tuple[dict[str, Any], bytes | None]:
     """The header, and the binary chunk of a GLB."""
-    if path.suffix.lower() == ".glb":
+    if content.startswith(b"glTF") or (path.suffix.lower() == ".glb" and not content.lstrip().startswith(b"{")):
         return _glb_chunks(content)
     return _checked_header(content), None
 
@@ -225,14 +241,23 @@ def _files_beside(folder: Path, header: dict[str, Any]) -> dict[str, Path]:
     for name in [str(b["uri"]) for b in header.get("buffers", []) if "uri" in b]:
         if name.startswith("data:"):
             continue
-        file = (folder / unquote(name)).resolve()
-        if "://" in name or file.parent != folder.resolve():
-            raise UnreadableError(f"it refers to {shorten(name)!r} outside its own folder; put that file beside it")
+        file = _file_beside(folder, name)
         if not file.is_file():
             mend = "put that file there, or export as GLB, one file for all"
             raise UnreadableError(f"it refers to {shorten(name)!r}, which is not beside it; {mend}")
         files[name] = file
     return files
+
+
+def _file_beside(folder: Path, name: str) -> Path:
+    """The file of a URI, which must lie in the glTF's own folder or below it; some programs do not quote its name."""
+    for spelling in (unquote(name), name):
+        file = (folder / spelling).resolve()
+        if "://" in name or not file.is_relative_to(folder.resolve()):
+            raise UnreadableError(f"it refers to {shorten(name)!r} outside its own folder; put that file beside it")
+        if file.is_file():
+            return file
+    return (folder / unquote(name)).resolve()
 
 
 class Part(NamedTuple):
@@ -273,7 +298,7 @@ def parts(file: Gltf, *, pose: Pose = "posed") -> Iterator[Part]:
             known = dict[str, int]()
             for primitive in mesh["primitives"]:
                 mode = primitive.get("mode", _TRIANGLES)
-                if mode != _POINTS and mode < _TRIANGLES:
+                if (mode != _POINTS and mode < _TRIANGLES) or not _positions(primitive):
                     continue
                 key = _key(primitive)
                 points = np.zeros((0, 3))
@@ -404,7 +429,7 @@ def _check_size(file: Gltf) -> None:
     header = file.header
     accessors = header.get("accessors", [])
     sizes = [
-        sum(int(accessors[p["attributes"]["POSITION"]]["count"]) for p in m["primitives"])
+        sum(int(accessors[number]["count"]) for p in m["primitives"] for number in _positions(p))
         for m in header.get("meshes", [])
     ]
     total = 0
@@ -416,6 +441,11 @@ def _check_size(file: Gltf) -> None:
         raise UnreadableError(f"its scene has {total} points, more than {_MOST_POINTS}; export one object alone")
 
 
+def _positions(primitive: dict[str, Any]) -> tuple[int, ...]:
+    """The accessor of a primitive's points; none of one without points, which is not drawn."""
+    return (primitive["attributes"]["POSITION"],) if "POSITION" in primitive["attributes"] else ()
+
+
 def _notes(file: Gltf, pose: Pose) -> Iterator[Finding]:
     """What viewers show that a shape has not, and what of the file the scene leaves out."""
     shown = set(file.shown())
@@ -423,8 +453,10 @@ def _notes(file: Gltf, pose: Pose) -> Iterator[Finding]:
     n_lines = sum(0 < p.get("mode", _TRIANGLES) < _TRIANGLES for mesh in meshes for p in mesh["primitives"])
     if n_lines:
         yield left_out("primitives of lines", n_lines, "a shape has points and triangles")
+    if n_empty := sum(not _positions(p) for mesh in meshes for p in mesh["primitives"]):
+        yield left_out("primitives without points", n_empty, "viewers do not show them either")
     if hidden := sum("mesh" in node for number, node in enumerate(file.nodes) if number not in shown):
-        yield left_out("meshes outside the scene", hidden, "viewers do not show them either")
+        yield left_out("meshes outside the scene or hidden", hidden, "viewers do not show them either")
     if skinned := sum("skin" in file.nodes[node] and "mesh" in file.nodes[node] for node in shown):
         how = "posed by their joints, as viewers show them" if pose == "posed" else "at rest, as they were bound"
         yield Finding("skinned meshes", skinned, "note", how)

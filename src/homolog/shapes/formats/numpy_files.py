@@ -23,8 +23,10 @@ from homolog.shapes.formats.parsing import (
 from homolog.shapes.shape import Shape
 
 # The names of arrays, in lower case, the first that is there.
-_POINT_KEYS = ("points", "vertices", "verts", "v", "xyz")
-_FACE_KEYS = ("faces", "triangles", "tris", "f")
+_POINT_KEYS = ("points", "vertices", "verts", "v", "xyz", "pos", "positions", "coords", "coordinates", "pts", "pc")
+_FACE_KEYS = ("faces", "triangles", "tris", "f", "face", "triangle", "tri", "polygons", "polys", "cells")
+# Three rows of more numbers than this are faces as columns, and not three polygons.
+_MOST_CORNERS = 8
 # Coordinates hardly compress; an archive that grows more than this is made to fill the memory.
 _MOST_COMPRESSION = 200
 _ALWAYS_ALLOWED = 64 * 2**20
@@ -44,7 +46,10 @@ def read_npz(path: Path) -> Arrays:
         raise UnreadableError(f"it is no archive of arrays; {CUT_OFF}") from None
     with archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        point_key, face_key = _key(members, _POINT_KEYS), _key(members, _FACE_KEYS)
+        # An array that stands alone needs no name.
+        point_key = next(iter(members)) if len(members) == 1 else _key(members, _POINT_KEYS)
+        face_key = _key(members, _FACE_KEYS)
+        face_key = None if face_key == point_key else face_key
         others = sorted(members.keys() - {point_key, face_key})
         if point_key is None:
             found = shorten(", ".join(sorted(members)[:8]) or "nothing", 100)
@@ -61,7 +66,8 @@ def read_npz(path: Path) -> Arrays:
 
 def _triangles(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Faces of three corners as they are, and those of more triangulated."""
-    if faces.ndim == 2 and faces.shape[1] > 3 and faces.dtype.kind in "iu":
+    lying = faces.ndim == 2 and faces.shape[0] == 3 and faces.shape[1] > _MOST_CORNERS
+    if faces.ndim == 2 and faces.shape[1] > 3 and not lying and faces.dtype.kind in "iu":
         corners = faces.astype(np.int64).ravel()
         return polygon_faces(points.astype(np.float64), np.full(len(faces), faces.shape[1]), corners)
     return _columns(faces, "faces", at_most=3)

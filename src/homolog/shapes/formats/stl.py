@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from homolog.shapes.formats.parsing import (
     content_lines,
     left_out,
     number_rows,
-    read_text,
     space_of,
 )
 from homolog.shapes.shape import Shape
@@ -37,8 +37,8 @@ def read(path: Path) -> Arrays:
     content = path.read_bytes()
     announced = int.from_bytes(content[80:_HEAD], "little") if len(content) >= _HEAD else -1
     exact = len(content) == _HEAD + announced * _FACET.itemsize
-    if not exact and content.lstrip()[:5].lower() == b"solid" and b"\0" not in content:
-        corners, notes = _text_corners(read_text(path)), tuple[Finding, ...]()
+    if not exact and content.lstrip()[:5].lower() == b"solid" and b"\0" not in content.rstrip(b"\0"):
+        corners, notes = _text_corners(content.rstrip(b"\0").decode("utf-8", errors="replace")), tuple[Finding, ...]()
     else:
         corners, notes = _binary_corners(content, announced)
     points, faces = _weld(corners)
@@ -59,7 +59,7 @@ def _binary_corners(content: bytes, announced: int) -> tuple[Float[np.ndarray, "
 
 def _text_corners(text: str) -> Float[np.ndarray, "c 3"]:
     """The corners of all facets; each must be complete, but the line ``endsolid`` may be missing."""
-    lines = content_lines(text.lower())
+    lines = [re.sub(r"^end\s+", "end", line) for line in content_lines(text.lower())]
     corners = number_rows([line for line in lines if line.startswith("vertex")], (1, 2, 3))
     n_begun, n_ended = (sum(line.startswith(word) for line in lines) for word in ("facet", "endfacet"))
     if not len(corners) == 3 * n_begun == 3 * n_ended or not n_begun:

@@ -30,13 +30,25 @@ _AXIS = re.compile(
 )
 
 
+# Numbers with decimal commas, with nothing but blanks between them.
+_DECIMAL_COMMAS = re.compile(r"(?=.*\d,\d)(?:[-+]?\d+(?:,\d+)?(?:e[-+]?\d+)?(?:\s+|$)){2,}", re.IGNORECASE)
+# A cell without a number.
+_MISSING = re.compile(r"(?<![^,;\t])[ ]*(?:NA|N/A|null|none)?[ ]*(?=[,;\t]|$)", re.IGNORECASE)
+# What some programs write before a table, to say what separates its cells.
+_SEPARATOR = re.compile(r"sep=.?", re.IGNORECASE)
+
+
 def read(path: Path) -> Arrays:
     """Read a text file with one point a line, separated by commas, semicolons, tabs or blanks.
 
-    ``#`` starts a comment. A first line that holds the number of points is passed over, and so is the line of words
-    behind it in chemists' XYZ. A first row of words, or a comment before the first row, names the columns: those of x,
-    y and z are taken, in whatever case, with a unit in brackets, or as in ``pos_x``. Without names, or where there are
-    only three columns, the first three are; a column of names or row numbers before them is left out.
+    ``#`` starts a comment. Numbers may have decimal commas where something else separates them. A row whose coordinates
+    are empty, or say NA, is a point of NaN.
+
+    A first line that holds the number of points is passed over, and so is the line of words behind it in chemists' XYZ,
+    and before it one that says what separates cells (``sep=;``). A first row of words, or a comment before the first
+    row, names the columns: those of x, y and z are taken, in whatever case, with a unit in brackets, or as in
+    ``pos_x``. Without names, or where there are only three columns, the first three are; a column of names or row
+    numbers before them is left out.
 
     Raises:
         UnreadableError: if more than three columns have names, and x, y and z are not among them.
@@ -44,7 +56,17 @@ def read(path: Path) -> Arrays:
     table = read_table_lines(path)
     if not table.lines:
         return Arrays(np.zeros((0, 3)))
-    return Arrays(number_rows(table.lines, table.columns, delimiter=table.delimiter), notes=table.notes)
+    lines = table.lines if table.delimiter is None else [_with_nan(line, table.columns) for line in table.lines]
+    return Arrays(number_rows(lines, table.columns, delimiter=table.delimiter), notes=table.notes)
+
+
+def _with_nan(line: str, columns: list[int]) -> str:
+    """A row without coordinates as one of NaN; where only some are missing it stays, and is refused."""
+    if not _MISSING.search(line):
+        return line
+    cells = _cells(line)
+    missing = len(cells) > max(columns) and all(_MISSING.fullmatch(cells[column]) for column in columns)
+    return _MISSING.sub("nan", line) if missing else line
 
 
 class TableLines(NamedTuple):
@@ -73,38 +95,47 @@ def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLi
         other_axes: other names that the columns may have in its first row, such as "ras", a letter each.
     """
     text = read_text(path)
-    lines = _without_count(text, content_lines(text))
+    lines = content_lines(text)
+    lines, has_elements = _without_count(text, lines[1:] if lines and _SEPARATOR.fullmatch(lines[0]) else lines)
     if not lines:
         raise UnreadableError("it holds no points")
     names = _names(lines.pop(0)) if _is_header(lines) else []
     if not lines:
         return TableLines([], [0, 1, 2], None)
     delimiter, cells = _delimiter(lines[0]), _cells(lines[0])
+    if delimiter != "," and any("," in line for line in lines):
+        lines = [line.replace(",", ".") for line in lines]
     # A table with one name too few has row numbers or names before its columns, as R writes them.
     names = ["", *names] if names and len(names) + 1 == len(cells) and cells[-1] else names
     for axes in other_axes:
         if all(names.count(axis) == 1 for axis in axes):
             return TableLines(lines, [names.index(axis) for axis in axes], delimiter, axes)
     names = names or _commented_names(text, lines[0])
-    if not names and len(cells) > 3 and _starts_with_index(lines):
+    if not names and len(cells) > 3 and _starts_with_index(lines, repeated=has_elements):
         note = left_out("first column", 1, "it names or numbers the rows")
         return TableLines(lines, [1, 2, 3], delimiter, notes=(note,))
     return TableLines(lines, _xyz_columns(names), delimiter)
 
 
-def _without_count(text: str, lines: list[str]) -> list[str]:
-    """The lines without a first one that holds the number of points, and a comment that may follow it."""
+def _without_count(text: str, lines: list[str]) -> tuple[list[str], bool]:
+    """The lines without a first one that holds the number of points, and a comment that may follow it.
+
+    Returns:
+        The lines, and whether there was such a comment, so that rows may begin with elements.
+    """
     if not lines or not re.fullmatch(r"\d+", lines[0]):
-        return lines
+        return lines, False
     count, rows = int(lines[0]), lines[1:]
     behind = text.partition(lines[0])[2].splitlines()[1:2]
     # Chemists' second line is a comment whatever it holds, be it nothing, or numbers before rows that begin with words.
     is_comment = bool(behind) and len(rows) > 1 and behind[0].strip() == rows[0]
     if is_comment and len(rows) == count + 1 and (not _is_number(_cells(rows[1])[0]) or not _is_numbers(rows[0])):
-        rows = rows[1:]
-    if len(rows) != count:
-        raise UnreadableError(f"its first line announces {count} points, but {len(rows)} lines follow; {CUT_OFF}")
-    return rows
+        # Names of columns are no comment.
+        return (rows, False) if _axes(_names(rows[0])) is not None else (rows[1:], True)
+    if len(rows) != count and not (len(rows) == count + 1 and not _is_numbers(rows[0])):
+        mend = CUT_OFF if len(rows) < count else "correct that number, or keep one of several clouds"
+        raise UnreadableError(f"its first line announces {count} points, but {len(rows)} lines follow; {mend}")
+    return rows, len(rows) == count and behind == [""]
 
 
 def _is_header(lines: list[str]) -> bool:
@@ -116,19 +147,26 @@ def _is_header(lines: list[str]) -> bool:
     return not _is_numbers(lines[0])
 
 
-def _starts_with_index(lines: list[str]) -> bool:
-    """Whether the first cells of all rows are words, or count the rows from 0 or 1."""
-    first = [_cells(line)[0] for line in lines]
+def _starts_with_index(lines: list[str], *, repeated: bool) -> bool:
+    """Whether the first cells of all rows are words, or whole numbers that number the rows.
+
+    They do if they count them from 0 or 1. In any other order they do where no two are equal and the three behind them
+    have decimal places, as points have; ``repeated`` lets them be equal, as the numbers of chemical elements are.
+    """
+    rows = [_cells(line) for line in lines]
+    first = [row[0] for row in rows]
     if not first[0].isdigit():
         return not _is_number(first[0])
-    return first[0] in ("0", "1") and first == [
-        str(number) for number in range(int(first[0]), int(first[0]) + len(first))
-    ]
+    if first[0] in ("0", "1") and first == [str(number + int(first[0])) for number in range(len(first))]:
+        return True
+    whole = all(map(str.isdigit, first)) and (repeated or len({*first}) == len(first))
+    return whole and all("." in cell for row in rows for cell in row[1:4])
 
 
 def _delimiter(line: str) -> str | None:
     """What separates the cells of a line; None for blanks."""
-    return next((mark for mark in ";,\t" if mark in line), None)
+    marks = ";\t" if _DECIMAL_COMMAS.fullmatch(line) else ";,\t"
+    return next((mark for mark in marks if mark in line), None)
 
 
 def _cells(line: str) -> list[str]:
@@ -145,7 +183,7 @@ def _is_numbers(line: str) -> bool:
 
 def _is_number(cell: str) -> bool:
     try:
-        float(cell)
+        float(cell.replace(",", "."))
     except ValueError:
         return False
     return True

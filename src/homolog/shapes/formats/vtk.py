@@ -106,7 +106,8 @@ def _load(path: Path, suffix: str, content: bytes) -> Arrays:
             if done.returncode == _REFUSED
             else "VTK cannot take it in"
         )
-        raise UnreadableError(f"{said}; {CUT_OFF}")
+        # A reason that says itself what to do is not about damage.
+        raise UnreadableError(said if "; " in said else f"{said}; {CUT_OFF}")
     stream = BytesIO(done.stdout)
     points, sizes, corners, strip_sizes, strip_corners = (np.load(stream, allow_pickle=False) for _ in range(5))
     points = points.astype(np.float64)

@@ -27,12 +27,17 @@ from vtkmodules.vtkCommonCore import vtkLogger, vtkOutputWindow, vtkStringOutput
 from vtkmodules.vtkCommonDataModel import (
     VTK_BIQUADRATIC_QUAD,
     VTK_BIQUADRATIC_TRIANGLE,
+    VTK_CONVEX_POINT_SET,
     VTK_PIXEL,
+    VTK_POLYGON,
+    VTK_POLYHEDRON,
     VTK_QUAD,
     VTK_QUADRATIC_LINEAR_QUAD,
+    VTK_QUADRATIC_POLYGON,
     VTK_QUADRATIC_QUAD,
     VTK_QUADRATIC_TRIANGLE,
     VTK_TRIANGLE,
+    VTK_TRIANGLE_STRIP,
     vtkGenericCell,
 )
 from vtkmodules.vtkFiltersGeometry import vtkGeometryFilter
@@ -151,8 +156,7 @@ def surface(data: Any) -> tuple[np.ndarray, ...]:
     nothing = np.zeros(0, dtype=np.int64)
     _cells(data.GetCells(), len(points))
     linear = all(_cell_of(cell_type).IsLinear() for cell_type in np.unique(_types(data)).tolist())
-    polygons = _linear_surface(data) if linear else _quadratic_surface(data)
-    return points, *polygons, nothing, nothing
+    return points, *(_linear_surface(data) if linear else (*_quadratic_surface(data), nothing, nothing))
 
 
 def _cells(cells: Any, n_points: int) -> tuple[np.ndarray, np.ndarray]:
@@ -178,7 +182,7 @@ def _types(data: Any) -> np.ndarray:
     return types
 
 
-def _linear_surface(data: Any) -> tuple[np.ndarray, np.ndarray]:
+def _linear_surface(data: Any) -> tuple[np.ndarray, ...]:
     extract = vtkGeometryFilter()
     extract.PassThroughPointIdsOn()
     extract.SetOriginalPointIdsName("file_index")
@@ -187,9 +191,11 @@ def _linear_surface(data: Any) -> tuple[np.ndarray, np.ndarray]:
         extract.Update()
     found = extract.GetOutput()
     sizes, corners = _cells(found.GetPolys(), found.GetNumberOfPoints())
-    if len(corners):
-        corners = vtk_to_numpy(found.GetPointData().GetArray("file_index")).astype(np.int64)[corners]
-    return sizes, corners
+    strip_sizes, strip_corners = _cells(found.GetStrips(), found.GetNumberOfPoints())
+    if not found.GetNumberOfPoints():
+        return sizes, corners, strip_sizes, strip_corners
+    number = vtk_to_numpy(found.GetPointData().GetArray("file_index")).astype(np.int64)
+    return sizes, number[corners], strip_sizes, number[strip_corners]
 
 
 def _quadratic_surface(data: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -204,22 +210,63 @@ def _quadratic_surface(data: Any) -> tuple[np.ndarray, np.ndarray]:
     inner, keys = list[np.ndarray](), list[np.ndarray]()
     for cell_type in np.unique(types).tolist():
         (cells,) = np.nonzero(types == cell_type)
+        if cell_type in _ANY_NUMBER_OF_CORNERS:
+            for ring, key in (found for cell in cells.tolist() for found in _rings(data, cell)):
+                keys.append(np.sort([key]))
+                pieces.append(np.array([ring]))
+                inner.append(np.ones(1, dtype=np.int64))
+            continue
         is_surface, faces = _faces_of(cell_type)
         for n_corners, nodes, parts in faces:
             of_cells = corners[offsets[cells][:, None] + np.array(nodes)]
-            split = [np.pad(of_cells[:, part], ((0, 0), (0, 4 - len(part))), constant_values=-1) for part in parts]
-            key = np.sort(of_cells[:, :n_corners], axis=1)
-            key = np.pad(key, ((0, 0), (0, 4 - n_corners)), constant_values=-1)
             # Faces that belong to no volume are all kept.
-            keys.append(key if not is_surface else np.column_stack([-2 - cells, *[cells * 0] * 3]))
+            keys.append(np.sort(of_cells[:, :n_corners], axis=1) if not is_surface else -2 - cells[:, None])
             inner.append(np.full(len(cells), len(parts)))
-            pieces.append(np.stack(split, axis=1).reshape(-1, 4))
+            pieces.append(np.stack([_padded(of_cells[:, part], 4) for part in parts], axis=1).reshape(-1, 4))
     if not keys:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    _, which, counts = np.unique(np.concatenate(keys), axis=0, return_inverse=True, return_counts=True)
+    _, which, counts = np.unique(_stacked(keys), axis=0, return_inverse=True, return_counts=True)
     outer = np.repeat((counts == 1)[which.ravel()], np.concatenate(inner))
-    polygons = np.concatenate(pieces)[outer].astype(np.int64)
+    polygons = _stacked(pieces)[outer].astype(np.int64)
     return (polygons >= 0).sum(axis=1), polygons[polygons >= 0]
+
+
+def _padded(rows: np.ndarray, width: int) -> np.ndarray:
+    """Rows of corners made wider with -1."""
+    return np.pad(rows, ((0, 0), (0, width - rows.shape[1])), constant_values=-1)
+
+
+def _stacked(tables: list[np.ndarray]) -> np.ndarray:
+    width = max(table.shape[1] for table in tables)
+    return np.concatenate([_padded(table, width) for table in tables])
+
+
+# Cells whose corners are not as many as their type says.
+_ANY_NUMBER_OF_CORNERS = (VTK_POLYGON, VTK_QUADRATIC_POLYGON, VTK_TRIANGLE_STRIP, VTK_POLYHEDRON, VTK_CONVEX_POINT_SET)
+
+
+def _rings(data: Any, number: int) -> Iterator[tuple[list[int], list[int]]]:
+    """The faces of one such cell as rings of points, and what two cells have in common that share a face."""
+    cell = data.GetCell(number)
+    nodes = _nodes(cell)
+    if cell.GetCellDimension() == 3:
+        for face in range(cell.GetNumberOfFaces()):
+            ring = _nodes(cell.GetFace(face))
+            yield ring, ring
+    elif cell.GetCellType() == VTK_TRIANGLE_STRIP:
+        for first in range(len(nodes) - 2):
+            a, b, c = nodes[first : first + 3]
+            yield ([a, c, b] if first % 2 else [a, b, c]), [-2 - number, first]
+    elif cell.GetCellType() == VTK_QUADRATIC_POLYGON:
+        # The corners come first, then the middles of the edges.
+        half = len(nodes) // 2
+        yield [node for pair in zip(nodes[:half], nodes[half:], strict=True) for node in pair], [-2 - number]
+    else:
+        yield nodes, [-2 - number]
+
+
+def _nodes(cell: Any) -> list[int]:
+    return [cell.GetPointId(position) for position in range(cell.GetNumberOfPoints())]
 
 
 def _cell_of(cell_type: int) -> Any:
@@ -250,7 +297,7 @@ def _faces_of(cell_type: int) -> tuple[bool, list[_Face]]:
     for number in range(1 if dimension == 2 else cell.GetNumberOfFaces()):
         # A cell has one object for all of its faces, one after the other.
         face = cell if dimension == 2 else cell.GetFace(number)
-        nodes = [face.GetPointId(position) for position in range(face.GetNumberOfPoints())]
+        nodes = _nodes(face)
         if face.GetCellType() not in _SPLITS or not nodes:
             raise ValueError(
                 f"its cells of the kind {cell.GetClassName()} are not read; export it with linear cells alone"
