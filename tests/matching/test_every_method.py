@@ -65,7 +65,10 @@ def test_result_is_well_formed(results, blobs, method, modality):
         assert confidences.max() <= 1
         assert len(np.unique(indices)) > 50
     assert found.method == method
-    assert found.warnings == ()
+    # A network is given to every method; those that do not use it say so, and there is nothing else to warn of.
+    left_aside = [warning for warning in found.warnings if "'blobs' are left aside" in warning]
+    assert len(left_aside) == (method in ("registration", "axiomatic"))
+    assert len(found.warnings) == len(left_aside)
 
 
 @every_case
