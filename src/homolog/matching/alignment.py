@@ -20,7 +20,7 @@ from torch import Tensor
 from homolog.features import FeatureExtractor
 from homolog.geometry import Basis, some_points
 from homolog.maps import best_similarity, most_similar, normalised, rigid_motion
-from homolog.pairs import AlignmentSettings, Pair, Preprocessor
+from homolog.pairs import AlignmentSettings, Pair, PreprocessedShape, Preprocessor
 from homolog.shapes import rotation_about
 
 Start: TypeAlias = tuple[Float[Tensor, "n 3"], float]

@@ -127,7 +127,7 @@ def _full_partners(store: ShapeStore) -> dict[str, str]:
     if store.recipe.partial is None:
         return {}
     by_size = (sorted(pair, key=lambda name: store.frame(name).scale) for pair in store.shapes.pairs)
-    return dict(by_size)  # type: ignore[arg-type]
+    return dict(by_size)
 
 
 def _upright(store: ShapeStore, name: str, partners: Mapping[str, str]) -> Similarity:
