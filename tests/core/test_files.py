@@ -1,13 +1,23 @@
 """Paths and files, on their own."""
 
 import csv
+import re
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
 from homolog.core.errors import ArgumentError
-from homolog.core.files import atomic_path, expanded, refuse_overwriting_inputs, sha256, write_csv
+from homolog.core.files import (
+    _remove_abandoned,
+    atomic_path,
+    expanded,
+    refuse_overwriting_inputs,
+    sha256,
+    write_csv,
+    write_json,
+)
 
 
 def written(path):
@@ -73,3 +83,53 @@ def test_outputs_replace_no_file_of_an_input_folder(tmp_path):
     for output in (folder / "off" / "a.off", tmp_path / "link" / "a.off"):
         with pytest.raises(ArgumentError, match="lies in the input"):
             refuse_overwriting_inputs([output], [folder])
+
+
+# Writes a file and says where it has half of it; then waits.
+WRITING = """
+import sys, time
+from homolog.core.files import (
+    _remove_abandoned,
+    atomic_path,
+    expanded,
+    refuse_overwriting_inputs,
+    sha256,
+    write_csv,
+    write_json,
+)
+with atomic_path(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    print(temporary.name, flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.fixture
+def half_written(tmp_path):
+    """A process that is amid writing a file, and the name of the temporary one."""
+    command = [sys.executable, "-c", WRITING, tmp_path / "file.ply"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield process, process.stdout.readline().strip()
+        process.kill()
+
+
+@pytest.mark.process
+def test_what_a_killed_process_leaves_the_next_one_removes(tmp_path, half_written):
+    process, temporary = half_written
+    for name in ("kept.ply", ".hidden.ply", ".homolog-notes"):
+        (tmp_path / name).write_text("the user's")
+    renumbered = re.sub(r"-(\d+)-(\d+)-", lambda found: f"-{found[1]}-{int(found[2]) - 1000}-", temporary)
+    elsewhere = temporary.replace(temporary.split("-")[1], "0" * 8)
+    for name in (renumbered, elsewhere):
+        (tmp_path / name).write_text("half")
+    theirs = {"kept.ply", ".hidden.ply", ".homolog-notes", elsewhere}  # of another machine nothing is known
+
+    _remove_abandoned.cache_clear()
+    write_json(tmp_path / "new.json", {})
+    assert {path.name for path in tmp_path.iterdir()} == theirs | {"new.json", temporary}  # it is still at work
+
+    process.kill()
+    process.wait()
+    _remove_abandoned.cache_clear()
+    write_json(tmp_path / "new.json", {})
+    assert {path.name for path in tmp_path.iterdir()} == theirs | {"new.json"}

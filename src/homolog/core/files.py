@@ -5,12 +5,16 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import os
+import platform
+import re
 import secrets
 import shutil
 import stat
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +27,12 @@ if TYPE_CHECKING:  # commands find out where files are before they load numpy
 # Temporary files, each with the place that it is to take.
 _Moves = dict[Path, Path]
 _open_moves: ContextVar[_Moves | None] = ContextVar("open_moves", default=None)
+# Of all threads, for an end that no thread can be waited for.
+_temporary_files: set[Path] = set()
+# Machine, process and the second in which it began, so that another process can tell whether its writer still lives.
+_TEMPORARY_NAME = re.compile(r"\.homolog-([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{12}(\..*)?", re.DOTALL)
+# The second in which a process began follows from the machine's clock, which may be set meanwhile.
+_CLOCK_SECONDS = 5
 # What begins so, spreadsheets take for a formula, and run it.
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
@@ -86,8 +96,9 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside ``path`` that takes its place when the block ends well.
 
-    On an error or an interrupt the temporary file is removed and ``path`` stays as it was. Who may read it is as with
-    any file, whatever the library that writes it thinks: as before, or as the process makes new files.
+    On an error or an interrupt the temporary file is removed and ``path`` stays as it was. What a killed process has
+    left, the next one that writes into the folder removes. Who may read it is as with any file, whatever the library
+    that writes it thinks: as before, or as the process makes new files.
 
     Args:
         path: the file to write; ``~`` is expanded, and a link is followed, not replaced.
@@ -141,7 +152,7 @@ def all_or_nothing() -> Iterator[_Moves]:
     finally:
         _open_moves.reset(token)
         for temporary in moves:
-            temporary.unlink(missing_ok=True)
+            _removed(temporary)
 
 
 def _land(moves: _Moves) -> None:
@@ -149,7 +160,7 @@ def _land(moves: _Moves) -> None:
         # The last file needs no second name: once it has landed nothing is undone.
         for target in list(moves.values())[:-1]:
             former = _beside(target)
-            always.callback(former.unlink, missing_ok=True)
+            always.callback(_removed, former)
             undo.callback(_restore, target, former, existed=_kept(target, former))
         for temporary, target in moves.items():
             with _blamed(target):
@@ -177,7 +188,65 @@ def _restore(target: Path, former: Path, *, existed: bool) -> None:
 
 
 def _beside(target: Path) -> Path:
-    return target.with_name(f".{secrets.token_hex(6)}{target.suffix}")
+    """A name in the same folder for a temporary file of this process."""
+    process = os.getpid()
+    _remove_abandoned(target.parent, process)
+    temporary = target.with_name(
+        f".homolog-{_machine()}-{process}-{_began(process)}-{secrets.token_hex(6)}{target.suffix}"
+    )
+    _temporary_files.add(temporary)
+    return temporary
+
+
+def _removed(temporary: Path) -> None:
+    temporary.unlink(missing_ok=True)
+    _temporary_files.discard(temporary)
+
+
+def remove_temporary_files() -> None:
+    """Remove what this process is writing, before it ends at once; nothing that it writes may go on after that."""
+    for temporary in list(_temporary_files):
+        with suppress(OSError):
+            temporary.unlink()
+
+
+@cache
+def _remove_abandoned(folder: Path, process: int) -> None:
+    """Remove temporary files of processes of this machine that are no more; once for each process that writes there."""
+    with suppress(OSError):  # of a folder that may be written to, but not listed
+        for path in folder.glob(".homolog-*"):
+            named = _TEMPORARY_NAME.fullmatch(path.name)
+            if named and named[1] == _machine() and not _lives(int(named[2]), int(named[3])):
+                path.unlink(missing_ok=True)
+
+
+def _lives(process: int, began: int) -> bool:
+    """Whether a process is still there, and not another one under its number."""
+    import psutil
+
+    try:
+        found = psutil.Process(process)
+        return found.status() != psutil.STATUS_ZOMBIE and abs(found.create_time() - began) <= _CLOCK_SECONDS
+    except psutil.NoSuchProcess:
+        return False
+    except psutil.AccessDenied:  # it is somebody else's
+        return True
+
+
+@cache
+def _began(process: int) -> int:
+    """The second in which this process began."""
+    import psutil
+
+    return int(psutil.Process(process).create_time())
+
+
+@cache
+def _machine() -> str:
+    """Tells apart machines that share a disk, and containers, whose processes have numbers of their own."""
+    numbers = Path("/proc/self/ns/pid")
+    container = numbers.stat().st_ino if numbers.exists() else 0
+    return hashlib.sha256(f"{platform.node()} {container}".encode()).hexdigest()[:8]
 
 
 @contextmanager
