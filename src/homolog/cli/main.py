@@ -14,12 +14,15 @@ from types import FrameType
 from typing import NoReturn
 
 from homolog.cli.wording import in_options
+from homolog.core.ends import bound_end
 from homolog.core.errors import HomologError
 from homolog.core.threads import tune_threads
 
 # What PyTorch says, in a plain RuntimeError, where there is not enough memory for an array.
 _OUT_OF_MEMORY = re.compile("out of memory|not enough memory|can't allocate memory")
 _INTERRUPTED = "Interrupted; nothing was left half-written."
+# For a command to end by itself after Ctrl-C or a polite kill, its workers included.
+_PATIENCE_SECONDS = 5.0
 
 
 class _Interrupted(BaseException):
@@ -46,6 +49,7 @@ def main() -> None:
         # What libraries tell programmers is noise to users; `python -W default -m homolog` shows it.
         warnings.simplefilter("ignore")
     _hear(_leave)
+    bound_end(_PATIENCE_SECONDS, _leave)
     tune_threads()
     try:
         # Only now, as Ctrl-C must work while the commands are loaded, too.
@@ -94,9 +98,10 @@ def _hear(handler: Callable[[int, FrameType | None], None]) -> None:
         signal.signal(number, handler)
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
+def _leave(number: int, frame: FrameType | None = None) -> NoReturn:
     """End at once: what is raised while libraries are loaded, some of them take for a failure of their own."""
-    os.write(2, f"{_INTERRUPTED}\n".encode())
+    bar_ends = "\x1b[?25h\n" if os.isatty(2) else ""  # a progress bar hides the cursor
+    os.write(2, f"{bar_ends}{_INTERRUPTED}\n".encode())
     os._exit(_Interrupted(number).exit_code)
 
 
