@@ -1,0 +1,89 @@
+"""JSON files that are read back: each has a model of what is read of it, checked before anything of it is believed."""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+
+from homolog.core.errors import DataError
+
+if TYPE_CHECKING:  # loaded once something is checked
+    from pydantic import TypeAdapter
+
+K = TypeVar("K", bound=type[Any])
+
+# No file of ours nests so deep, and what walks through its entries may do so by recursion.
+_DEEPEST = 50
+
+
+def record(kind: K) -> K:
+    """A decorator of typed dictionaries that are models of files: types are kept to, further entries are allowed."""
+    kind.__pydantic_config__ = {"strict": True, "extra": "allow", "allow_inf_nan": False}
+    return kind
+
+
+def read_record(path: Path, kind: type[Any], *, instead: str) -> dict[str, Any]:
+    """The object in a JSON file, checked against a model; what the model does not name is as the file has it.
+
+    Args:
+        path: the file.
+        kind: a typed dictionary with the decorator ``record``. Its entries may be dataclasses, whose checks count.
+        instead: what to do about a damaged file, for messages.
+
+    Raises:
+        DataError: if it cannot be read, or an entry is not as the model says; numbers that are not finite never are.
+    """
+    from pydantic import ValidationError
+
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
+        _check_depth(content)
+    except (OSError, ValueError, RecursionError) as error:
+        raise DataError(f"{path} cannot be read ({_in_a_line(error)}); {instead}") from None
+    try:
+        # Names of files that are no UTF-8 stand in it as Python has them, and in no JSON that others read.
+        _model(kind).validate_json(json.dumps(content, ensure_ascii=False).encode(errors="replace"))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(map(str, first["loc"])) or "it"
+        raise DataError(f"{path} is damaged: {key}: {_in_a_line(first['msg'])}; {instead}") from None
+    return dict(content)
+
+
+def stored_record(path: Path, kind: type[Any]) -> dict[str, Any] | None:
+    """As ``read_record``, but None if the file is not there or not as the model says."""
+    try:
+        return read_record(path, kind, instead="")
+    except DataError:
+        return None
+
+
+@cache
+def _model(kind: type[Any]) -> TypeAdapter[Any]:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(kind)
+
+
+def _refuse(constant: str) -> NoReturn:
+    raise ValueError(f"it holds {constant}")
+
+
+def _finite(number: str) -> float:
+    value = float(number)
+    return value if math.isfinite(value) else _refuse(number)
+
+
+def _check_depth(content: Any, left: int = _DEEPEST) -> None:
+    if left == 0:
+        raise ValueError("its entries are nested too deep")
+    if isinstance(content, dict | list):
+        for entry in content.values() if isinstance(content, dict) else content:
+            _check_depth(entry, left - 1)
+
+
+def _in_a_line(error: object) -> str:
+    return " ".join(str(error).split())[:160]
