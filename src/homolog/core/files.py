@@ -307,15 +307,6 @@ def write_npy(path: str | Path, values: Shaped[np.ndarray, ...]) -> None:
         np.save(file, values, allow_pickle=False)
 
 
-def read_json(path: Path, *, needs: str) -> dict[str, Any] | None:
-    """An object that has a certain key; None if the file holds anything else, or is not there."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) and needs in content else None
-
-
 def sha256(*paths: str | Path) -> str:
     """SHA-256 of the bytes of a file, or of several one after the other, in hexadecimal.
 

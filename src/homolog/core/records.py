@@ -20,17 +20,21 @@ _DEEPEST = 50
 
 
 def record(kind: K) -> K:
-    """A decorator of typed dictionaries that are models of files: types are kept to, further entries are allowed."""
+    """A decorator of typed dictionaries and dataclasses that are models of what files hold.
+
+    Types are kept to, numbers are finite, and further entries are allowed.
+    """
     kind.__pydantic_config__ = {"strict": True, "extra": "allow", "allow_inf_nan": False}
     return kind
 
 
-def read_record(path: Path, kind: type[Any], *, instead: str) -> dict[str, Any]:
+def read_record(path: Path, kind: Any, *, instead: str) -> dict[str, Any]:
     """The object in a JSON file, checked against a model; what the model does not name is as the file has it.
 
     Args:
         path: the file.
-        kind: a typed dictionary with the decorator ``record``. Its entries may be dataclasses, whose checks count.
+        kind: a type with the decorator ``record``, or a dictionary of such. Its entries may be dataclasses, whose own
+            checks count.
         instead: what to do about a damaged file, for messages.
 
     Raises:
@@ -53,7 +57,7 @@ def read_record(path: Path, kind: type[Any], *, instead: str) -> dict[str, Any]:
     return dict(content)
 
 
-def stored_record(path: Path, kind: type[Any]) -> dict[str, Any] | None:
+def stored_record(path: Path, kind: Any) -> dict[str, Any] | None:
     """As ``read_record``, but None if the file is not there or not as the model says."""
     try:
         return read_record(path, kind, instead="")
@@ -62,7 +66,7 @@ def stored_record(path: Path, kind: type[Any]) -> dict[str, Any] | None:
 
 
 @cache
-def _model(kind: type[Any]) -> TypeAdapter[Any]:
+def _model(kind: Any) -> TypeAdapter[Any]:
     from pydantic import TypeAdapter
 
     return TypeAdapter(kind)
