@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import json
 import logging
 import os
@@ -51,6 +53,7 @@ def main() -> None:
     _hear(_leave)
     bound_end(_PATIENCE_SECONDS, _leave)
     tune_threads()
+    _print_any_name()
     try:
         # Only now, as Ctrl-C must work while the commands are loaded, too.
         from homolog.cli.app import app
@@ -77,7 +80,8 @@ def _complaint(error: Exception) -> str | None:
     """What to say in a line about an error that is no ``HomologError``; None if it is a mistake of Homolog's own."""
     # Mistakes in options are exceptions of the command-line library, which keeps their class to itself.
     if hasattr(error, "format_message"):
-        said = error.format_message().replace("Value error, ", "").rstrip(".") or "a command is missing"
+        said = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
+        said = said or "a command is missing"
         context = getattr(error, "ctx", None)
         return f"{said}; see {context.command_path if context else 'homolog'} --help"
     said = " ".join(str(error).split())
@@ -90,6 +94,14 @@ def _complaint(error: Exception) -> str | None:
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return None
+
+
+def _print_any_name() -> None:
+    """Let names of files be printed that the stream's encoding cannot hold; where it is UTF-8, with their own bytes."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            is_utf_8 = codecs.lookup(stream.encoding).name == "utf-8"
+            stream.reconfigure(errors="surrogateescape" if is_utf_8 else "backslashreplace")
 
 
 def _hear(handler: Callable[[int, FrameType | None], None]) -> None:

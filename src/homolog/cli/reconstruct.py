@@ -11,7 +11,7 @@ import homolog
 from homolog.cli.options import OUTPUT, Quiet, check_folder
 from homolog.cli.progress import progress_bar, say
 from homolog.core.errors import ArgumentError, ShapeError
-from homolog.core.files import expanded
+from homolog.core.files import expanded, resolved
 
 
 def reconstruct(
@@ -71,10 +71,10 @@ def reconstruct(
 def _mesh_files(clouds: list[Path], output: Path) -> list[Path]:
     """Where each mesh goes; no two to one file, and none over a cloud."""
     files = [output / f"{cloud.stem}.ply" for cloud in clouds]
-    given = {expanded(cloud).resolve() for cloud in clouds}
+    given = {resolved(cloud) for cloud in clouds}
     for number, file in enumerate(files):
         if file in files[:number]:
             raise ArgumentError(f"{clouds[number]} and another cloud would both give {file}; give them one at a time")
-        if expanded(file).resolve() in given:
+        if resolved(file) in given:
             raise ArgumentError(f"{file} is a cloud and would be replaced by its surface; give another -o")
     return files

@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from homolog.core.errors import ArgumentError
 
@@ -47,6 +47,21 @@ def expanded(path: str | Path) -> Path:
         return Path(path).expanduser()
     except RuntimeError:
         raise ArgumentError(f"{path}: there is no such user's home folder; write the path out") from None
+
+
+def resolved(path: str | Path) -> Path:
+    """A path without links and ``..``, with ``~`` replaced; what it leads to need not exist.
+
+    Raises:
+        ArgumentError: if a link in it leads to itself.
+    """
+    try:
+        place = expanded(path).resolve()
+    except (RuntimeError, OSError):  # which Python 3.13 no longer raises
+        place = expanded(path)
+    if place.is_symlink():
+        raise ArgumentError(f"{path} is a link that leads to itself, or cannot be followed; give another path")
+    return place
 
 
 def made_folder(path: str | Path) -> Path:
@@ -109,7 +124,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     Raises:
         ArgumentError: if the folder does not exist, or ``path`` is a folder.
     """
-    target = expanded(path).resolve()
+    target = resolved(path)
     if not target.parent.is_dir():
         raise ArgumentError(f"{path} cannot be written: the folder {target.parent} does not exist; create it first")
     if target.is_dir():
@@ -268,6 +283,11 @@ def write_json(path: str | Path, content: Any) -> None:
         temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
 
 
+def open_text(path: Path) -> TextIO:
+    """Open a new file of UTF-8 text with lines that end alike everywhere; names that are no UTF-8 keep their bytes."""
+    return path.open("w", encoding="utf-8", errors="surrogateescape", newline="")
+
+
 def write_csv(path: str | Path, rows: Iterable[Sequence[Any]]) -> None:
     """Write rows of a table whole or not at all; None is an empty cell.
 
@@ -277,7 +297,7 @@ def write_csv(path: str | Path, rows: Iterable[Sequence[Any]]) -> None:
     Raises:
         ArgumentError: as ``atomic_path`` does.
     """
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+    with atomic_path(path) as temporary, open_text(temporary) as file:
         csv.writer(file, lineterminator="\n").writerows([_harmless(cell) for cell in row] for row in rows)
 
 

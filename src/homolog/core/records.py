@@ -17,6 +17,7 @@ K = TypeVar("K", bound=type[Any])
 
 # No file of ours nests so deep, and what walks through its entries may do so by recursion.
 _DEEPEST = 50
+_TOO_LARGE = 2**63
 
 
 def record(kind: K) -> K:
@@ -44,7 +45,7 @@ def read_record(path: Path, kind: Any, *, instead: str) -> dict[str, Any]:
 
     try:
         content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
-        _check_depth(content)
+        check_plain(content)
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"{path} cannot be read ({_in_a_line(error)}); {instead}") from None
     try:
@@ -81,12 +82,23 @@ def _finite(number: str) -> float:
     return value if math.isfinite(value) else _refuse(number)
 
 
-def _check_depth(content: Any, left: int = _DEEPEST) -> None:
+def check_plain(content: Any, left: int = _DEEPEST) -> None:
+    """Refuse what no file of ours holds, and what further work or a message could fail on.
+
+    Args:
+        content: tables and lists, as JSON and TOML have them.
+        left: how deep they may be nested.
+
+    Raises:
+        ValueError: if they are nested deeper, or a whole number has more than 64 bits.
+    """
     if left == 0:
         raise ValueError("its entries are nested too deep")
+    if isinstance(content, int) and abs(content) >= _TOO_LARGE:
+        raise ValueError("it holds a whole number of more than 64 bits")
     if isinstance(content, dict | list):
         for entry in content.values() if isinstance(content, dict) else content:
-            _check_depth(entry, left - 1)
+            check_plain(entry, left - 1)
 
 
 def _in_a_line(error: object) -> str:

@@ -17,7 +17,7 @@ from typing_extensions import TypedDict
 
 from homolog.core.arguments import check_count, is_count
 from homolog.core.errors import DataError, bad_value
-from homolog.core.files import all_or_nothing, atomic_path, expanded, write_json
+from homolog.core.files import all_or_nothing, atomic_path, expanded, open_text, write_json
 from homolog.core.folders import MANIFEST, prepare_folder
 from homolog.core.progress import Progress, ignore
 from homolog.core.records import read_record, record, stored_record
@@ -184,8 +184,8 @@ def _write_vertices(root: Path, name: str, vertices: Int[np.ndarray, " p"]) -> N
 
 
 def _write_lines(path: Path, lines: Sequence[str]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with atomic_path(path) as temporary, open_text(temporary) as file:
+        file.write("\n".join(lines) + "\n")
 
 
 def _all_written(files: Sequence[Path]) -> bool:

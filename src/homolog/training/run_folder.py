@@ -64,6 +64,8 @@ class RunFolder:
         Raises:
             ArgumentError: if it cannot be made, or holds files and ``resume`` is not given.
         """
+        if any("\ud800" <= sign <= "\udfff" for sign in str(self.path)):  # as Python has other bytes
+            raise ArgumentError(f"{self.path} is no UTF-8, which TensorBoard needs; give another -o")
         made_folder(self.path)
         if not os.access(self.path, os.W_OK):
             raise ArgumentError(f"{self.path} is read-only; give another -o")
