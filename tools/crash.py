@@ -42,7 +42,7 @@ network = {width = 16, blocks = 2, out_channels = 16}
 clouds = {noise = [0.01]}
 operators = {n_eigenpairs = 16}
 loss = {map_eigenpairs = 8}
-training = {steps = 12, checkpoint_minutes = 0}
+training = {steps = 8, checkpoint_minutes = 0}
 validation = {shapes = 2, pairs = 1, every = 4}
 orienter = {steps = 2}
 """
@@ -71,7 +71,7 @@ class Case:
 _MATCH = "match {data}/off/s0.off {data}/off/s1.off -o {out} -q --method "
 CASES = (
     Case("match", _MATCH + "axiomatic", older=_MATCH + "nearest-features"),
-    Case("evaluate", "evaluate {data} --method axiomatic -q --json {out}/scores.json --csv {out}/pairs.csv"),
+    Case("evaluate", "evaluate {data} --method axiomatic -n 3 -q --json {out}/scores.json --csv {out}/pairs.csv"),
     Case("synth", "synth views {data} -n 5 --processes 1 -o {out}"),
     Case("collection", "collection {data}/off/s0.off {shapes} --method axiomatic --processes 1 -q -o {out}"),
     Case("train", "train {data} --recipe {data}/recipe.toml --device cpu --resume -q -o {out}"),
@@ -176,7 +176,9 @@ class Campaign:
 
     def __init__(self, case: Case, root: Path, data: Path) -> None:
         self.case, self.root, self.data, self.wrong = case, root, data, list[str]()
-        self.older = self._whole("older", case.older) if case.older else {}
+        self.older = dict[str, str]()
+        if case.older:
+            self.older = self._whole("older", case.older)
         self.expected = self._whole("first", case.arguments)
         again = self._whole("second", case.arguments)
         assert self.expected.keys() == again.keys()
@@ -185,11 +187,7 @@ class Campaign:
 
     def kill(self, seconds: float, die_at: int | None = None) -> None:
         """Kill it at a moment or at a rename, run it again, and note what is wrong."""
-        out = self.root / "killed"
-        shutil.rmtree(out, ignore_errors=True)
-        if self.older:
-            shutil.copytree(self.root / "older", out)
-        out.mkdir(exist_ok=True)
+        out = self._place("killed")
         try:
             killed = self._start(self.case.arguments, out, die_at)
             killed.end() if die_at is not None else killed.kill(seconds)
@@ -202,9 +200,18 @@ class Campaign:
             print(self.wrong[-1], flush=True)
 
     def _whole(self, name: str, arguments: str) -> dict[str, str]:
-        (self.root / name).mkdir(parents=True)
-        self.seconds = self._start(arguments, self.root / name).succeed()
-        return contents(self.root / name)
+        out = self._place(name)
+        self.seconds = self._start(arguments, out).succeed()
+        return contents(out)
+
+    def _place(self, name: str) -> Path:
+        """A folder with the older result, if there is one, and nothing else."""
+        out = self.root / name
+        shutil.rmtree(out, ignore_errors=True)
+        if self.older:
+            shutil.copytree(self.root / "older", out)
+        out.mkdir(parents=True, exist_ok=True)
+        return out
 
     def _start(self, arguments: str, out: Path, die_at: int | None = None) -> Command:
         shapes = " ".join(f"{self.data}/off/s{number}.off" for number in range(1, N_SHAPES))

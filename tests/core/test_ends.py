@@ -27,7 +27,7 @@ def stuck(path):
     with atomic_path(path) as temporary:
         temporary.write_text("half")
         library.pthread_mutex_lock(mutex)
-        os.write(1, b"working\n")
+        os.write(1, b"working\\n")
         library.pthread_mutex_lock(mutex)
 
 

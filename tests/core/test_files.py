@@ -14,6 +14,7 @@ from homolog.core.files import (
     atomic_path,
     expanded,
     refuse_overwriting_inputs,
+    resolved,
     sha256,
     write_csv,
     write_json,
@@ -133,3 +134,17 @@ def test_what_a_killed_process_leaves_the_next_one_removes(tmp_path, half_writte
     _remove_abandoned.cache_clear()
     write_json(tmp_path / "new.json", {})
     assert {path.name for path in tmp_path.iterdir()} == theirs | {"new.json"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows makes no such links")
+def test_a_link_to_itself_is_named(tmp_path):
+    (tmp_path / "loop.ply").symlink_to("loop.ply")
+    for use in (resolved, written):
+        with pytest.raises(ArgumentError, match=r"loop\.ply is a link that leads to itself"):
+            use(tmp_path / "loop.ply")
+    assert (tmp_path / "loop.ply").is_symlink()
+
+
+def test_names_that_are_no_utf_8_keep_their_bytes_in_tables(tmp_path):
+    write_csv(tmp_path / "table.csv", [[Path("b\udcff.ply"), "é", 1]])
+    assert (tmp_path / "table.csv").read_bytes() == b"b\xff.ply,\xc3\xa9,1\n"
