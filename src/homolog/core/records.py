@@ -41,20 +41,35 @@ def read_record(path: Path, kind: Any, *, instead: str) -> dict[str, Any]:
     Raises:
         DataError: if it cannot be read, or an entry is not as the model says; numbers that are not finite never are.
     """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path} cannot be read ({in_a_line(error)}); {instead}") from None
+    try:
+        return checked_json(text, kind)
+    except ValueError as error:
+        raise DataError(f"{path} is damaged ({error}); {instead}") from None
+
+
+def checked_json(text: str, kind: Any) -> dict[str, Any]:
+    """As ``read_record``, of a text.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
     from pydantic import ValidationError
 
     try:
-        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
+        content = json.loads(text, parse_constant=_refuse, parse_float=_finite)
         check_plain(content)
-    except (OSError, ValueError, RecursionError) as error:
-        raise DataError(f"{path} cannot be read ({_in_a_line(error)}); {instead}") from None
-    try:
         # Names of files that are no UTF-8 stand in it as Python has them, and in no JSON that others read.
         _model(kind).validate_json(json.dumps(content, ensure_ascii=False).encode(errors="replace"))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(map(str, first["loc"])) or "it"
-        raise DataError(f"{path} is damaged: {key}: {_in_a_line(first['msg'])}; {instead}") from None
+        raise ValueError(f"{key}: {in_a_line(first['msg'])}") from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(in_a_line(error)) from None
     return dict(content)
 
 
@@ -101,5 +116,6 @@ def check_plain(content: Any, left: int = _DEEPEST) -> None:
             check_plain(entry, left - 1)
 
 
-def _in_a_line(error: object) -> str:
+def in_a_line(error: object) -> str:
+    """What an error says, short enough for a message of ours."""
     return " ".join(str(error).split())[:160]

@@ -17,7 +17,7 @@ from typing_extensions import NotRequired, TypedDict
 from homolog.core.errors import ArgumentError, DataError, HomologError, bad_choice
 from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, sha256, write_json
 from homolog.core.progress import Timings
-from homolog.core.records import read_record, record
+from homolog.core.records import in_a_line, read_record, record
 from homolog.matching.colours import matched_colours
 from homolog.matching.quality import MapQuality
 from homolog.pairs import PairOptions, Side
@@ -148,7 +148,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
             missing = [name for name in _ARRAYS if name not in stored.files]
             arrays = {name: stored[name] for name in _ARRAYS if name not in missing}
     except Exception as error:  # whatever NumPy raises of a damaged file
-        raise DataError(f"{path} cannot be read as the arrays of a match ({error}); match again") from None
+        raise DataError(f"{path} cannot be read as the arrays of a match ({in_a_line(error)}); match again") from None
     if missing:
         raise DataError(f"{path} has no array {missing[0]!r}; it must be what homolog match wrote")
     for name, array in arrays.items():
