@@ -204,8 +204,8 @@ def _restore(target: Path, former: Path, *, existed: bool) -> None:
 
 def _beside(target: Path) -> Path:
     """A name in the same folder for a temporary file of this process."""
+    remove_abandoned(target.parent)
     process = os.getpid()
-    _remove_abandoned(target.parent, process)
     temporary = target.with_name(
         f".homolog-{_machine()}-{process}-{_began(process)}-{secrets.token_hex(6)}{target.suffix}"
     )
@@ -225,9 +225,14 @@ def remove_temporary_files() -> None:
             temporary.unlink()
 
 
+def remove_abandoned(folder: Path) -> None:
+    """Remove temporary files that killed processes of this machine have left in a folder."""
+    _remove_abandoned(folder, os.getpid())
+
+
 @cache
 def _remove_abandoned(folder: Path, process: int) -> None:
-    """Remove temporary files of processes of this machine that are no more; once for each process that writes there."""
+    """Once for each process."""
     with suppress(OSError):  # of a folder that may be written to, but not listed
         for path in folder.glob(".homolog-*"):
             named = _TEMPORARY_NAME.fullmatch(path.name)

@@ -10,7 +10,7 @@ from typing import Any
 from typing_extensions import TypedDict
 
 from homolog.core.errors import ArgumentError
-from homolog.core.files import made_folder, write_json
+from homolog.core.files import made_folder, remove_abandoned, write_json
 from homolog.core.records import record, stored_record
 
 MANIFEST = "manifest.json"
@@ -37,7 +37,7 @@ def prepare_folder(root: Path, manifest: dict[str, Any], folders: Sequence[str],
     """
     begun = stored_record(root / MANIFEST, _Manifest)
     if begun is None:
-        if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        if root.exists() and not _is_unused(root, folders):
             raise ArgumentError(f"{root} holds other things; give another folder with -o, a new or an empty one")
     elif different := _differences(begun["making"], manifest["making"]):
         raise ArgumentError(
@@ -47,6 +47,15 @@ def prepare_folder(root: Path, manifest: dict[str, Any], folders: Sequence[str],
         made_folder(root / folder)
     if begun is None:
         write_json(root / MANIFEST, manifest)
+
+
+def _is_unused(root: Path, folders: Sequence[str]) -> bool:
+    """Whether a folder holds no more than what a process can have left that was killed before it wrote the manifest."""
+    if not root.is_dir():
+        return False
+    remove_abandoned(root)
+    ours = {root / name for name in folders}
+    return all(path in ours and path.is_dir() and not any(path.iterdir()) for path in root.iterdir())
 
 
 @contextmanager
