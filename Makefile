@@ -4,7 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: help demo test test-all lint docs gallery bench clean
+.PHONY: help demo test test-all lint docs gallery bench crash clean
 
 help:
 	@echo "make demo    set up, and match the two shapes that ship with the project"
@@ -14,6 +14,7 @@ help:
 	@echo "make docs    set up, and build the site into build/site"
 	@echo "make gallery make the pictures of the site anew (some 5 minutes; needs Chromium)"
 	@echo "make bench   set up, and time every step in yardsticks (about 20 minutes)"
+	@echo "make crash   set up, kill commands 100 times, and compare their ends (about 20 minutes)"
 	@echo "make clean   remove the virtual environment and caches"
 
 $(VENV)/bin/python:
@@ -56,6 +57,10 @@ gallery: $(VENV)/installed-dev
 
 bench: $(VENV)/installed-dev
 	$(BIN)/python benchmarks/bench.py
+
+# A folder that is there already is not written into.
+crash: $(VENV)/installed-dev
+	$(BIN)/python tools/crash.py build/crash --kills 100
 
 clean:
 	rm -rf $(VENV) build .pytest_cache .hypothesis .mypy_cache .ruff_cache

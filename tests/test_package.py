@@ -28,13 +28,15 @@ CORE = {
     "core.memory": {"core.errors", "core.arguments"},
     "core.arrays": {"core.errors"},
     "core.files": {"core.errors"},
-    "core.settings": {"core.errors"},
+    "core.records": {"core.errors"},
+    "core.ends": {"core.files"},
+    "core.settings": {"core.errors", "core.records"},
     "core.tensors": {"core.files"},
     "core.caches": {"core.errors", "core.files"},
     "core.pretrained": {"core.errors", "core.files"},
-    "core.folders": {"core.errors", "core.files"},
+    "core.folders": {"core.errors", "core.files", "core.records"},
     "core.method_names": {"core.plugins"},
-    "core.tasks": {"core.errors", "core.progress"},
+    "core.tasks": {"core.errors", "core.progress", "core.ends"},
     "core": set(),
 }
 GROUND = set(CORE)

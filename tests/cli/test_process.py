@@ -4,12 +4,15 @@ import json
 import os
 import pickle
 import re
+import shutil
 import signal
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+
+from homolog.matching import Match
 
 pytestmark = pytest.mark.process
 
@@ -189,3 +192,30 @@ def test_an_interrupt_while_libraries_are_loaded_ends_it():
     )
     assert (ended.returncode, ended.stdout) == (130, "")
     assert ended.stderr == "Interrupted; nothing was left half-written.\n"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems' file names are UTF-8")
+@pytest.mark.parametrize(
+    ("encoding", "shown"), [("utf-8", b"b\xff\xc3\xa9"), ("ascii", b"b?\xc3\xa9"), ("latin-1", b"b\\udcff\xe9")]
+)
+def test_names_of_any_bytes_are_read_shown_and_printed(files, tmp_path, encoding, shown):
+    """The library of the command line takes ASCII for a mistake, and writes UTF-8."""
+    name = tmp_path / (os.fsdecode(b"b\xff\xc3\xa9") + files.mesh.suffix)
+    shutil.copy(files.mesh, name)
+    command = [*START, "match", name, files.other, "--method", "axiomatic", "--html", name.with_suffix(".html")]
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    ended = subprocess.run(
+        [*command, "-o", tmp_path / "out"], capture_output=True, timeout=300, check=False, env=environment
+    )
+    assert (ended.returncode, ended.stdout.splitlines()[-1]) == (0, os.fsencode(tmp_path) + b"/" + shown + b".html")
+    assert Match.load(tmp_path / "out").source.name == name.name
+    page = name.with_suffix(".html").read_text(encoding="utf-8")
+    assert "b?" in page
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows makes no such links")
+def test_a_page_that_is_a_link_to_itself_is_one_line(files, tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    ended = run("match", files.mesh, files.other, "--html", tmp_path / "loop", "-o", tmp_path / "out")
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    assert "is a link that leads to itself" in ended.stderr and not (tmp_path / "out").exists()

@@ -1,6 +1,8 @@
 """Paths and files, on their own."""
 
 import csv
+import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -8,11 +10,13 @@ import pytest
 
 from homolog.core.errors import ArgumentError
 from homolog.core.files import (
+    _remove_abandoned,
     atomic_path,
     expanded,
     keeping,
     refuse_overwriting_inputs,
     remove,
+    resolved,
     resuming,
     sha256,
     write_csv,
@@ -125,3 +129,67 @@ def test_a_folder_that_is_resumed_is_its_own(tmp_path):
             write_json(run.parent / "report.json", {})
     with keeping([tmp_path / "data"]), resuming(run.parent), pytest.raises(ArgumentError, match="would be replaced"):
         write_json(run.parent / "report.json", {})
+
+
+# Writes a file and says where it has half of it; then waits.
+WRITING = """
+import sys, time
+from homolog.core.files import (
+    _remove_abandoned,
+    atomic_path,
+    expanded,
+    refuse_overwriting_inputs,
+    sha256,
+    write_csv,
+    write_json,
+)
+with atomic_path(sys.argv[1]) as temporary:
+    temporary.write_text("half")
+    print(temporary.name, flush=True)
+    time.sleep(600)
+"""
+
+
+@pytest.fixture
+def half_written(tmp_path):
+    """A process that is amid writing a file, and the name of the temporary one."""
+    command = [sys.executable, "-c", WRITING, tmp_path / "file.ply"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        yield process, process.stdout.readline().strip()
+        process.kill()
+
+
+@pytest.mark.process
+def test_what_a_killed_process_leaves_the_next_one_removes(tmp_path, half_written):
+    process, temporary = half_written
+    for name in ("kept.ply", ".hidden.ply", ".homolog-notes"):
+        (tmp_path / name).write_text("the user's")
+    renumbered = re.sub(r"-(\d+)-(\d+)-", lambda found: f"-{found[1]}-{int(found[2]) - 1000}-", temporary)
+    elsewhere = temporary.replace(temporary.split("-")[1], "0" * 8)
+    for name in (renumbered, elsewhere):
+        (tmp_path / name).write_text("half")
+    theirs = {"kept.ply", ".hidden.ply", ".homolog-notes", elsewhere}  # of another machine nothing is known
+
+    _remove_abandoned.cache_clear()
+    write_json(tmp_path / "new.json", {})
+    assert {path.name for path in tmp_path.iterdir()} == theirs | {"new.json", temporary}  # it is still at work
+
+    process.kill()
+    process.wait()
+    _remove_abandoned.cache_clear()
+    write_json(tmp_path / "new.json", {})
+    assert {path.name for path in tmp_path.iterdir()} == theirs | {"new.json"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows makes no such links")
+def test_a_link_to_itself_is_named(tmp_path):
+    (tmp_path / "loop.ply").symlink_to("loop.ply")
+    for use in (resolved, written):
+        with pytest.raises(ArgumentError, match=r"loop\.ply is a link that leads to itself"):
+            use(tmp_path / "loop.ply")
+    assert (tmp_path / "loop.ply").is_symlink()
+
+
+def test_names_that_are_no_utf_8_keep_their_bytes_in_tables(tmp_path):
+    write_csv(tmp_path / "table.csv", [[Path("b\udcff.ply"), "é", 1]])
+    assert (tmp_path / "table.csv").read_bytes() == b"b\xff.ply,\xc3\xa9,1\n"

@@ -133,3 +133,24 @@ def test_files_that_are_no_toml(tmp_path):
 def test_pydantic_is_loaded_once_settings_are_made_and_not_before():
     code = "import sys, homolog.core.settings; sys.exit('pydantic' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a = " + "[" * 5000 + "]" * 5000,
+        "a = " + "[" * 60 + "]" * 60,
+        "a = " + "{a = " * 3000 + "1" + "}" * 3000,
+        "[a" + ".b" * 60 + "]",
+        "a = " + "9" * 5000,
+        "a = " + "9" * 400,
+        "a = 0x" + "f" * 5000,
+        "a = -9_999_999_999_999_999_999",
+        "a = 1\na = 2",
+    ],
+)
+def test_a_file_that_no_reader_should_follow_is_one_line(tmp_path, text):
+    (tmp_path / "a.toml").write_text(text)
+    with pytest.raises(ArgumentError, match=r"a\.toml is not valid TOML: ") as caught:
+        read_toml(tmp_path / "a.toml")
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400

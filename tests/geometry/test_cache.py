@@ -135,6 +135,13 @@ def garbage(path: Path) -> None:
     path.write_bytes(np.random.default_rng(0).bytes(5000))
 
 
+def another_shapes(path: Path) -> None:
+    points = np.random.default_rng(1).normal(size=(30, 3))
+    OperatorCache(path.parent / "others").operators(Shape(points), settings=SETTINGS)
+    (other,) = (path.parent / "others").glob("*.safetensors")
+    other.replace(path)
+
+
 def without_notes(path: Path) -> None:
     from safetensors.torch import load_file
 
@@ -159,17 +166,21 @@ def a_torch_pickle(path: Path) -> None:
     torch.save(Bomb(path.parent / "trace"), path)
 
 
-@pytest.mark.parametrize("damage", [foreign, emptied, truncated, garbage, without_notes, a_pickle, a_torch_pickle])
+DAMAGES = [foreign, emptied, truncated, garbage, another_shapes, without_notes, a_pickle, a_torch_pickle]
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_entry_is_computed_anew_and_replaced(damage, shape, tmp_path, computed, caplog) -> None:
     store = OperatorCache(tmp_path)
     first = store.operators(shape, settings=SETTINGS)
     damage(entry_of(tmp_path))
     with caplog.at_level(logging.WARNING):
         second = store.operators(shape, settings=SETTINGS)
-    assert len(computed) == 2 and "damaged" in caplog.text
+    assert "damaged" in caplog.text
     assert_same(first, second)
+    n_computed = len(computed)
     assert_same(first, store.operators(shape, settings=SETTINGS))
-    assert len(computed) == 2
+    assert len(computed) == n_computed
     assert not (tmp_path / "trace").exists()
 
 

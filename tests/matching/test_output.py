@@ -1,6 +1,8 @@
 """What a match leaves on disk."""
 
+import hashlib
 import json
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -93,7 +95,8 @@ def test_the_four_files(shapes, found, tmp_path):
         assert written.modality == given.modality
         if given.faces is not None:
             np.testing.assert_array_equal(written.faces, given.faces)
-    assert json.loads(paths[3].read_text()) == REPORT
+    hashes = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths[:3]}
+    assert json.loads(paths[3].read_text()) == {**REPORT, "sha256": hashes}
 
 
 def test_a_result_is_read_back(shapes, found, tmp_path):
@@ -116,10 +119,90 @@ def test_a_folder_that_lacks_a_file_is_no_result(shapes, found, tmp_path, name):
         Match.load(tmp_path)
 
 
+def without_hashes(folder):
+    """A result of whose files the report says nothing, so that these themselves are looked at."""
+    report = json.loads((folder / "report.json").read_text())
+    del report["sha256"]
+    (folder / "report.json").write_text(json.dumps(report))
+
+
 def change_maps(folder, **changes):
+    without_hashes(folder)
     with np.load(folder / "correspondence.npz") as stored:
         arrays = {**stored, **changes}
     np.savez(folder / "correspondence.npz", **{name: array for name, array in arrays.items() if array is not None})
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_files_of_two_results_are_not_taken_for_one(found, tmp_path, name):
+    """As a process that is killed while files land leaves them."""
+    found.save(tmp_path / "one")
+    found.inverse().save(tmp_path / "other")
+    shutil.copy(tmp_path / "other" / name, tmp_path / "one" / name)
+    with pytest.raises(DataError, match=r"is not the file that report\.json belongs to.*; match again$"):
+        Match.load(tmp_path / "one")
+
+
+QUALITY = dict.fromkeys(("coverage", "cycle_error", "dirichlet_energy", "flipped_triangles", "confidence"), 0.5)
+
+
+@pytest.mark.parametrize(
+    "report",
+    [
+        "{",
+        "[1]",
+        '{"method": 3}',
+        '{"method": "a", "deep": ' + "[" * 100 + "]" * 100 + "}",
+        '{"method": "a", "deep": ' + "[" * 200_000,
+        '{"method": "a", "deep": ' + '{"a":' * 100_000 + "1" + "}" * 100_001,
+        '{"method": "a", "number": NaN}',
+        '{"method": "a", "number": 1e999}',
+        '{"method": "a", "number": ' + "9" * 10_000 + "}",
+        b'{"method": "\xff"}',
+        {"warnings": True},
+        {"warnings": "look!"},
+        {"warnings": [1]},
+        {"inputs": []},
+        {"inputs": {"source": 1.5}},
+        {"inputs": {"source": {"file": 5}}},
+        {"inputs": {"target": {"name": None}}},
+        {"inputs": {"source": {"file": ["a"]}}},
+        {"inputs": {"source": {"sha256": 1}}},
+        {"inputs": {"source": {"points_left_out": "many"}}},
+        {"inputs": {"source": {"points_left_out": -1}}},
+        {"options": 7},
+        {"options": {"source_up": ["y"]}},
+        {"options": {"source_up": "up"}},
+        {"options": {"partial": "source", "partial_scale": 0}},
+        {"options": {"partial": "source", "partial_scale": "2"}},
+        {"options": {"partial": 3}},
+        {"options": {"as_cloud": {}}},
+        {"quality": 1},
+        {"quality": {"source": None, "target": None}},
+        {"quality": {"source": QUALITY}},
+        {"quality": {"source": QUALITY, "target": {**QUALITY, "coverage": 2}}},
+        {"quality": {"source": QUALITY, "target": {**QUALITY, "coverage": "0.5"}}},
+        {"quality": {"source": {"coverage": 1}, "target": None}},
+        {"sha256": []},
+        {"sha256": {"source.ply": 1}},
+    ],
+)
+def test_reports_that_are_damaged_are_one_line(found, tmp_path, report):
+    found.save(tmp_path)
+    path = tmp_path / "report.json"
+    if isinstance(report, dict):
+        report = json.dumps({**json.loads(path.read_text()), **report})
+    path.write_bytes(report.encode() if isinstance(report, str) else report)
+    with pytest.raises(DataError, match=rf"^{path} (cannot be read|is damaged).*; match again$") as error:
+        Match.load(tmp_path)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 400
+
+
+def test_a_report_may_tell_more_than_is_read(found, tmp_path):
+    more = {"inputs": {"source": {"colour": None}}, "options": {"of_another_version": [1]}, "more": {"a": [None, 0.5]}}
+    given = replace(found, report=more)
+    given.save(tmp_path)
+    assert Match.load(tmp_path).report == {**more, "method": given.method, "warnings": ["look!"]}
 
 
 @pytest.mark.parametrize(
@@ -132,10 +215,10 @@ def change_maps(folder, **changes):
         (lambda folder: change_maps(folder, source_confidence=np.zeros(3)), "does not fit the shapes"),
         (lambda folder: change_maps(folder, source_to_target=np.zeros(162)), "not those of a match"),
         (lambda folder: change_maps(folder, source_to_target=np.array([{}], object)), "cannot be read as the arrays"),
-        (lambda folder: (folder / "correspondence.npz").write_bytes(b"PK"), "cannot be read as the arrays"),
-        (lambda folder: (folder / "report.json").write_text("{"), "cannot be read as the report"),
-        (lambda folder: (folder / "report.json").write_text("[1]"), "is not the report"),
-        (lambda folder: (folder / "report.json").write_text('{"method": 3}'), "is not the report"),
+        (lambda folder: change_maps(folder, source_confidence=np.full(162, np.nan)), "must lie between 0 and 1"),
+        (lambda folder: change_maps(folder, target_confidence=np.full(42, 7.0)), "must lie between 0 and 1"),
+        (lambda folder: (folder / "correspondence.npz").write_bytes(b"PK"), "is not the file that report.json belongs"),
+        (lambda folder: (folder / "source.ply").write_bytes(b"ply"), "is not the file that report.json belongs to"),
     ],
 )
 def test_results_that_are_spoilt_are_one_line(shapes, found, tmp_path, spoil, said):
@@ -271,7 +354,7 @@ def test_other_files_in_the_folder_stay(shapes, found, tmp_path):
     (tmp_path / "report.json").write_text("old")
     write_folder(tmp_path, found)
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert json.loads((tmp_path / "report.json").read_text()) == REPORT
+    assert Match.load(tmp_path).report == REPORT
 
 
 def test_out_is_a_file(shapes, found, tmp_path):
@@ -364,5 +447,5 @@ def test_a_result_takes_the_place_of_an_earlier_one(shapes, found, tmp_path):
     with_former_result(tmp_path / "result", NAMES)
     write_folder(tmp_path / "result", found)
     assert sorted(path.name for path in (tmp_path / "result").iterdir()) == sorted(NAMES)
-    assert json.loads((tmp_path / "result" / "report.json").read_text()) == REPORT
+    assert Match.load(tmp_path / "result").report == REPORT
     assert colours_in(tmp_path / "result" / "source.ply").shape == (162, 3)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from homolog.core.errors import ArgumentError, TrainingError
+from homolog.core.errors import ArgumentError, DataError, TrainingError
 from homolog.datasets import ShapeFolder
 from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, load_weights
 from homolog.geometry import OperatorSettings
@@ -101,9 +101,12 @@ def test_a_resumed_training_reads_how_shapes_were_turned(trained, turned, monkey
     assert loop.train(recipe, turned[0], run, device="cpu", resume=True).step == 1
     file = run / "alignment.json"
     whole = file.read_text()
-    for damage in (whole[:40], "[]", '{"ape": 3}', whole.replace("misfit", "fit")):
+    ragged = '{"ape": {"rotation": [[1], [0, 1]], "misfit": 0}}'
+    damaged = (whole[:40], "[]", '{"ape": 3}', whole.replace("misfit", "fit"), "[" * 10**5, ragged)
+    for damage in (*damaged, whole.replace("1.0", "NaN"), whole.replace("1.0", "5.0")):
+        assert damage != whole
         file.write_text(damage)
-        with pytest.raises(TrainingError, match=r"alignment\.json is damaged .*; remove it") as caught:
+        with pytest.raises(DataError, match=r"alignment\.json (is damaged|cannot be read).*; remove it") as caught:
             loop.train(recipe, turned[0], run, device="cpu", resume=True)
         assert "\n" not in str(caught.value)
     file.write_text(whole)

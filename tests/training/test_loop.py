@@ -433,7 +433,7 @@ def test_two_processes_take_the_steps_of_one(meshes, small, as_toml, tmp_path, s
         [*START, *map(str, options), "--recipe", tmp_path / "four.toml"],
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=600,
         check=False,
     )
     assert ended.returncode == 0, ended.stderr

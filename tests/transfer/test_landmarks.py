@@ -143,6 +143,10 @@ def test_landmarks_go_along(make, matched):
     [
         ("a.mrk.json", "{", "no valid JSON"),
         ("a.mrk.json", "[]", "no list 'markups'"),
+        ("a.mrk.json", "[" * 100_000, "no valid JSON"),
+        ("a.mrk.json", '{"markups": ' + "[" * 60 + "]" * 60 + "}", "nested too deep"),
+        ("a.mrk.json", json.dumps({"markups": [{"controlPoints": 5}]}), "no control points"),
+        ("a.mrk.json", json.dumps(markups(controlPoints=[{"position": [10**400, 0, 2]}])), "more than 64 bits"),
         ("a.mrk.json", json.dumps({"markups": [{"controlPoints": []}]}), "no control points"),
         ("a.mrk.json", json.dumps(markups("IJK")), "coordinate systems are IJK"),
         ("a.mrk.json", json.dumps(markups(controlPoints=[{"position": [1, "x", 2]}])), "three numbers"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import codecs
+import io
 import json
 import logging
 import os
@@ -14,12 +16,15 @@ from types import FrameType
 from typing import NoReturn
 
 from homolog.cli.wording import in_options
+from homolog.core.ends import bound_end
 from homolog.core.errors import HomologError
 from homolog.core.threads import tune_threads
 
 # What PyTorch says, in a plain RuntimeError, where there is not enough memory for an array.
 _OUT_OF_MEMORY = re.compile("out of memory|not enough memory|can't allocate memory")
 _INTERRUPTED = "Interrupted; nothing was left half-written."
+# For a command to end by itself after Ctrl-C or a polite kill, its workers included.
+_PATIENCE_SECONDS = 5.0
 
 
 class _Interrupted(BaseException):
@@ -46,7 +51,9 @@ def main() -> None:
         # What libraries tell programmers is noise to users; `python -W default -m homolog` shows it.
         warnings.simplefilter("ignore")
     _hear(_leave)
+    bound_end(_PATIENCE_SECONDS, _leave)
     tune_threads()
+    _print_any_name()
     try:
         # Only now, as Ctrl-C must work while the commands are loaded, too.
         from homolog.cli.app import app
@@ -73,7 +80,8 @@ def _complaint(error: Exception) -> str | None:
     """What to say in a line about an error that is no ``HomologError``; None if it is a mistake of Homolog's own."""
     # Mistakes in options are exceptions of the command-line library, which keeps their class to itself.
     if hasattr(error, "format_message"):
-        said = error.format_message().replace("Value error, ", "").rstrip(".") or "a command is missing"
+        said = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
+        said = said or "a command is missing"
         context = getattr(error, "ctx", None)
         return f"{said}; see {context.command_path if context else 'homolog'} --help"
     said = " ".join(str(error).split())
@@ -88,15 +96,24 @@ def _complaint(error: Exception) -> str | None:
     return None
 
 
+def _print_any_name() -> None:
+    """Let names of files be printed that the stream's encoding cannot hold; where it is UTF-8, with their own bytes."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            is_utf_8 = codecs.lookup(stream.encoding).name == "utf-8"
+            stream.reconfigure(errors="surrogateescape" if is_utf_8 else "backslashreplace")
+
+
 def _hear(handler: Callable[[int, FrameType | None], None]) -> None:
     """Have Ctrl-C and polite kills handled so."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, handler)
 
 
-def _leave(number: int, frame: FrameType | None) -> None:
+def _leave(number: int, frame: FrameType | None = None) -> NoReturn:
     """End at once: what is raised while libraries are loaded, some of them take for a failure of their own."""
-    os.write(2, f"{_INTERRUPTED}\n".encode())
+    bar_ends = "\x1b[?25h\n" if os.isatty(2) else ""  # a progress bar hides the cursor
+    os.write(2, f"{bar_ends}{_INTERRUPTED}\n".encode())
     os._exit(_Interrupted(number).exit_code)
 
 

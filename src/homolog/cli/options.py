@@ -16,7 +16,7 @@ import homolog
 from homolog.cli.lazy import OTHER
 from homolog.core.choices import PICTURE_WIDTHS, Device, Orient
 from homolog.core.errors import ArgumentError, bad_choice
-from homolog.core.files import expanded, refuse_overwriting_inputs, write_json
+from homolog.core.files import expanded, refuse_overwriting_inputs, resolved, write_json
 from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
 from homolog.methods import method_names
 
@@ -248,7 +248,7 @@ def check_file(output: Path) -> None:
     Nothing is made or changed.
     """
     refuse_overwriting_inputs([output])
-    if fault := _fault(expanded(output).resolve()):
+    if fault := _fault(resolved(output)):
         raise ArgumentError(f"{output} cannot be written: {fault}")
 
 

@@ -13,7 +13,7 @@ from homolog.cli.browsing import PAGE, Host, NoOpen, Port, announce, interrupt_e
 from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, build_matcher, check_inputs
 from homolog.cli.progress import say
 from homolog.core.errors import needs_extra
-from homolog.core.files import expanded
+from homolog.core.files import resolved
 from homolog.core.pretrained import DEFAULT_WEIGHTS, pretrained_weights
 
 _LIMITS = "Limits"
@@ -105,5 +105,5 @@ def _options(weights: str | None, method: str, device: str) -> tuple[str, ...]:
     given = (f"--method={method}", f"--device={device}")
     if weights is None:
         return given
-    place = weights if weights in pretrained_weights() else str(expanded(weights).resolve())
+    place = weights if weights in pretrained_weights() else str(resolved(weights))
     return (*given, f"--weights={place}")

@@ -5,16 +5,20 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import os
+import platform
+import re
 import secrets
 import shutil
 import stat
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
+from functools import cache
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from homolog.core.errors import ArgumentError, bad_value
 
@@ -25,6 +29,12 @@ if TYPE_CHECKING:  # commands find out where files are before they load numpy
 # Temporary files, each with the place that it is to take.
 _Moves = dict[Path, Path]
 _open_moves: ContextVar[_Moves | None] = ContextVar("open_moves", default=None)
+# Of all threads, for an end that no thread can be waited for.
+_temporary_files: set[Path] = set()
+# Machine, process and the second in which it began, so that another process can tell whether its writer still lives.
+_TEMPORARY_NAME = re.compile(r"\.homolog-([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{12}(\..*)?", re.DOTALL)
+# The second in which a process began follows from the machine's clock, which may be set meanwhile.
+_CLOCK_SECONDS = 5
 # What begins so, spreadsheets take for a formula, and run it.
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
@@ -41,6 +51,21 @@ def expanded(path: str | Path) -> Path:
         return Path(path).expanduser()
     except RuntimeError:
         raise ArgumentError(f"{path}: there is no such user's home folder; write the path out") from None
+
+
+def resolved(path: str | Path) -> Path:
+    """A path without links and ``..``, with ``~`` replaced; what it leads to need not exist.
+
+    Raises:
+        ArgumentError: if a link in it leads to itself.
+    """
+    try:
+        place = expanded(path).resolve()
+    except (RuntimeError, OSError):  # which Python 3.13 no longer raises
+        place = expanded(path)
+    if place.is_symlink():
+        raise ArgumentError(f"{path} is a link that leads to itself, or cannot be followed; give another path")
+    return place
 
 
 def made_folder(path: str | Path) -> Path:
@@ -163,8 +188,9 @@ def remove(path: Path) -> None:
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary path beside ``path`` that takes its place when the block ends well.
 
-    On an error or an interrupt the temporary file is removed and ``path`` stays as it was. Who may read it is as with
-    any file, whatever the library that writes it thinks: as before, or as the process makes new files.
+    On an error or an interrupt the temporary file is removed and ``path`` stays as it was. What a killed process has
+    left, the next one that writes into the folder removes. Who may read it is as with any file, whatever the library
+    that writes it thinks: as before, or as the process makes new files.
 
     Args:
         path: the file to write; ``~`` is expanded, and a link is followed, not replaced.
@@ -175,7 +201,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     Raises:
         ArgumentError: if the folder does not exist, ``path`` is a folder, or an input that ``keeping`` keeps.
     """
-    target = expanded(path).resolve()
+    target = resolved(path)
     if not target.parent.is_dir():
         raise ArgumentError(f"{path} cannot be written: the folder {target.parent} does not exist; create it first")
     if target.is_dir():
@@ -221,7 +247,7 @@ def all_or_nothing() -> Iterator[_Moves]:
     finally:
         _open_moves.reset(token)
         for temporary in moves:
-            temporary.unlink(missing_ok=True)
+            _removed(temporary)
 
 
 def _land(moves: _Moves) -> None:
@@ -229,7 +255,7 @@ def _land(moves: _Moves) -> None:
         # The last file needs no second name: once it has landed nothing is undone.
         for target in list(moves.values())[:-1]:
             former = _beside(target)
-            always.callback(former.unlink, missing_ok=True)
+            always.callback(_removed, former)
             undo.callback(_restore, target, former, existed=_kept(target, former))
         for temporary, target in moves.items():
             with _blamed(target):
@@ -257,7 +283,70 @@ def _restore(target: Path, former: Path, *, existed: bool) -> None:
 
 
 def _beside(target: Path) -> Path:
-    return target.with_name(f".{secrets.token_hex(6)}{target.suffix}")
+    """A name in the same folder for a temporary file of this process."""
+    remove_abandoned(target.parent)
+    process = os.getpid()
+    temporary = target.with_name(
+        f".homolog-{_machine()}-{process}-{_began(process)}-{secrets.token_hex(6)}{target.suffix}"
+    )
+    _temporary_files.add(temporary)
+    return temporary
+
+
+def _removed(temporary: Path) -> None:
+    temporary.unlink(missing_ok=True)
+    _temporary_files.discard(temporary)
+
+
+def remove_temporary_files() -> None:
+    """Remove what this process is writing, before it ends at once; nothing that it writes may go on after that."""
+    for temporary in list(_temporary_files):
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def remove_abandoned(folder: Path) -> None:
+    """Remove temporary files that killed processes of this machine have left in a folder."""
+    _remove_abandoned(folder, os.getpid())
+
+
+@cache
+def _remove_abandoned(folder: Path, process: int) -> None:
+    """Once for each process."""
+    with suppress(OSError):  # of a folder that may be written to, but not listed
+        for path in folder.glob(".homolog-*"):
+            named = _TEMPORARY_NAME.fullmatch(path.name)
+            if named and named[1] == _machine() and not _lives(int(named[2]), int(named[3])):
+                path.unlink(missing_ok=True)
+
+
+def _lives(process: int, began: int) -> bool:
+    """Whether a process is still there, and not another one under its number."""
+    import psutil
+
+    try:
+        found = psutil.Process(process)
+        return found.status() != psutil.STATUS_ZOMBIE and abs(found.create_time() - began) <= _CLOCK_SECONDS
+    except psutil.NoSuchProcess:
+        return False
+    except psutil.AccessDenied:  # it is somebody else's
+        return True
+
+
+@cache
+def _began(process: int) -> int:
+    """The second in which this process began."""
+    import psutil
+
+    return int(psutil.Process(process).create_time())
+
+
+@cache
+def _machine() -> str:
+    """Tells apart machines that share a disk, and containers, whose processes have numbers of their own."""
+    numbers = Path("/proc/self/ns/pid")
+    container = numbers.stat().st_ino if numbers.exists() else 0
+    return hashlib.sha256(f"{platform.node()} {container}".encode()).hexdigest()[:8]
 
 
 @contextmanager
@@ -279,6 +368,11 @@ def write_json(path: str | Path, content: Any) -> None:
         temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8", newline="\n")
 
 
+def open_text(path: Path) -> TextIO:
+    """Open a new file of UTF-8 text with lines that end alike everywhere; names that are no UTF-8 keep their bytes."""
+    return path.open("w", encoding="utf-8", errors="surrogateescape", newline="")
+
+
 def write_csv(path: str | Path, rows: Iterable[Sequence[Any]]) -> None:
     """Write rows of a table whole or not at all; None is an empty cell.
 
@@ -288,7 +382,7 @@ def write_csv(path: str | Path, rows: Iterable[Sequence[Any]]) -> None:
     Raises:
         ArgumentError: as ``atomic_path`` does.
     """
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+    with atomic_path(path) as temporary, open_text(temporary) as file:
         csv.writer(file, lineterminator="\n").writerows([_harmless(cell) for cell in row] for row in rows)
 
 
@@ -316,15 +410,6 @@ def write_npy(path: str | Path, values: Shaped[np.ndarray, ...]) -> None:
 
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.save(file, values, allow_pickle=False)
-
-
-def read_json(path: Path, *, needs: str) -> dict[str, Any] | None:
-    """An object that has a certain key; None if the file holds anything else, or is not there."""
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) and needs in content else None
 
 
 def sha256(*paths: str | Path) -> str:

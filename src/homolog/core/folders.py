@@ -7,11 +7,19 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import TypedDict
+
 from homolog.core.errors import ArgumentError
-from homolog.core.files import made_folder, read_json, write_json
+from homolog.core.files import made_folder, remove_abandoned, write_json
+from homolog.core.records import record, stored_record
 
 MANIFEST = "manifest.json"
 """The file that says what is made in a folder and how; it exists from the start, and is completed at the end."""
+
+
+@record
+class _Manifest(TypedDict):
+    making: dict[str, Any]
 
 
 def prepare_folder(root: Path, manifest: dict[str, Any], folders: Sequence[str], *, what: str = "a dataset") -> None:
@@ -27,9 +35,9 @@ def prepare_folder(root: Path, manifest: dict[str, Any], folders: Sequence[str],
         ArgumentError: if it holds other files, or was begun with other settings, or cannot be written to; nothing is
             changed then.
     """
-    begun = read_json(root / MANIFEST, needs="making")
+    begun = stored_record(root / MANIFEST, _Manifest)
     if begun is None:
-        if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        if root.exists() and not _is_unused(root, folders):
             raise ArgumentError(f"{root} holds other things; give another folder with -o, a new or an empty one")
     elif different := _differences(begun["making"], manifest["making"]):
         raise ArgumentError(
@@ -39,6 +47,15 @@ def prepare_folder(root: Path, manifest: dict[str, Any], folders: Sequence[str],
         made_folder(root / folder)
     if begun is None:
         write_json(root / MANIFEST, manifest)
+
+
+def _is_unused(root: Path, folders: Sequence[str]) -> bool:
+    """Whether a folder holds no more than what a process can have left that was killed before it wrote the manifest."""
+    if not root.is_dir():
+        return False
+    remove_abandoned(root)
+    ours = {root / name for name in folders}
+    return all(path in ours and path.is_dir() and not any(path.iterdir()) for path in root.iterdir())
 
 
 @contextmanager
@@ -70,9 +87,7 @@ def _remove_unused(root: Path, folders: Sequence[str], new: Sequence[Path]) -> N
             path.rmdir()
 
 
-def _differences(begun: Any, given: dict[str, Any]) -> str:
-    if not isinstance(begun, dict):
-        return "its settings are unknown"
+def _differences(begun: dict[str, Any], given: dict[str, Any]) -> str:
     return ", ".join(
         key if isinstance(value, dict) else f"{key} {begun.get(key)}, not {value}"
         for key, value in given.items()

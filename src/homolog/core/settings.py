@@ -26,6 +26,7 @@ from typing import (
 from annotated_types import Ge, Gt, Le, Lt
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.records import check_plain
 
 if TYPE_CHECKING:  # loaded once something is checked
     from pydantic import TypeAdapter, ValidationError
@@ -96,11 +97,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         ArgumentError: if it cannot be read, or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        check_plain(tables)
     except (OSError, UnicodeDecodeError) as error:
         raise ArgumentError(f"{path} cannot be read ({error}); give a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ArgumentError(f"{path} is not valid TOML: {error}") from None
+    except (ValueError, RecursionError) as error:
+        raise ArgumentError(f"{path} is not valid TOML: {' '.join(str(error).split())[:160]}") from None
+    return tables
 
 
 def read_settings(settings: type[S], table: Mapping[str, Any], where: str) -> S:

@@ -6,19 +6,20 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from functools import cache
+from multiprocessing.synchronize import Semaphore
+from typing import Any, NoReturn, TypeVar
 
-import psutil
 from joblib import Parallel, delayed
-from joblib.externals.loky.backend import resource_tracker
+from joblib.externals.loky.backend import get_context, resource_tracker
 from joblib.parallel import LokyBackend
 
+from homolog.core.ends import bound_end, end_with_parent
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Progress, ignore
 
@@ -26,6 +27,9 @@ T = TypeVar("T")
 
 # A name to show, and what to do; several processes need functions and results that can be pickled.
 Task = tuple[str, Callable[[], T]]
+
+# Seconds for all workers to end in by themselves, once they are told to.
+_PATIENCE = 2.0
 
 
 def run_tasks(
@@ -61,7 +65,7 @@ def _results(functions: Sequence[Callable[[], T]], processes: int) -> Iterator[T
     if processes == 1:
         yield from (function() for function in functions)
         return
-    backend = _Backend(initializer=_begin_worker, initargs=(os.getpid(),))
+    backend = _Backend(initializer=_begin_worker, initargs=(os.getpid(), _at_rest()))
     # Joblib would map large arrays to files, and they could not be written to.
     parallel = Parallel(processes, backend=backend, return_as="generator", batch_size=1, max_nbytes=None)
     with _unheard_interrupts():
@@ -84,11 +88,21 @@ class _Backend(LokyBackend):  # type: ignore[misc]
 
     def abort_everything(self, ensure_ready: bool = True) -> None:
         workers = [child for child in multiprocessing.active_children() if child.name.startswith("LokyProcess")]
+        deadline = time.monotonic() + _PATIENCE
+        while _at_rest().acquire(block=False):  # of an earlier time
+            pass
         for worker in workers:
             worker.terminate()
-        for worker in workers:
-            worker.join(timeout=2)
-        super().abort_everything(ensure_ready)  # which kills what is left
+        for _ in workers:
+            _at_rest().acquire(timeout=max(0, deadline - time.monotonic()))
+        super().abort_everything(ensure_ready)  # which kills them
+
+
+@cache
+def _at_rest() -> Semaphore:
+    """Counts the workers that have nothing to remove any more, once they were told to end."""
+    count: Semaphore = get_context().Semaphore(0)
+    return count
 
 
 @contextmanager
@@ -108,21 +122,41 @@ def _unheard_interrupts() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin_worker(parent: int) -> None:
+def _begin_worker(parent: int, at_rest: Semaphore) -> None:
     """Leave interrupts to the parent, which ends its workers by SIGTERM, and end with it if it is killed."""
 
-    def watch() -> None:
-        while os.getppid() == parent and psutil.pid_exists(parent):
-            time.sleep(1)
-        os._exit(1)
+    def end(*_: object) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        if _Worker.is_in_task:
+            sys.exit(1)  # so that the task removes what it is writing
+        _rest()
 
+    _Worker.at_rest = at_rest
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
-    threading.Thread(target=watch, daemon=True).start()
+    signal.signal(signal.SIGTERM, end)
+    bound_end(_PATIENCE / 2, lambda _: _rest())
+    end_with_parent(parent)
+
+
+class _Worker:
+    """The state of this process, if it is a worker."""
+
+    at_rest: Semaphore
+    is_in_task = False
+
+
+def _rest() -> NoReturn:
+    """Wait to be killed: the first worker that ended would have all others killed at once, whatever they are at."""
+    _Worker.at_rest.release()
+    time.sleep(2 * _PATIENCE)
+    os._exit(1)
 
 
 def _in_worker(function: Callable[[], T]) -> T:
+    _Worker.is_in_task = True
     try:
         return function()
-    except SystemExit:  # by SIGTERM: the task has removed what it was writing, and the worker must not take another
-        os._exit(1)
+    except SystemExit:  # by SIGTERM: the task has removed what it was writing
+        _rest()
+    finally:
+        _Worker.is_in_task = False

@@ -193,7 +193,7 @@ class _Check:
     def _checksum(self) -> None:
         files = sorted(file for file in set(self._files()) if not file.name.startswith("."))
         lines = (f"{sha256(file)}  {file.relative_to(self.root).as_posix()}\n" for file in files)
-        self.report.sha256 = hashlib.sha256("".join(lines).encode()).hexdigest()
+        self.report.sha256 = hashlib.sha256("".join(lines).encode(errors="surrogateescape")).hexdigest()
         if self.description.sha256 not in ("", self.report.sha256):
             self._say(
                 f"{self.root}: the checksum is {self.report.sha256}, but the dataset's is {self.description.sha256}"

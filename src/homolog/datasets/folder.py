@@ -215,7 +215,9 @@ class ShapeFolder:
         """For each point of a shape its row in the file."""
         if not self.description.shuffled:
             return np.arange(n_points)
-        return np.random.default_rng(zlib.crc32(f"{self.seed} {name}".encode())).permutation(n_points)
+        return np.random.default_rng(zlib.crc32(f"{self.seed} {name}".encode(errors="surrogateescape"))).permutation(
+            n_points
+        )
 
     def _list(self, split: Split) -> Path:
         return self.root / f"{split}.txt"
@@ -379,6 +381,9 @@ def drawn_pairs(pairs: Iterable[Pair], count: int, *, seed: int) -> tuple[Pair, 
     different = [pair for pair in dict.fromkeys(pairs) if pair[0] != pair[1]]
     if not 1 <= count <= len(different):
         raise bad_value("n_pairs", count, f"from 1 to the number of pairs of different shapes, {len(different)}")
-    keys = {pair: hashlib.sha256(f"{seed} {pair[0]},{pair[1]}".encode()).digest() for pair in different}
+    keys = {
+        pair: hashlib.sha256(f"{seed} {pair[0]},{pair[1]}".encode(errors="surrogateescape")).digest()
+        for pair in different
+    }
     drawn = set(sorted(different, key=keys.__getitem__)[:count])
     return tuple(pair for pair in different if pair in drawn)

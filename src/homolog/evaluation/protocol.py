@@ -58,7 +58,7 @@ class Protocol(Settings):
 
     def rotation(self, name: str) -> Float[np.ndarray, "3 3"]:
         """What a shape of this name is turned by, drawn from the seed (3, 3)."""
-        random = np.random.default_rng(zlib.crc32(f"{self.seed} {name} turn".encode()))
+        random = np.random.default_rng(zlib.crc32(f"{self.seed} {name} turn".encode(errors="surrogateescape")))
         if self.turn == "any":
             return np.asarray(Rotation.random(random_state=random).as_matrix())
         return rotation_about(1, random.uniform(-180, 180) if self.turn == "vertical" else 0.0)

@@ -205,7 +205,7 @@ class _Run:
         shape = self.clouds.get(name, self.shapes[name]) if side == "target" else self.shapes[name]
         if not self.is_noisy(side):
             return shape
-        seed = zlib.crc32(f"{self.protocol.seed} {name} {side}".encode())
+        seed = zlib.crc32(f"{self.protocol.seed} {name} {side}".encode(errors="surrogateescape"))
         return add_noise(shape, self.protocol.noise * self.frame(self.scaled_by(pair, side)).scale, seed=seed)
 
     def is_noisy(self, side: Side) -> bool:

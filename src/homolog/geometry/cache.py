@@ -26,7 +26,7 @@ from homolog.shapes import Shape
 _log = logging.getLogger(__name__)
 
 # Part of every key: raise it when operators of the same shape and settings change.
-_VERSION = 2
+_VERSION = 3
 _DENSE = ("points", "mass", "eigenvalues", "eigenvectors", "centre")
 
 EigenvectorPrecision = Literal["float32", "float16"]
@@ -37,8 +37,9 @@ class OperatorCache(CacheFolder):
     """Cache of operators on disk: a folder with an entry per shape and settings, safe to share between processes.
 
     An entry's name is the hash of the shape's points and faces and of the settings. Entries are safetensors files,
-    which cannot run code. They are written atomically and carry a checksum: a damaged one is computed anew. When the
-    folder outgrows ``max_bytes``, the least recently used entries are deleted.
+    which cannot run code. They are written atomically and carry a checksum of name and contents: one that is
+    damaged, or has another's name, is computed anew. When the folder outgrows ``max_bytes``, the least recently used
+    entries are deleted.
 
     Args:
         folder: where to keep entries; made on first use. ``OperatorCache.default()`` takes ``cache_folder()``.
@@ -100,7 +101,7 @@ class OperatorCache(CacheFolder):
         if self.eigenvectors == "float16":
             tensors["eigenvectors"] = tensors["eigenvectors"].half()
         notes = {"length": operators.scale.hex(), "method": operators.method}
-        notes["checksum"] = _checksum(tensors, notes)
+        notes["checksum"] = _checksum(path.stem, tensors, notes)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             with atomic_path(path) as temporary:
@@ -117,8 +118,8 @@ def _read(path: Path) -> Operators | None:
         with safe_open(path, framework="pt") as entry:
             notes = entry.metadata() or {}
             tensors = {name: entry.get_tensor(name) for name in entry.keys()}  # noqa: SIM118
-        if notes.pop("checksum", None) != _checksum(tensors, notes):
-            raise ValueError("its checksum does not match")
+        if notes.pop("checksum", None) != _checksum(path.stem, tensors, notes):
+            raise ValueError("its checksum is not that of its name and contents")
         operators = _operators(tensors, scale=float.fromhex(notes["length"]), method=notes["method"])
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, RuntimeError) as error:
         # Another process may have deleted or replaced it during the reading.
@@ -165,8 +166,9 @@ def _operators(tensors: dict[str, Tensor], *, scale: float, method: str) -> Oper
     )
 
 
-def _checksum(tensors: dict[str, Tensor], notes: dict[str, str]) -> str:
-    digest = hashlib.blake2b(json.dumps(notes, sort_keys=True).encode(), digest_size=16)
+def _checksum(key: str, tensors: dict[str, Tensor], notes: dict[str, str]) -> str:
+    """Of an entry: its name too, so that one under another's name is not believed."""
+    digest = hashlib.blake2b(json.dumps([key, notes], sort_keys=True).encode(), digest_size=16)
     for name in sorted(tensors):
         array: np.ndarray = tensors[name].numpy()
         digest.update(f"{name} {array.dtype} {array.shape}".encode())

@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from statistics import fmean
-from typing import Any
+from typing import Annotated, Any
 
+from annotated_types import Ge, Le
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.core.errors import ArgumentError
+from homolog.core.settings import NotNegative
 from homolog.geometry import Surface
 from homolog.maps import coverage, cycle_error, dirichlet_energy, flipped_triangles
 from homolog.pairs import SIDES, PreprocessedShape
+
+_Share = Annotated[float, Ge(0), Le(1)]
 
 
 @dataclass(frozen=True)
@@ -27,11 +32,11 @@ class Quality:
         confidence: mean confidence, 0 to 1.
     """
 
-    coverage: float
-    cycle_error: float
-    dirichlet_energy: float
-    flipped_triangles: float | None
-    confidence: float
+    coverage: _Share
+    cycle_error: NotNegative
+    dirichlet_energy: NotNegative
+    flipped_triangles: _Share | None
+    confidence: _Share
 
 
 MEASURES = tuple(field.name for field in fields(Quality))
@@ -44,6 +49,10 @@ class MapQuality:
 
     source: Quality | None
     target: Quality | None
+
+    def __post_init__(self) -> None:
+        if self.source is None and self.target is None:
+            raise ArgumentError("source and target are both None, but the quality of one of them must be known")
 
     @property
     def mean(self) -> Quality:
@@ -68,14 +77,9 @@ class MapQuality:
 
     @classmethod
     def from_dict(cls, figures: Mapping[str, Any]) -> MapQuality:
-        """What ``to_dict`` gave; anything else is a KeyError, a TypeError or a ValueError."""
-        return cls(*(None if figures[side] is None else _quality_of(figures[side]) for side in SIDES))
-
-
-def _quality_of(figures: Mapping[str, Any]) -> Quality:
-    flips = figures["flipped_triangles"]
-    numbers = {name: float(figures[name]) for name in MEASURES if name != "flipped_triangles"}
-    return Quality(**numbers, flipped_triangles=None if flips is None else float(flips))
+        """What ``to_dict`` gave."""
+        sides = [figures[side] for side in SIDES]
+        return cls(*(None if one is None else Quality(**{name: one[name] for name in MEASURES}) for one in sides))
 
 
 def quality(

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import scipy.io
+from annotated_types import Ge
 from jaxtyping import Int
+from typing_extensions import NotRequired, TypedDict
 
 from homolog.core.arguments import check_choice, is_count
 from homolog.core.errors import ArgumentError, DataError, HomologError, bad_value
-from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, write_json
+from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, sha256, write_json
 from homolog.core.progress import Timings
+from homolog.core.records import in_a_line, read_record, record
 from homolog.matching.colours import matched_colours
 from homolog.matching.quality import MapQuality
-from homolog.pairs import SIDES, Side
+from homolog.pairs import PairOptions, Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
 
 if TYPE_CHECKING:
@@ -37,13 +39,38 @@ _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
 _TOO_LARGE = 2**53
 
 
+class _Input(TypedDict, total=False):
+    name: str
+    file: str
+    sha256: str
+    points_left_out: Annotated[int, Ge(0)]
+
+
+class _Inputs(TypedDict, total=False):
+    source: _Input
+    target: _Input
+
+
+@record
+class _Report(TypedDict):
+    """What is read of a report; it tells more to people and to other programs."""
+
+    method: str
+    warnings: NotRequired[list[str]]
+    inputs: NotRequired[_Inputs]
+    options: NotRequired[PairOptions]
+    quality: NotRequired[MapQuality | None]
+    sha256: NotRequired[dict[str, str]]
+
+
 def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = None) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
     The shapes are as given, point by point, coloured so that the same colour means the same point; so that any program
     opens them, faces that repair drops are left out, and points without a position lie at the mean of the others. The
-    four files land together once all are written; on an error or an interrupt an earlier result stays as it was. Other
-    files are left alone.
+    four files land together once all are written; on an error or an interrupt an earlier result stays as it was. Only a
+    process that is killed amid the landing leaves some of both, which the report tells by its hashes of the others.
+    Other files are left alone.
 
     Args:
         folder: where to.
@@ -55,15 +82,21 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
     """
     folder = made_folder(folder)
     paths = [folder / name for name in RESULT_FILES]
-    with all_or_nothing():
+    with all_or_nothing() as moves:
         with (timings or Timings()).measure("write"):
             source_colours, target_colours = matched_colours(match)
             write_maps(paths[0], match)
             write_shape(paths[1], drawable(match.source), colours=source_colours)
             write_shape(paths[2], drawable(match.target), colours=target_colours)
+        landing = {target: temporary for temporary, target in moves.items()}
         known = match.report.get("inputs", {})
         inputs = {side: {"name": getattr(match, side).name, **known.get(side, {})} for side in SIDES}
-        told: dict[str, Any] = {"inputs": inputs, "method": match.method, "warnings": list(match.warnings)}
+        told: dict[str, Any] = {
+            "inputs": inputs,
+            "method": match.method,
+            "warnings": list(match.warnings),
+            "sha256": {path.name: sha256(landing[path.resolve()]) for path in paths[:-1]},
+        }
         if match.quality is not None:
             told["quality"] = match.quality.to_dict()
         if timings is not None:
@@ -83,14 +116,20 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
     for name in RESULT_FILES:
         if not (root / name).is_file():
             raise DataError(f"{folder} has no {name}, so that it is no result; give a folder that homolog match wrote")
-    report = _read_report(root / REPORT)
+    report = read_record(root / REPORT, _Report, instead="match again")
+    for name, digest in report.pop("sha256", {}).items():
+        if name in RESULT_FILES and sha256(root / name) != digest:
+            raise DataError(
+                f"{root / name} is not the file that {REPORT} belongs to: it was changed, or a run was killed while it "
+                "wrote them; match again"
+            )
     return {
         "source": _read_shape(root, report, "source"),
         "target": _read_shape(root, report, "target"),
         **_read_arrays(root / MAPS),
         "method": report["method"],
-        "warnings": tuple(report["warnings"]),
-        "quality": _quality(root / REPORT, report),
+        "warnings": tuple(report.setdefault("warnings", [])),
+        "quality": None if report.get("quality") is None else MapQuality.from_dict(report["quality"]),
         "report": report,
     }
 
@@ -107,35 +146,13 @@ def matched_name(report: Mapping[str, Any], side: Side, *, otherwise: str) -> st
     return PurePath(given.get("file", given.get("name", otherwise))).name
 
 
-def _read_report(path: Path) -> dict[str, Any]:
-    try:
-        report: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise DataError(f"{path} cannot be read as the report of a match ({error}); match again") from None
-    known = isinstance(report, dict) and isinstance(report.get("method"), str)
-    inputs = report.get("inputs", {}) if known else None
-    if not isinstance(inputs, dict) or not all(isinstance(inputs.get(side, {}), dict) for side in SIDES):
-        raise DataError(f"{path} is not the report of a match; match again")
-    warnings = report.setdefault("warnings", [])
-    if not isinstance(warnings, list) or not all(isinstance(warning, str) for warning in warnings):
-        raise DataError(f"{path} is not the report of a match; match again")
-    return dict(report)
-
-
-def _quality(path: Path, report: dict[str, Any]) -> MapQuality | None:
-    try:
-        return None if report.get("quality") is None else MapQuality.from_dict(report["quality"])
-    except (KeyError, TypeError, ValueError):
-        raise DataError(f"{path} has figures of quality that are not those of a match; match again") from None
-
-
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as stored:
             missing = [name for name in _ARRAYS if name not in stored.files]
             arrays = {name: stored[name] for name in _ARRAYS if name not in missing}
     except Exception as error:  # whatever NumPy raises of a damaged file
-        raise DataError(f"{path} cannot be read as the arrays of a match ({error}); match again") from None
+        raise DataError(f"{path} cannot be read as the arrays of a match ({in_a_line(error)}); match again") from None
     if missing:
         raise DataError(f"{path} has no array {missing[0]!r}; it must be what homolog match wrote")
     for name, array in arrays.items():

@@ -12,8 +12,9 @@ from pathlib import Path, PurePath
 import anyio
 from anyio import to_thread
 from anyio.abc import TaskGroup
+from typing_extensions import TypedDict
 
-from homolog.core.files import read_json
+from homolog.core.records import record, stored_record
 from homolog.pairs import SIDES
 from homolog.serving.addresses import client_network
 from homolog.serving.command import MatchCommand, MatchRequest
@@ -23,6 +24,13 @@ from homolog.serving.limits import Limits
 from homolog.serving.upload import RefusedError
 
 _log = logging.getLogger(__name__)
+
+
+@record
+class _Report(TypedDict):
+    """What is told of a match."""
+
+    warnings: list[str]
 
 
 class Jobs:
@@ -116,9 +124,9 @@ class Jobs:
         async with self._turn(job):
             await run_match(job, self._command, self._limits)
             await to_thread.run_sync(pack_result, job.folder)
-        report = read_json(job.folder / "result" / "report.json", needs="method") or {}
+        report = stored_record(job.folder / "result" / "report.json", _Report) or {"warnings": []}
         stems = [PurePath(job.upload.names[side]).stem for side in SIDES]
-        job.publish("done", archive=f"{' to '.join(stems)}.zip", warnings=report.get("warnings", []))
+        job.publish("done", archive=f"{' to '.join(stems)}.zip", warnings=report["warnings"])
 
     @asynccontextmanager
     async def _turn(self, job: Job) -> AsyncIterator[None]:

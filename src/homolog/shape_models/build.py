@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from homolog.core.errors import ArgumentError
-from homolog.core.files import expanded, refuse_overwriting_inputs
+from homolog.core.files import expanded, refuse_overwriting_inputs, resolved
 from homolog.core.progress import Progress, ignore
 from homolog.core.versions import versions
 from homolog.matching import Matcher
@@ -109,7 +109,7 @@ def refuse_inputs_inside(output: Path, inputs: Sequence[str | Path]) -> None:
     Raises:
         ArgumentError: naming the first one.
     """
-    folder = output.resolve()
+    folder = resolved(output)
     for path in inputs:
-        if expanded(path).resolve().is_relative_to(folder):
+        if resolved(path).is_relative_to(folder):
             raise ArgumentError(f"{path} lies in {output}, where the result is written; give another -o, or move it")

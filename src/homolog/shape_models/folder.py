@@ -5,16 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from typing_extensions import TypedDict
 
 from homolog.core.errors import DataError
-from homolog.core.files import expanded, read_json, sha256, write_json
+from homolog.core.files import expanded, sha256, write_json
 from homolog.core.folders import prepare_folder, remove_if_unused
+from homolog.core.records import record, stored_record
 from homolog.core.versions import versions
 from homolog.shape_models.registration import Figures, Registered
 from homolog.shape_models.subjects import Subject
@@ -23,6 +25,21 @@ from homolog.shapes import Shape, drawable, files_of_shape, read_shape, write_sh
 # A version, increased whenever the same template, shapes and settings give other points.
 _MAKING = 1
 _FOLDERS = ("shapes", "records")
+
+
+class _Outcome(TypedDict):
+    figures: Figures
+    warnings: list[str]
+    seconds: float
+
+
+@record
+class _Record(TypedDict):
+    """Of a registered shape."""
+
+    sha256: str
+    registered_sha256: str
+    outcome: _Outcome
 
 
 @dataclass(frozen=True)
@@ -70,9 +87,9 @@ class ShapeModelFolder:
         """
         folder = cls(expanded(root))
         # With JSON's types, so that it can be compared with the file.
-        record = json.loads(json.dumps({"way": _MAKING, **making}))
+        made = json.loads(json.dumps({"way": _MAKING, **making}))
         what = "shapes with the points and faces of one template, made by homolog collection"
-        manifest = {"what": what, "making": record, "versions": versions()}
+        manifest = {"what": what, "making": made, "versions": versions()}
         prepare_folder(folder.root, manifest, _FOLDERS, what="a collection")
         return folder
 
@@ -108,7 +125,7 @@ class ShapeModelFolder:
         assert figures is not None
         file = self.shape_file(subject.name)
         write_shape(file, Shape(registered.points, drawable(template).faces))
-        record = {
+        made = {
             "file": str(subject.file),
             **_stamp(subject.file),
             "sha256": digest,
@@ -119,7 +136,7 @@ class ShapeModelFolder:
                 "seconds": round(outcome.seconds, 2),
             },
         }
-        write_json(self._record_file(subject.name), record)
+        write_json(self._record_file(subject.name), made)
 
     def forget(self, subject: Subject) -> None:
         """Delete what was made of an earlier version of a shape's file."""
@@ -134,15 +151,12 @@ class ShapeModelFolder:
         Raises:
             ShapeError: if the shape's file cannot be used at all.
         """
-        record = read_json(self._record_file(subject.name), needs="outcome")
-        if record is None or not self._is_current(subject, record):
+        stored = stored_record(self._record_file(subject.name), _Record)
+        if stored is None or not self._is_current(subject, stored):  # it may be of another version, or damaged
             return None
-        stored = record["outcome"]
-        try:
-            figures, warnings = Figures(**stored["figures"]), tuple(stored["warnings"])
-            return Outcome(subject, figures, warnings, seconds=stored["seconds"])
-        except (KeyError, TypeError):  # a record of another version, or damaged
-            return None
+        told = stored["outcome"]
+        known = {field.name: told["figures"][field.name] for field in fields(Figures) if field.name in told["figures"]}
+        return Outcome(subject, Figures(**known), tuple(told["warnings"]), seconds=told["seconds"])
 
     def points(self, names: Sequence[str], count: int) -> Float[np.ndarray, "s n 3"]:
         """The template's points on registered shapes.
@@ -171,12 +185,12 @@ class ShapeModelFolder:
         recorded = {path.stem for path in (self.root / "records").glob("*.json")}
         return sorted(name for name in recorded - known if self.shape_file(name).is_file())
 
-    def _is_current(self, subject: Subject, record: dict[str, Any]) -> bool:
+    def _is_current(self, subject: Subject, stored: dict[str, Any]) -> bool:
         registered = self.shape_file(subject.name)
-        if not registered.is_file() or sha256(registered) != record.get("registered_sha256"):
+        if not registered.is_file() or sha256(registered) != stored["registered_sha256"]:
             return False
-        unchanged = all(record.get(key) == value for key, value in _stamp(subject.file).items())
-        return unchanged or sha256(*files_of_shape(subject.file)) == record["sha256"]
+        unchanged = all(stored.get(key) == value for key, value in _stamp(subject.file).items())
+        return unchanged or sha256(*files_of_shape(subject.file)) == stored["sha256"]
 
     def _record_file(self, name: str) -> Path:
         return self.root / "records" / f"{name}.json"

@@ -8,8 +8,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import TypedDict
+
 from homolog.core.errors import DataError, needs_extra
-from homolog.core.files import all_or_nothing, read_json, write_json, write_npy
+from homolog.core.files import all_or_nothing, write_json, write_npy
+from homolog.core.records import record, stored_record
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.model_files import MODEL_FOLDERS, write_model
 from homolog.shape_models.overview import write_quality, write_sheet
@@ -110,9 +113,13 @@ def _report(shapes: RegisteredShapes) -> dict[str, Any]:
     }
 
 
+@record
+class _Report(TypedDict):
+    files: list[str]
+
+
 def _earlier_files(root: Path) -> set[str]:
     """The files of an earlier call, by its report; only those at our own paths, as a report may be anybody's."""
-    listed = (read_json(root / REPORT, needs="files") or {}).get("files")
-    names = [name for name in listed if isinstance(name, str)] if isinstance(listed, list) else []
+    names = (stored_record(root / REPORT, _Report) or {"files": []})["files"]
     ours = tuple((root / name).resolve() for name in OUTPUT_NAMES)
     return {name for name in names if any((root / name).resolve().is_relative_to(path) for path in ours)}

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from typing_extensions import TypedDict
 
-from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, read_json, sha256, write_json
+from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, sha256, write_json
 from homolog.core.folders import MANIFEST, prepare_folder
+from homolog.core.records import record, stored_record
 from homolog.core.versions import version_of, versions
 from homolog.geometry.surface import BarycentricPoints, Surface
 from homolog.shapes import Shape, write_shape
@@ -22,6 +24,13 @@ _MAKING = 1
 _FOLDERS = ("off", "corres", "barycentric", "records", "template")
 # Coordinates are rounded to micrometres.
 _DIGITS = 6
+
+
+@record
+class _Record(TypedDict):
+    """Of a body: the hashes of its files."""
+
+    sha256: dict[str, str]
 
 
 @dataclass(frozen=True)
@@ -62,17 +71,17 @@ class PeopleFolder:
 
     def has_all_files(self, name: str) -> bool:
         """Whether all files of a body exist and are unchanged."""
-        record = self.record(name)
-        if record is None:
+        stored = self.record(name)
+        if stored is None:
             return False
         return all(
-            path.is_file() and sha256(path) == record["sha256"].get(relative)
+            path.is_file() and sha256(path) == stored["sha256"].get(relative)
             for relative, path in self.files(name).items()
         )
 
     def record(self, name: str) -> dict[str, Any] | None:
         """How a body was made; None if that is unknown."""
-        return read_json(self.root / "records" / f"{name}.json", needs="sha256")
+        return stored_record(self.root / "records" / f"{name}.json", _Record)
 
     def write_person(self, name: str, person: Person) -> None:
         """Write all files of a body; the record comes last, and without it the other files do not count."""

@@ -5,7 +5,6 @@ D. Cao and F. Bernard (CVPR 2023) train and test on such a dataset, 5,000 views 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
@@ -14,12 +13,14 @@ from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Int
+from typing_extensions import TypedDict
 
 from homolog.core.arguments import check_count, is_count
 from homolog.core.errors import DataError, bad_value
-from homolog.core.files import all_or_nothing, atomic_path, expanded, write_json
+from homolog.core.files import all_or_nothing, atomic_path, expanded, open_text, write_json
 from homolog.core.folders import MANIFEST, prepare_folder
 from homolog.core.progress import Progress, ignore
+from homolog.core.records import read_record, record, stored_record
 from homolog.core.tasks import run_tasks
 from homolog.datasets import ShapeFolder
 from homolog.shapes import read_shape, repair, write_shape
@@ -30,6 +31,13 @@ from homolog.synthesis.views import View, ViewSettings, view
 _MAKING = 1
 _MOST_VIEWS = 1_000_000
 _FOLDERS = ("off", "clouds", "truth")
+
+
+@record
+class _Record(TypedDict):
+    """Of a view."""
+
+    name: str
 
 
 def write_view_dataset(
@@ -78,7 +86,7 @@ def write_view_dataset(
     write_views = [(one.name, partial(_write_view, one, root, settings)) for one in planned]
     run_tasks([write_shapes, write_views], processes=processes, progress=progress or ignore)
     _write_lists(root, planned)
-    records = [json.loads(_record_file(root, one.name).read_text(encoding="utf-8")) for one in planned]
+    records = [read_record(_record_file(root, one.name), _Record, instead="remove it") for one in planned]
     write_json(root / MANIFEST, {**manifest, "views": records})
 
 
@@ -107,12 +115,12 @@ def _write_full_shape(file: Path, truth_root: Path | None, root: Path) -> None:
 
 def _write_view(planned: PlannedView, root: Path, settings: ViewSettings) -> None:
     """Write a view as a mesh and as a cloud, its ground truth and, last, its record."""
-    record = _record_file(root, planned.name)
+    record_file = _record_file(root, planned.name)
     folders = {"off": ".off", "clouds": ".ply", "truth": ".npz", "corres": ".vts"}
     files = [
         root / folder / f"{planned.name}{suffix}" for folder, suffix in folders.items() if (root / folder).is_dir()
     ]
-    if _all_written([*files, record]):
+    if _all_written(files) and stored_record(record_file, _Record) is not None:
         return
     found = view(read_shape(root / "off" / f"{planned.viewed}.off"), settings, seed=planned.seed)
     with all_or_nothing():
@@ -126,7 +134,7 @@ def _write_view(planned: PlannedView, root: Path, settings: ViewSettings) -> Non
             np.savez_compressed(temporary, allow_pickle=False, **_truth(planned, found, folder))
         counts = {"mesh_points": found.mesh.shape.n_points, "cloud_points": found.cloud.shape.n_points}
         seen = {"visible_share": found.visible_share, **counts, "camera": asdict(found.camera)}
-        write_json(record, {**asdict(planned), **seen})
+        write_json(record_file, {**asdict(planned), **seen})
 
 
 def _truth(planned: PlannedView, found: View, folder: ShapeFolder | None) -> dict[str, np.ndarray]:
@@ -176,8 +184,8 @@ def _write_vertices(root: Path, name: str, vertices: Int[np.ndarray, " p"]) -> N
 
 
 def _write_lines(path: Path, lines: Sequence[str]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with atomic_path(path) as temporary, open_text(temporary) as file:
+        file.write("\n".join(lines) + "\n")
 
 
 def _all_written(files: Sequence[Path]) -> bool:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from homolog.core.progress import Progress
+from homolog.core.records import record
 from homolog.geometry import some_points
 from homolog.maps import joint_rotations
 from homolog.training.data import TrainingSet
@@ -24,6 +25,7 @@ _SAMPLES = 400
 _OUTLIER = 2.0
 
 
+@record
 @dataclass(frozen=True)
 class Aligned:
     """How a shape was turned.

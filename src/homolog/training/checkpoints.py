@@ -6,13 +6,17 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
+from annotated_types import Ge
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
+from typing_extensions import TypedDict
 
 from homolog.core.errors import TrainingError
+from homolog.core.records import checked_json, record
+from homolog.core.settings import NotNegative
 from homolog.core.tensors import write_tensors
 from homolog.training.losses import Loss
 from homolog.training.settings import Recipe
@@ -40,6 +44,17 @@ _WITHOUT_EFFECT = frozenset(
 _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
+@record
+class _Progress(TypedDict):
+    """What a checkpoint keeps of a ``TrainingState`` beside its tensors."""
+
+    step: Annotated[int, Ge(0)]
+    seconds: NotNegative
+    best: float | None
+    records: list[dict[str, Any]]
+    started_from: dict[str, str] | None
+
+
 def save_checkpoint(
     path: Path, state: TrainingState, recipe: Recipe, shapes: str, *, losses: Sequence[Loss] = ()
 ) -> None:
@@ -52,7 +67,7 @@ def save_checkpoint(
         shapes: a digest of the shapes trained on.
         losses: of one's own, of which names and weights are noted.
     """
-    progress = {name: getattr(state, name) for name in ("step", "seconds", "best", "records", "started_from")}
+    progress = {name: getattr(state, name) for name in _Progress.__annotations__}
     header = {
         "format": _FORMAT,
         "shapes": shapes,
@@ -84,7 +99,7 @@ def load_checkpoint(
         _check_recipe(path, json.loads(header["recipe"]), _described(recipe, losses))
         if header["shapes"] != shapes:
             raise TrainingError(f"{path} was trained on other shapes; give the same DATA, or another -o")
-        return _state(recipe, tensors, json.loads(header["progress"]), device)
+        return _state(recipe, tensors, checked_json(header["progress"], _Progress), device)
     except TrainingError:
         raise
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
@@ -106,8 +121,8 @@ def _state(
     recipe: Recipe, tensors: dict[str, Tensor], progress: dict[str, Any], device: torch.device | str
 ) -> TrainingState:
     state = TrainingState.new(recipe, device)
-    for name, value in progress.items():
-        setattr(state, name, value)
+    for name in _Progress.__annotations__:
+        setattr(state, name, progress[name])
     for name, weight in state.network.named_parameters():
         _fill(weight.data, tensors[f"weights.{name}"])
         if state.step:

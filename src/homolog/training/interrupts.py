@@ -8,7 +8,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from homolog.core.ends import patience
+
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+# For a step to be done, and a checkpoint to be written.
+_PATIENCE_SECONDS = 60.0
 
 
 class Interrupts:
@@ -25,7 +29,8 @@ class Interrupts:
 def deferred_interrupts() -> Iterator[Interrupts]:
     """Defer a first Ctrl-C or SIGTERM until the block ends, and raise it then.
 
-    The block should check the result regularly, and end soon if it is true. A second signal acts at once. Outside the
+    The block should check the result regularly, and end soon if it is true: a command is ended after a minute. A second
+    signal acts at once. Outside the
     main thread, where Python delivers no signals, this does nothing.
     """
     interrupts = Interrupts()
@@ -45,7 +50,8 @@ def deferred_interrupts() -> Iterator[Interrupts]:
     for number in _SIGNALS:
         signal.signal(number, keep)
     try:
-        yield interrupts
+        with patience(_PATIENCE_SECONDS):
+            yield interrupts
     finally:
         give_back()
     if interrupts.number is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import math
+import os
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from homolog.core.ends import end_with_parent
 from homolog.core.errors import ArgumentError, TrainingError, needs_extra
 from homolog.core.files import expanded
 from homolog.core.memory import keep_freed_memory
@@ -24,7 +26,7 @@ from homolog.geometry import OperatorCache
 from homolog.matching import Matcher
 from homolog.pairs import Device, MatcherSettings, OperatorSource, choose_device
 from homolog.training.data import TrainingSet
-from homolog.training.distributed import process_group, shared_errors
+from homolog.training.distributed import is_started_by_another, process_group, shared_errors
 from homolog.training.interrupts import Interrupts, deferred_interrupts
 from homolog.training.losses import TOTAL, Loss
 from homolog.training.objective import losses_of, pair_losses
@@ -121,6 +123,8 @@ def train(
             if recipe.data.align:  # before there are others, which would wait
                 folder.align(progress or ignore)
         fabric.launch()
+        if is_started_by_another():
+            end_with_parent(os.getppid())
         until_the_end.enter_context(process_group())
         report = progress if progress is not None and fabric.is_global_zero else ignore
         source = operators or OperatorCache.default().operators

@@ -16,9 +16,10 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from homolog.core.errors import ArgumentError, TrainingError
+from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import made_folder, sha256, write_json
 from homolog.core.progress import Progress
+from homolog.core.records import read_record
 from homolog.core.versions import versions
 from homolog.features import FeatureInfo, Orienter, load_weights, save_weights
 from homolog.training.alignment import Aligned, aligned
@@ -66,6 +67,8 @@ class RunFolder:
         Raises:
             ArgumentError: if it cannot be made, or holds files and ``resume`` is not given.
         """
+        if any("\ud800" <= sign <= "\udfff" for sign in str(self.path)):  # as Python has other bytes
+            raise ArgumentError(f"{self.path} is no UTF-8, which TensorBoard needs; give another -o")
         made_folder(self.path)
         if not os.access(self.path, os.W_OK):
             raise ArgumentError(f"{self.path} is read-only; give another -o")
@@ -106,11 +109,12 @@ class RunFolder:
         """By which the shapes are to be turned, by name; none where they are not aligned."""
         if not (self.recipe.data.align and self._alignment.is_file()):
             return {}
-        try:
-            found = json.loads(self._alignment.read_text(encoding="utf-8"))
-            return {name: np.array(Aligned(**how).rotation).reshape(3, 3) for name, how in found.items()}
-        except (OSError, ValueError, TypeError, AttributeError) as error:
-            raise TrainingError(f"{self._alignment} is damaged ({error}); remove it, and give --resume") from None
+        instead = "remove it, and give --resume"
+        found = read_record(self._alignment, dict[str, Aligned], instead=instead)
+        for name, how in found.items():
+            if not _is_rotation(how["rotation"]):
+                raise DataError(f"{self._alignment} is damaged: {name} has no rotation; {instead}")
+        return {name: np.array(how["rotation"]) for name, how in found.items()}
 
     @property
     def _alignment(self) -> Path:
@@ -178,6 +182,10 @@ class RunFolder:
 def is_begun(path: Path) -> bool:
     """Whether a training has begun in a folder."""
     return (path / _LAST).is_file()
+
+
+def _is_rotation(rows: list[list[float]]) -> bool:
+    return list(map(len, rows)) == [3, 3, 3] and np.allclose(np.array(rows) @ np.transpose(rows), np.eye(3), atol=1e-4)
 
 
 def weights_info(recipe: Recipe) -> FeatureInfo:

@@ -190,7 +190,7 @@ class ShapeStore:
         mesh = self._mesh(name)
         if variant == MESH:
             return Cloud(mesh, None)
-        seed = zlib.crc32(f"{self._seed} {name} {variant}".encode())
+        seed = zlib.crc32(f"{self._seed} {name} {variant}".encode(errors="surrogateescape"))
         try:
             return make_cloud(mesh, self.variants[variant], seed=seed)
         except (ArgumentError, ShapeError) as error:

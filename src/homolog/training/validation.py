@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 
 from homolog.core.errors import DataError
-from homolog.core.files import atomic_path
+from homolog.core.files import atomic_path, open_text
 from homolog.datasets import Pair, ShapeFolder
 from homolog.evaluation import Modalities, Protocol, evaluate
 from homolog.features import DiffusionNet
@@ -86,8 +86,8 @@ def scores(
         rotations: by which shapes are turned first, each (3, 3), by name, as those are that were trained on.
     """
     folder = _Turned(**vars(folder), rotations=rotations) if rotations else folder
-    with atomic_path(listed) as temporary:
-        temporary.write_text("".join(f"{source},{target}\n" for source, target in pairs), encoding="utf-8")
+    with atomic_path(listed) as temporary, open_text(temporary) as file:
+        file.writelines(f"{source},{target}\n" for source, target in pairs)
     pre_aligned = partial is not None and bool(partial.pre_aligned)
     protocol = Protocol(pairs_file=str(listed), partial=partial is not None, pre_aligned=pre_aligned)
     try:

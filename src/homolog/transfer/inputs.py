@@ -87,7 +87,7 @@ def read_array(path: Path, shape: Shape) -> Num[np.ndarray, "n ..."]:
         array = np.load(expanded(path), allow_pickle=False)
     except OSError as error:
         raise DataError(f"{path} cannot be read as an NPY array: {error.strerror or error}") from None
-    except (ValueError, EOFError):
+    except Exception:  # whatever NumPy raises of a damaged header, a size that no memory holds included
         raise DataError(
             f"{path} cannot be read as an NPY array: it is damaged or does not hold plain numbers; "
             "write it anew with numpy.save, from an array of numbers"

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from homolog.core.choices import System
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, expanded
+from homolog.core.records import check_plain
 from homolog.shapes.formats.parsing import UnreadableError, number_rows, shorten
 from homolog.shapes.formats.tables import read_table_lines
 
@@ -99,7 +100,8 @@ def _read_markups(path: Path) -> Landmarks:
 def _markups_content(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8-sig"))
-    except ValueError as error:
+        check_plain(content)
+    except (ValueError, RecursionError) as error:
         raise UnreadableError(f"it is no valid JSON ({error}); save it again") from None
     markups = content.get("markups") if isinstance(content, dict) else None
     if not isinstance(markups, list) or not markups or not all(isinstance(markup, dict) for markup in markups):
@@ -108,7 +110,8 @@ def _markups_content(path: Path) -> dict[str, Any]:
 
 
 def _control_points(content: dict[str, Any]) -> list[dict[str, Any]]:
-    points = [point for markup in content["markups"] for point in markup.get("controlPoints", [])]
+    lists = [markup.get("controlPoints", []) for markup in content["markups"]]
+    points = [point for listed in lists if isinstance(listed, list) for point in listed]
     if not points or not all(isinstance(point, dict) for point in points):
         raise UnreadableError("it has no control points")
     return points

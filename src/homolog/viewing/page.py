@@ -54,7 +54,8 @@ def assembled(kind: str, title: str, described: dict[str, Any], arrays: PackedAr
         "program": _part(f"{kind}.js"),
     }
     # In one pass: what is filled in may hold such a sign by chance.
-    return re.sub(r"@(\w+)@", lambda place: parts[place[1]], _part("frame.html"))
+    page = re.sub(r"@(\w+)@", lambda place: parts[place[1]], _part("frame.html"))
+    return page.encode(errors="replace").decode()  # names of files need not be UTF-8
 
 
 def write_page(path: str | Path, scene: Scene) -> None:

@@ -1,0 +1,68 @@
+"""Ends of a process that come within seconds, whatever it is doing: after Ctrl-C or SIGTERM, and with its parent."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NoReturn
+
+from homolog.core.files import remove_temporary_files
+
+_POLL_SECONDS = 0.5
+# What blocks ask for that have something to bring to an end after a signal.
+_more_patience: list[float] = []
+
+
+def bound_end(seconds: float, end: Callable[[int], NoReturn]) -> None:
+    """From now on, end this process some seconds after Ctrl-C or SIGTERM, unless it has ended by then.
+
+    Python calls a signal's handler once native code returns, and the factorisation of a large matrix takes minutes. So
+    a thread waits beside it. Signals that are ignored end nothing. To be called in the main thread.
+
+    Args:
+        seconds: which the handlers of signals have.
+        end: called with the number of the signal, without temporary files of this process; it must end the process.
+    """
+    heard, told = os.pipe()
+    os.set_blocking(told, False)
+    signal.set_wakeup_fd(told, warn_on_full_buffer=False)  # written to at once, whatever runs
+
+    def wait() -> None:
+        while (number := os.read(heard, 1)[0]) not in (signal.SIGINT, signal.SIGTERM):
+            pass
+        time.sleep(max([seconds, *_more_patience]))
+        remove_temporary_files()
+        end(number)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def patience(seconds: float) -> Iterator[None]:
+    """Give what runs in this block so long to end after a signal."""
+    _more_patience.append(seconds)
+    try:
+        yield
+    finally:
+        _more_patience.remove(seconds)
+
+
+def end_with_parent(parent: int) -> None:
+    """From now on, end this process within a second or so of its parent, even if that is killed.
+
+    Args:
+        parent: the number of the process that started this one.
+    """
+    import psutil  # commands load this module before they can hear a signal
+
+    def watch() -> None:
+        while os.getppid() == parent and psutil.pid_exists(parent):
+            time.sleep(_POLL_SECONDS)
+        remove_temporary_files()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
