@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
+from homolog.core.messages import one_line, shown
+
 
 class HomologError(Exception):
     """Base of all errors that a user can cause: a mistake in what was given to Homolog, not in Homolog itself.
@@ -22,6 +24,9 @@ class HomologError(Exception):
         ...     print(error)
         working memory is -1, but must be a positive number of mebibytes
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 class ArgumentError(HomologError, ValueError):
@@ -78,9 +83,9 @@ def bad_choice(name: str, found: str, allowed: Sequence[str], hint: str = "") ->
     near = get_close_matches(found, allowed, n=1)
     guess = f"; did you mean {near[0]!r}?" if near else ""
     tail = f"; {hint}" if hint else ""
-    return ArgumentError(f"{name} is {found!r}, but must be one of {', '.join(allowed)}{guess}{tail}")
+    return ArgumentError(f"{name} is {shown(found)}, but must be one of {', '.join(allowed)}{guess}{tail}")
 
 
 def bad_value(name: str, found: Any, allowed: str) -> ArgumentError:
     """Build the error for a value outside its range: ``name`` is ``found``, but must be ``allowed``."""
-    return ArgumentError(f"{name} is {found!r}, but must be {allowed}")
+    return ArgumentError(f"{name} is {shown(found)}, but must be {allowed}")

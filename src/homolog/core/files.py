@@ -1,10 +1,12 @@
-"""Writing files so that a half-written one, or half of several, is never left behind."""
+"""Reading ordinary files alone, and writing so that a half-written one, or half of several, is never left behind."""
 
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
 import json
+import os
 import secrets
 import shutil
 import stat
@@ -12,7 +14,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from homolog.core.errors import ArgumentError
 
@@ -37,6 +39,52 @@ def expanded(path: str | Path) -> Path:
         return Path(path).expanduser()
     except RuntimeError:
         raise ArgumentError(f"{path}: there is no such user's home folder; write the path out") from None
+
+
+def opened(path: str | Path) -> BinaryIO:
+    """An ordinary file, or a link to one, opened for reading; the one way in which files of others are opened.
+
+    Raises:
+        OSError: if it is not there, or cannot be read; and of a pipe or a device, which may never end.
+    """
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    file = os.fdopen(descriptor, "rb")
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return file
+    file.close()
+    number = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
+    raise OSError(number, os.strerror(number) if stat.S_ISDIR(mode) else "it is not an ordinary file", str(path))
+
+
+def ordinary(path: str | Path) -> Path:
+    """A path of an ordinary file, for a library that opens it.
+
+    Raises:
+        OSError: as ``opened`` does.
+    """
+    opened(path).close()
+    return Path(path)
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """The content of an ordinary file.
+
+    Raises:
+        OSError: as ``opened`` does.
+    """
+    with opened(path) as file:
+        return file.read()
+
+
+def read_text(path: str | Path, *, encoding: str = "utf-8", errors: str = "strict") -> str:
+    """The content of an ordinary file of text, with line feeds as its ends of lines.
+
+    Raises:
+        OSError: as ``opened`` does.
+        UnicodeDecodeError: if it is no text in this encoding.
+    """
+    return read_bytes(path).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def made_folder(path: str | Path) -> Path:
@@ -241,8 +289,8 @@ def write_npy(path: str | Path, values: Shaped[np.ndarray, ...]) -> None:
 def read_json(path: Path, *, needs: str) -> dict[str, Any] | None:
     """An object that has a certain key; None if the file holds anything else, or is not there."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        content = json.loads(read_text(path))
+    except (OSError, ValueError, RecursionError):
         return None
     return content if isinstance(content, dict) and needs in content else None
 
@@ -262,7 +310,7 @@ def sha256(*paths: str | Path) -> str:
 
 def _chunks(path: str | Path) -> Iterator[bytes]:
     try:
-        with expanded(path).open("rb") as file:
+        with opened(expanded(path)) as file:
             while chunk := file.read(1 << 20):
                 yield chunk
     except OSError as error:

@@ -26,6 +26,8 @@ from typing import (
 from annotated_types import Ge, Gt, Le, Lt
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.files import read_text
+from homolog.core.messages import shorten, shown
 
 if TYPE_CHECKING:  # loaded once something is checked
     from pydantic import TypeAdapter, ValidationError
@@ -96,11 +98,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         ArgumentError: if it cannot be read, or is no TOML.
     """
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_text(path))
     except (OSError, UnicodeDecodeError) as error:
         raise ArgumentError(f"{path} cannot be read ({error}); give a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ArgumentError(f"{path} is not valid TOML: {error}") from None
+    except RecursionError:
+        raise ArgumentError(f"{path} is not valid TOML: its values lie too deep in each other") from None
+    except ValueError as error:  # of tomllib, and of numbers that are too long
+        raise ArgumentError(f"{path} is not valid TOML: {shorten(error, 150)}") from None
 
 
 def read_settings(settings: type[S], table: Mapping[str, Any], where: str) -> S:
@@ -129,7 +133,7 @@ def unknown_key(key: str, known: list[str]) -> str:
     """What to say of a key that is not among those known: the nearest one, or all of them."""
     near = get_close_matches(key, known, n=1)
     instead = f"did you mean {near[0]!r}?" if near else f"it knows {', '.join(known)}"
-    return f"has an unknown key {key!r}; {instead}"
+    return f"has an unknown key {shown(key)}; {instead}"
 
 
 def argument_error(error: ValidationError, settings: type) -> ArgumentError:
@@ -142,7 +146,7 @@ def argument_error(error: ValidationError, settings: type) -> ArgumentError:
         return bad_choice(str(key), first["input"], words)
     found = list(first["input"]) if isinstance(first["input"], tuple) else first["input"]
     if inside and first["type"] != "missing":
-        return ArgumentError(f"{key} holds {found!r}, but must be {described(annotation)}")
+        return ArgumentError(f"{key} holds {shown(found)}, but must be {described(annotation)}")
     return bad_value(str(key), found, described(annotation))
 
 

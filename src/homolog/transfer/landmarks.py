@@ -18,7 +18,8 @@ from jaxtyping import Float
 from homolog.core.choices import System
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, expanded
-from homolog.shapes.formats.parsing import UnreadableError, number_rows, shorten
+from homolog.core.messages import shorten
+from homolog.shapes.formats.parsing import UnreadableError, number_rows
 from homolog.shapes.formats.tables import read_table_lines
 
 LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")

@@ -18,8 +18,9 @@ from urllib.parse import unquote
 import numpy as np
 from jaxtyping import Float, Int
 
+from homolog.core.messages import shorten
 from homolog.shapes.finding import Finding
-from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out, shorten
+from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out
 from homolog.shapes.polygons import fans, strips
 from homolog.shapes.shape import Shape
 

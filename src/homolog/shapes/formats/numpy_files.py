@@ -11,6 +11,7 @@ from typing import IO
 
 import numpy as np
 
+from homolog.core.messages import shorten
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
     Arrays,
@@ -18,7 +19,6 @@ from homolog.shapes.formats.parsing import (
     check_claim,
     left_out,
     polygon_faces,
-    shorten,
 )
 from homolog.shapes.shape import Shape
 

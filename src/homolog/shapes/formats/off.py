@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from homolog.core.messages import shorten
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
     Arrays,
@@ -17,7 +18,6 @@ from homolog.shapes.formats.parsing import (
     polygon_faces,
     polygon_rows,
     read_text,
-    shorten,
 )
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape

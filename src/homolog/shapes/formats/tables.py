@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homolog.core.messages import shorten
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
@@ -18,7 +19,6 @@ from homolog.shapes.formats.parsing import (
     left_out,
     number_rows,
     read_text,
-    shorten,
 )
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape

@@ -1,0 +1,90 @@
+"""SimpleITK in a process of its own, because on a damaged header it ends the whole process.
+
+``homolog.core.reader_process`` calls ``read``. This imports nothing of Homolog that loads slowly.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import zlib
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import SimpleITK
+
+from homolog.core.memory import expansion_fault
+
+# Images that arrays look into.
+_KEPT = list[Any]()
+# Bytes read at a time.
+_CHUNK = 2**22
+
+
+def read(path: str, kind: str, voxels_size: str) -> dict[str, np.ndarray]:
+    """The values (k, j, i) of a volume, its origin, and the steps along i, j and k as columns.
+
+    Args:
+        path: the file.
+        kind: the library's name of its format.
+        voxels_size: the bytes of the files of its voxels, where these are others.
+
+    Raises:
+        ValueError: if the file holds no volume, or ends early; the library reads zeros then.
+    """
+    reader: Any = SimpleITK.ImageFileReader()
+    reader.SetFileName(path)
+    reader.SetImageIO(kind)
+    try:
+        with TemporaryDirectory() as folder:
+            image = _read(Path(path), reader, int(voxels_size), Path(folder))
+    except RuntimeError as error:
+        if "allocate" in str(error):
+            raise MemoryError from None
+        raise ValueError(f"it cannot be read as a volume ({_reason(str(error))}); write it again") from None
+    steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
+    _KEPT.append(image)
+    return {"values": SimpleITK.GetArrayViewFromImage(image), "origin": np.array(image.GetOrigin()), "steps": steps}
+
+
+def _read(file: Path, reader: Any, voxels_size: int, folder: Path) -> Any:
+    reader.ReadImageInformation()
+    size, n_values = reader.GetSize(), reader.GetNumberOfComponents()
+    if len(size) != 3 or 1 in size or n_values != 1:
+        raise ValueError(f"it holds {' x '.join(map(str, size))} voxels of {n_values} values; give one volume")
+    voxel_bytes = SimpleITK.Image(1, 1, reader.GetPixelID()).GetSizeOfPixelComponent()
+    needed = int(np.prod([int(length) for length in size], dtype=object)) * voxel_bytes
+    if fault := expansion_fault(needed, file.stat().st_size + voxels_size):
+        raise ValueError(fault)
+    if reader.GetImageIO() == "NiftiImageIO":
+        begin, length = int(float(reader.GetMetaData("vox_offset"))), file.stat().st_size
+        if file.suffix.lower() == ".gz":
+            unpacked = folder / "volume.nii"
+            length = _unpack(file, unpacked, begin + needed)
+            reader.SetFileName(str(unpacked))
+        _check_length(length, begin + needed)
+    return reader.Execute()
+
+
+def _check_length(length: int, needed: int) -> None:
+    if length < needed:
+        raise ValueError(f"it ends after {length} of {needed} bytes; copy or write it again")
+
+
+def _unpack(file: Path, unpacked: Path, most: int) -> int:
+    """Unpack hardly more than that many bytes of a gzip file, as far as it is intact; the number of bytes."""
+    length = 0
+    with suppress(EOFError, zlib.error, gzip.BadGzipFile), gzip.open(file) as content, unpacked.open("wb") as output:
+        # One byte more is asked for, so that the checksum behind the last one is read as well.
+        while length <= most and (chunk := content.read(min(_CHUNK, most + 1 - length))):
+            length += output.write(chunk)
+    return length
+
+
+def _reason(said: str) -> str:
+    """The last line of what the library says, without the name of a temporary file."""
+    line = said.strip().splitlines()[-1].strip()
+    return re.sub(r"\S*/\S+/volume\.nii", "it", line)[:200]
