@@ -219,7 +219,7 @@ def _read(reader: str, file: Path) -> str:
 def _fault_of(message: str) -> str:
     if len(message) > _LONGEST_MESSAGE or not message.isprintable():
         return f"message: {message[:_LONGEST_MESSAGE]!r}"
-    return "" if "memory" not in message else f"message of memory: {message!r}"
+    return "" if "allocate" not in message else f"message of memory: {message!r}"
 
 
 def _peak(*, anew: bool = False) -> float:

@@ -241,10 +241,10 @@ def test_archive_that_would_fill_the_memory(tmp_path, little_memory):
         zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("points.npy", "w") as file,
     ):
-        file.write(npy_head((4_000_000, 3)))
-        for _ in range(12):
+        file.write(npy_head((16_000_000, 3)))
+        for _ in range(48):
             file.write(bytes(8_000_000))
-    refused(tmp_path / "a.npz", "would grow")
+    refused(tmp_path / "a.npz", "points.npy", "HOMOLOG_EXPANSION_MB")
 
 
 def test_points_as_columns_are_refused(tmp_path):

@@ -30,15 +30,26 @@ _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def expanded(path: str | Path) -> Path:
-    """A path with ``~`` and ``~name`` replaced by a home folder.
+    """A path with ``~`` and ``~name`` replaced by a home folder, unless there is a file or folder of just this name.
 
     Raises:
         ArgumentError: if there is no such user.
     """
+    given = Path(path)
+    if given.parts[:1] and given.parts[0].startswith("~") and len(given.parts[0]) > 1 and is_there(given.parts[0]):
+        return given
     try:
-        return Path(path).expanduser()
+        return given.expanduser()
     except RuntimeError:
         raise ArgumentError(f"{path}: there is no such user's home folder; write the path out") from None
+
+
+def is_there(path: str | Path) -> bool:
+    """Whether a path leads to something; one that is too long, or a link to itself, does not."""
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
 
 
 def opened(path: str | Path) -> BinaryIO:
@@ -85,6 +96,18 @@ def read_text(path: str | Path, *, encoding: str = "utf-8", errors: str = "stric
         UnicodeDecodeError: if it is no text in this encoding.
     """
     return read_bytes(path).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """What a text of JSON holds.
+
+    Raises:
+        ValueError: if it is none, or its values lie too deep in each other.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("its values lie too deep in each other") from None
 
 
 def made_folder(path: str | Path) -> Path:
@@ -289,8 +312,8 @@ def write_npy(path: str | Path, values: Shaped[np.ndarray, ...]) -> None:
 def read_json(path: Path, *, needs: str) -> dict[str, Any] | None:
     """An object that has a certain key; None if the file holds anything else, or is not there."""
     try:
-        content = json.loads(read_text(path))
-    except (OSError, ValueError, RecursionError):
+        content = parse_json(read_text(path))
+    except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) and needs in content else None
 

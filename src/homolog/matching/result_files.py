@@ -13,9 +13,21 @@ import numpy as np
 import scipy.io
 from jaxtyping import Int
 
+from homolog.core.array_files import open_npz
 from homolog.core.errors import ArgumentError, DataError, HomologError, bad_choice
-from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, write_json
+from homolog.core.files import (
+    all_or_nothing,
+    atomic_path,
+    expanded,
+    made_folder,
+    opened,
+    ordinary,
+    read_text,
+    write_json,
+)
+from homolog.core.messages import shorten
 from homolog.core.progress import Timings
+from homolog.core.reader_process import read_in_process
 from homolog.matching.colours import matched_colours
 from homolog.matching.quality import MapQuality
 from homolog.pairs import SIDES, Side
@@ -32,6 +44,7 @@ _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_
 _DIRECTIONS = ("target_to_source", "source_to_target")
 # The first index of each format, as other programs write it.
 _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
+_MATLAB = Path(__file__).with_name("mat_process.py")
 # No shape has so many points, and below it floating-point numbers are exact.
 _TOO_LARGE = 2**53
 
@@ -106,7 +119,7 @@ def matched_name(report: Mapping[str, Any], side: Side, *, otherwise: str) -> st
 
 def _read_report(path: Path) -> dict[str, Any]:
     try:
-        report: Any = json.loads(path.read_text(encoding="utf-8"))
+        report: Any = json.loads(read_text(path))
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(f"{path} cannot be read as the report of a match ({error}); match again") from None
     known = isinstance(report, dict) and isinstance(report.get("method"), str)
@@ -128,8 +141,8 @@ def _quality(path: Path, report: dict[str, Any]) -> MapQuality | None:
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            missing = [name for name in _ARRAYS if name not in stored.files]
+        with open_npz(path) as stored:
+            missing = [name for name in _ARRAYS if name not in stored.names]
             arrays = {name: stored[name] for name in _ARRAYS if name not in missing}
     except Exception as error:  # whatever NumPy raises of a damaged file
         raise DataError(f"{path} cannot be read as the arrays of a match ({error}); match again") from None
@@ -196,10 +209,10 @@ def read_point_map(
     suffix = _checked_suffix(path, reading=True)
     try:
         if suffix == ".npz":
-            with np.load(file, allow_pickle=False) as stored:
-                values = _only(path, {name: stored[name] for name in stored.files}, direction)
+            with open_npz(file) as archive:
+                values = _only(path, {name: archive[name] for name in archive.names}, direction)
         elif suffix == ".mat":
-            stored = scipy.io.loadmat(file)
+            stored = read_in_process(_MATLAB, ordinary(file), library="SciPy")
             first = stored.pop("first_index", None)
             base = int(first.item()) if base is None and first is not None else base
             named = {name: value for name, value in stored.items() if not name.startswith("_")}
@@ -207,11 +220,12 @@ def read_point_map(
         else:
             with catch_warnings():
                 simplefilter("error")  # NumPy only warns of a file without a number
-                values = np.loadtxt(file, ndmin=1)
+                with opened(file) as text:
+                    values = np.loadtxt(text, ndmin=1)
     except HomologError:
         raise
     except Exception as error:  # whatever NumPy and SciPy raise of a damaged file
-        raise DataError(f"{path} cannot be read as a point map ({' '.join(str(error).split())[:160]})") from None
+        raise DataError(f"{path} cannot be read as a point map ({shorten(error, 160)})") from None
     return _whole_numbers(path, values) - (_BASES.get(suffix, 1) if base is None else base)
 
 
@@ -222,7 +236,7 @@ def _only(path: str | Path, arrays: dict[str, Any], direction: str) -> Any:
     maps = {name: array for name, array in arrays.items() if array.size > 1} or arrays
     if len(maps) == 1:
         return next(iter(maps.values()))
-    raise DataError(f"{path} has no array {direction!r}, but {', '.join(sorted(arrays)) or 'none'}")
+    raise DataError(f"{path} has no array {direction!r}, but {shorten(', '.join(sorted(arrays)), 100) or 'none'}")
 
 
 def _whole_numbers(path: str | Path, given: Any) -> Int[np.ndarray, " n"]:

@@ -17,7 +17,7 @@ from jaxtyping import Int
 
 from homolog.core.arguments import check_count, is_count
 from homolog.core.errors import DataError, bad_value
-from homolog.core.files import all_or_nothing, atomic_path, expanded, write_json
+from homolog.core.files import all_or_nothing, atomic_path, expanded, read_text, write_json
 from homolog.core.folders import MANIFEST, prepare_folder
 from homolog.core.progress import Progress, ignore
 from homolog.core.tasks import run_tasks
@@ -78,7 +78,7 @@ def write_view_dataset(
     write_views = [(one.name, partial(_write_view, one, root, settings)) for one in planned]
     run_tasks([write_shapes, write_views], processes=processes, progress=progress or ignore)
     _write_lists(root, planned)
-    records = [json.loads(_record_file(root, one.name).read_text(encoding="utf-8")) for one in planned]
+    records = [json.loads(read_text(_record_file(root, one.name))) for one in planned]
     write_json(root / MANIFEST, {**manifest, "views": records})
 
 

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError, TrainingError
-from homolog.core.files import made_folder, sha256, write_json
+from homolog.core.files import made_folder, parse_json, read_text, sha256, write_json
 from homolog.core.progress import Progress
 from homolog.core.versions import versions
 from homolog.features import FeatureInfo, Orienter, load_weights, save_weights
@@ -104,7 +104,7 @@ class RunFolder:
         if not (self.recipe.data.align and self._alignment.is_file()):
             return {}
         try:
-            found = json.loads(self._alignment.read_text(encoding="utf-8"))
+            found = parse_json(read_text(self._alignment))
             return {name: np.array(Aligned(**how).rotation).reshape(3, 3) for name, how in found.items()}
         except (OSError, ValueError, TypeError, AttributeError) as error:
             raise TrainingError(f"{self._alignment} is damaged ({error}); remove it, and give --resume") from None

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import gzip
-import re
 import zlib
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +17,8 @@ import SimpleITK
 
 from homolog.core.memory import expansion_fault
 
+# Not typed by SimpleITK.
+_itk: Any = SimpleITK
 # Images that arrays look into.
 _KEPT = list[Any]()
 # Bytes read at a time.
@@ -35,7 +36,7 @@ def read(path: str, kind: str, voxels_size: str) -> dict[str, np.ndarray]:
     Raises:
         ValueError: if the file holds no volume, or ends early; the library reads zeros then.
     """
-    reader: Any = SimpleITK.ImageFileReader()
+    reader: Any = _itk.ImageFileReader()
     reader.SetFileName(path)
     reader.SetImageIO(kind)
     try:
@@ -44,10 +45,11 @@ def read(path: str, kind: str, voxels_size: str) -> dict[str, np.ndarray]:
     except RuntimeError as error:
         if "allocate" in str(error):
             raise MemoryError from None
-        raise ValueError(f"it cannot be read as a volume ({_reason(str(error))}); write it again") from None
+        said = str(error).replace(reader.GetFileName(), "it").strip().splitlines()[-1]
+        raise ValueError(f"it cannot be read as a volume ({said.strip()[:200]}); write it again") from None
     steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
     _KEPT.append(image)
-    return {"values": SimpleITK.GetArrayViewFromImage(image), "origin": np.array(image.GetOrigin()), "steps": steps}
+    return {"values": _itk.GetArrayViewFromImage(image), "origin": np.array(image.GetOrigin()), "steps": steps}
 
 
 def _read(file: Path, reader: Any, voxels_size: int, folder: Path) -> Any:
@@ -55,7 +57,7 @@ def _read(file: Path, reader: Any, voxels_size: int, folder: Path) -> Any:
     size, n_values = reader.GetSize(), reader.GetNumberOfComponents()
     if len(size) != 3 or 1 in size or n_values != 1:
         raise ValueError(f"it holds {' x '.join(map(str, size))} voxels of {n_values} values; give one volume")
-    voxel_bytes = SimpleITK.Image(1, 1, reader.GetPixelID()).GetSizeOfPixelComponent()
+    voxel_bytes = _itk.Image(1, 1, reader.GetPixelID()).GetSizeOfPixelComponent()
     needed = int(np.prod([int(length) for length in size], dtype=object)) * voxel_bytes
     if fault := expansion_fault(needed, file.stat().st_size + voxels_size):
         raise ValueError(fault)
@@ -83,8 +85,3 @@ def _unpack(file: Path, unpacked: Path, most: int) -> int:
             length += output.write(chunk)
     return length
 
-
-def _reason(said: str) -> str:
-    """The last line of what the library says, without the name of a temporary file."""
-    line = said.strip().splitlines()[-1].strip()
-    return re.sub(r"\S*/\S+/volume\.nii", "it", line)[:200]

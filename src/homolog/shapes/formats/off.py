@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from homolog.core.files import read_bytes
 from homolog.core.messages import shorten
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
@@ -32,7 +33,7 @@ def read(path: Path) -> Arrays:
     The keyword may be missing, the counts may stand on one line or on three, and the number of edges may be missing.
     Points of 4OFF are divided by their fourth coordinate.
     """
-    if path.read_bytes().startswith(b"OFF BINARY"):
+    if read_bytes(path).startswith(b"OFF BINARY"):
         raise UnreadableError("it is a binary OFF; export it as text, or as PLY")
     text = read_text(path)
     lines = content_lines(text)

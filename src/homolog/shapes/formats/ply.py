@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from homolog.core.files import read_bytes
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
@@ -110,7 +111,7 @@ def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
 
 
 def _opened(path: Path) -> _File:
-    content = path.read_bytes()
+    content = read_bytes(path)
     end = content.find(b"end_header")
     if not content.startswith(b"ply") or end < 0:
         raise UnreadableError("it has no header from 'ply' to 'end_header'")

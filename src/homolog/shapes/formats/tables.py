@@ -153,7 +153,7 @@ def _is_number(cell: str) -> bool:
 
 def _names(header: str) -> list[str]:
     """The names of columns, in lower case; a unit in brackets stays with its name, and CloudCompare's // goes."""
-    return [name.lower() for name in _cells(re.sub(r"\s+(?=[\[(])", "", header.lstrip("/ ")))]
+    return [name.lower() for name in _cells(re.sub(r"(?<!\s)\s+(?=[\[(])", "", header.lstrip("/ ")))]
 
 
 def _commented_names(text: str, first_row: str) -> list[str]:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Int
 
 from homolog.core.errors import MissingExtraError, ShapeError
+from homolog.core.files import read_bytes
 from homolog.core.memory import expansion_fault
 from homolog.core.messages import shorten
 from homolog.core.reader_process import ReaderProcessError, read_in_process
@@ -50,7 +51,7 @@ def read(path: Path) -> Arrays:
 
     Of volume cells the outer surface is read. Faces of quadratic cells go through the points on their edges.
     """
-    content = path.read_bytes()
+    content = read_bytes(path)
     return _load(path, ".vtk" if content.startswith(b"# vtk") else _xml_kind(content), content)
 
 
