@@ -74,7 +74,7 @@ def _shape(file: Path) -> None:
 
 
 def _look(file: Path) -> None:
-    file = file.with_suffix(".obj") if file.suffix == ".mtl" else file.with_name("textured.obj")
+    file = next(file.parent.glob("*.obj"))
     read_appearance(file, homolog.read_shape(file))
 
 

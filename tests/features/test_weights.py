@@ -178,8 +178,8 @@ def test_headers_that_do_not_fit_are_refused(saved: Path) -> None:
         ({"settings": "[1, 2]"}, None),
         ({"settings": json.dumps({**settings, "depth": 3})}, "unknown setting 'depth'"),
         ({"settings": json.dumps({**settings, "width": "six"})}, None),
-        ({"settings": json.dumps({**settings, "width": 7})}, "size mismatch"),
-        ({"settings": json.dumps({**settings, "blocks": 3})}, "Missing key"),
+        ({"settings": json.dumps({**settings, "width": 7})}, "its settings ask for"),
+        ({"settings": json.dumps({**settings, "blocks": 3})}, "its settings say"),
         ({"settings": json.dumps({**settings, "gradient_product": "none"})}, "gradient_product"),
         ({"info": "[]"}, None),
     ):
@@ -191,8 +191,8 @@ def test_tensors_that_do_not_fit_are_refused(saved: Path) -> None:
     tensors = load_file(saved)
     first = next(iter(tensors))
     for changed, words in (
-        ({**tensors, first: torch.zeros(2, 2)}, "size mismatch"),
-        ({name: tensor for name, tensor in tensors.items() if name != first}, "Missing key"),
+        ({**tensors, first: torch.zeros(2, 2)}, "its settings ask for"),
+        ({name: tensor for name, tensor in tensors.items() if name != first}, "is missing"),
         ({**tensors, "extra": torch.zeros(2)}, "Unexpected key"),
     ):
         refuses(rewritten(saved, changed), words)

@@ -122,7 +122,8 @@ def expansion_fault(n_bytes: int, size: int) -> str:
     """Why a file of ``size`` bytes is not expanded to ``n_bytes``; nothing if it may be."""
     if n_bytes <= most_expanded(size):
         return ""
-    return f"its {size} bytes would take {n_bytes / _MEBIBYTE:.4g} MB when read; if that is right, set HOMOLOG_EXPANSION_MB"
+    needed = f"its {size} bytes would take {n_bytes / _MEBIBYTE:.4g} MB when read"
+    return f"{needed}; if that is right, set HOMOLOG_EXPANSION_MB"
 
 
 # Of the C library of Linux: from what size on freed memory at the heap's end is given back to the system, and from what

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -160,10 +161,12 @@ def read_image(source: Path | bytes, name: str | None = None) -> Image:
         from PIL import Image as Pillow
     try:
         content = source if isinstance(source, bytes) else read_bytes(source)
-        with Pillow.open(BytesIO(content)) as image:
-            if fault := expansion_fault(3 * image.width * image.height, len(content)):
-                raise ValueError(fault)
-            return np.asarray(image.convert("RGB"))
+        with catch_warnings():
+            simplefilter("ignore")  # of Pillow, about large images
+            with Pillow.open(BytesIO(content)) as image:
+                if fault := expansion_fault(3 * image.width * image.height, len(content)):
+                    raise ValueError(fault)
+                return np.asarray(image.convert("RGB"))
     except (OSError, ValueError, SyntaxError, MemoryError, Pillow.DecompressionBombError) as error:
         called = name if isinstance(source, bytes) else f"{shorten(source, 200)}, a texture,"
         said = shorten((isinstance(error, OSError) and error.strerror) or error, 120)

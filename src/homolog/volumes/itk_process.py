@@ -84,4 +84,3 @@ def _unpack(file: Path, unpacked: Path, most: int) -> int:
         while length <= most and (chunk := content.read(min(_CHUNK, most + 1 - length))):
             length += output.write(chunk)
     return length
-

@@ -23,6 +23,8 @@ _KINDS = {".mh": "MetaImageIO", ".nii": "NiftiImageIO", ".nrrd": "NrrdImageIO", 
 _MOST_LABELS = 256
 _LABELS_SHOWN = 12
 _PROCESS = Path(__file__).with_name("itk_process.py")
+# Names of files with a number in them, and the first number, the last and the step.
+_PATTERN = re.compile(r"([^%]*%0?\d?\d?d[^%\s]*)\s+(\d{1,6})\s+(\d{1,6})\s+(\d{1,6})(?:\s+\d)?")
 # No name of a file is longer, and no header.
 _LONGEST_NAME = 4096
 _CHUNK = 2**22
@@ -121,7 +123,7 @@ def _voxel_files(file: Path, head: dict[str, str]) -> list[Path]:
     """The other files that a header takes its voxels from."""
     given = next((head[name] for name in _VOXELS if name in head), "LOCAL")
     first, *listed = given.splitlines() or [""]
-    pattern = re.fullmatch(r"([^%]*%0?\d?\d?d[^%\s]*)\s+(\d{1,6})\s+(\d{1,6})\s+(\d{1,6})(?:\s+\d)?", first[:_LONGEST_NAME])
+    pattern = _PATTERN.fullmatch(first[:_LONGEST_NAME])
     if pattern is not None:
         numbers = range(int(pattern[2]), int(pattern[3]) + 1, int(pattern[4]) or 1)
         names = [pattern[1] % number for number in numbers]

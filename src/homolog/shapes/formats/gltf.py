@@ -40,7 +40,7 @@ _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 # The modes of primitives.
 _POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
 # Of a coordinate or an index of a shape, and as often as reading holds it at a time.
-_NUMBER_BYTES = 16
+_NUMBER_BYTES = 40
 _MOST_JOINTS_PER_POINT = 16
 
 
@@ -423,7 +423,9 @@ def _check_size(file: Gltf) -> None:
         if "mesh" in node:
             n_points, n_corners = sizes[node["mesh"]]
             total, n_numbers = total + often * n_points, n_numbers + often * (3 * n_points + n_corners)
-    if fault := expansion_fault(_NUMBER_BYTES * n_numbers, file.size):
+    # Whatever is placed once is in the file.
+    once = sum(3 * n_points + n_corners for n_points, n_corners in sizes)
+    if n_numbers > once and (fault := expansion_fault(_NUMBER_BYTES * n_numbers, file.size)):
         raise UnreadableError(f"its scene has {total} points; export one object alone; {fault}")
 
 
