@@ -80,7 +80,7 @@ def bad_choice(name: str, found: str, allowed: Sequence[str], hint: str = "") ->
         allowed: the words.
         hint: what else to do.
     """
-    near = get_close_matches(found, allowed, n=1)
+    near = get_close_matches(str(found), allowed, n=1)
     guess = f"; did you mean {near[0]!r}?" if near else ""
     tail = f"; {hint}" if hint else ""
     return ArgumentError(f"{name} is {shown(found)}, but must be one of {', '.join(allowed)}{guess}{tail}")

@@ -33,5 +33,9 @@ def one_line(message: object) -> str:
         >>> one_line("the file a\nb.off is empty")
         'the file a\\nb.off is empty'
     """
-    said = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(message)[: 100 * _LONGEST])
-    return said if len(said) <= _LONGEST else f"{said[: _LONGEST - _LAST]} ... {said[-_LAST:]}"
+    said = "".join(c if c.isprintable() else repr(c)[1:-1] for c in _without_middle(str(message)))
+    return _without_middle(said)
+
+
+def _without_middle(text: str) -> str:
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - _LAST]} ... {text[-_LAST:]}"

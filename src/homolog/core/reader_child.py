@@ -77,10 +77,9 @@ def _send(answer: Any, array: Any) -> None:
     """Write an array as NPY, without a copy of it."""
     import numpy as np
 
-    array = np.ascontiguousarray(array)
+    array = np.asarray(array, order="C")
     np.lib.format.write_array_header_1_0(answer, np.lib.format.header_data_from_array_1_0(array))
-    if array.size:
-        answer.write(memoryview(array).cast("B"))
+    answer.write(array.reshape(-1).view(np.uint8))
 
 
 if __name__ == "__main__":

@@ -108,6 +108,8 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
 def _read_shape(root: Path, report: dict[str, Any], side: Side) -> Shape:
     """One of the shapes, by the name of the file that was matched where the report tells it."""
     shape = read_shape(root / f"{side}.ply")
+    if not np.isfinite(shape.points).all():
+        raise DataError(f"{root / shape.name} has points that are no numbers, which no match writes; match again")
     return replace(shape, name=matched_name(report, side, otherwise=shape.name))
 
 
