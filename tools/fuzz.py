@@ -133,7 +133,7 @@ def _result(file: Path) -> None:
     scene_of(found).title.encode()
 
 
-_READERS: dict[str, Callable[[Path], None]] = {
+READERS: dict[str, Callable[[Path], None]] = {
     **{"shape": _shape, "look": _look, "skin": _skin, "volume": _volume, "weights": _weights, "cache": _cache},
     **{"array": _array, "map": _map, "truth": _truth, "landmarks": _landmarks, "recipe": _recipe},
     **{"description": _description, "result": _result},
@@ -202,7 +202,7 @@ def _read(reader: str, file: Path) -> str:
     size = sum(each.stat().st_size for each in held if each.is_file()) / _MEBIBYTE
     began, before, said = time.monotonic(), _peak(anew=True), ""
     try:
-        _READERS[reader](file)
+        READERS[reader](file)
     except HomologError as error:
         said = _fault_of(str(error).replace(str(file), "FILE"))
     except BaseException as error:
@@ -323,7 +323,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--mutants", type=int, default=20_000, help="how many to make")
     parser.add_argument("--seed", type=int, default=1, help="of the random numbers")
     parser.add_argument("--out", type=Path, default=Path("build/fuzz"), help="where failures are kept")
-    parser.add_argument("--only", nargs="*", choices=_READERS, help="the readers to try; all by default")
+    parser.add_argument("--only", nargs="*", choices=READERS, help="the readers to try; all by default")
     parser.add_argument("--files", type=Path, nargs="*", help="files or folders to read as they are, not mutants")
     parser.add_argument("--seconds", type=float, default=20.0, help="after which a reader is ended")
     options: Any = parser.parse_args(arguments)
@@ -333,7 +333,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tasks = _given(options.files)
         else:
             seeds = make_seeds(Path(folder) / "seeds")
-            chosen = [seed for seed in seeds if seed.reader in (options.only or _READERS)]
+            chosen = [seed for seed in seeds if seed.reader in (options.only or READERS)]
             tasks = _mutants(chosen, options.mutants, options.seed)
         campaign.run(tasks)
     failed = sum(campaign.failures.values())

@@ -1,4 +1,4 @@
-"""A reader in a process of its own: what it gives, and that nothing it does harms or outlives the process that calls it."""
+"""A reader in a process of its own: what it gives, and that nothing it does harms or outlives its caller."""
 
 from __future__ import annotations
 

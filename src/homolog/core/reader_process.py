@@ -21,6 +21,8 @@ from homolog.core.memory import most_expanded
 # Within so many seconds of processor time, or of waiting for it, any small file is read that is whole.
 _PROCESSOR_SECONDS, _SECONDS = 6.0, 20.0
 _SECONDS_PER_BYTE = 2e-6
+# Of a library, whatever it reads.
+_OWN_MEMORY = 32 * 2**20
 _CHILD = Path(__file__).with_name("reader_child.py")
 
 
@@ -48,7 +50,7 @@ def read_in_process(script: Path, path: Path, *arguments: str, library: str) -> 
         "parent": os.getpid(),
         "script": str(script),
         "arguments": [str(path.resolve()), *arguments],
-        "memory": most_expanded(size),
+        "memory": most_expanded(size) + _OWN_MEMORY,
         "processor_seconds": int(_PROCESSOR_SECONDS + size * _SECONDS_PER_BYTE),
     }
     command = [sys.executable, "-I", "-W", "ignore", str(_CHILD), json.dumps(order)]

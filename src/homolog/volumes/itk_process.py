@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import gzip
+import re
 import zlib
 from contextlib import suppress
 from pathlib import Path
@@ -46,7 +47,8 @@ def read(path: str, kind: str, voxels_size: str) -> dict[str, np.ndarray]:
         if "allocate" in str(error):
             raise MemoryError from None
         said = str(error).replace(reader.GetFileName(), "it").strip().splitlines()[-1]
-        raise ValueError(f"it cannot be read as a volume ({said.strip()[:200]}); write it again") from None
+        said = re.sub(r"ITK ERROR: \w+\(0x\w+\): ", "", said).strip()
+        raise ValueError(f"it cannot be read as a volume ({said[:100]}); write it again") from None
     steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
     _KEPT.append(image)
     return {"values": _itk.GetArrayViewFromImage(image), "origin": np.array(image.GetOrigin()), "steps": steps}

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from homolog.core.errors import MissingExtraError, ShapeError
-from homolog.core.files import expanded, opened
+from homolog.core.files import expanded, is_there, opened
 from homolog.core.messages import shorten
 from homolog.core.reader_process import ReaderProcessError, read_in_process
 from homolog.shapes import VOLUMES
@@ -85,7 +85,7 @@ def _read(file: Path) -> dict[str, np.ndarray]:
         head = _head(file)
         voxels = _voxel_files(file, head)
         for one in voxels:
-            if not one.is_file():
+            if not (is_there(one) and one.is_file()):
                 raise ShapeError(
                     f"{file}: its voxels are to be in the file {shorten(one, 200)}, which is not there; put it there"
                 )
