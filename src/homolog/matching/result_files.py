@@ -47,6 +47,8 @@ _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
 _MATLAB = Path(__file__).with_name("mat_process.py")
 # No shape has so many points, and below it floating-point numbers are exact.
 _TOO_LARGE = 2**53
+# No coordinate whose square is no number can be matched.
+_FARTHEST = 1e150
 
 
 def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = None) -> list[Path]:
@@ -108,8 +110,8 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
 def _read_shape(root: Path, report: dict[str, Any], side: Side) -> Shape:
     """One of the shapes, by the name of the file that was matched where the report tells it."""
     shape = read_shape(root / f"{side}.ply")
-    if not np.isfinite(shape.points).all():
-        raise DataError(f"{root / shape.name} has points that are no numbers, which no match writes; match again")
+    if not (np.abs(shape.points) < _FARTHEST).all():
+        raise DataError(f"{root / shape.name} has points that no match writes, infinite or beyond; match again")
     return replace(shape, name=matched_name(report, side, otherwise=shape.name))
 
 
