@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from homolog.core.files import read_bytes
-from homolog.core.messages import shorten
+from homolog.core.messages import shorten, shown
 from homolog.shapes.finding import Finding
 from homolog.shapes.polygons import triangulate
 
@@ -75,10 +75,10 @@ def check_claim(count: int, what: str, smallest: int, available: int) -> None:
         available: bytes in the file.
     """
     if count < 0:
-        raise UnreadableError(f"the header announces {count} {what}; {CUT_OFF}")
+        raise UnreadableError(f"the header announces {shown(count)} {what}; {CUT_OFF}")
     if count * smallest > available:
         found = f"the file has only {available} bytes"
-        raise UnreadableError(f"the header announces {count} {what}, but {found}; {CUT_OFF}")
+        raise UnreadableError(f"the header announces {shown(count)} {what}, but {found}; {CUT_OFF}")
 
 
 def read_text(path: Path) -> str:
