@@ -266,3 +266,20 @@ def test_weights_that_ship_load_and_say_their_terms() -> None:
         assert (info.name, info.licence) == (name, "CC0-1.0")
         assert file.stat().st_size < 5_000_000
         assert file.name in (file.parent / "LICENSE.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("promised", [{"width": 10**9}, {"width": 20_000}, {"blocks": 5000}, {"in_channels": 10**12}])
+def test_settings_that_promise_more_than_the_file_holds_take_no_memory(promised: dict[str, int], saved: Path) -> None:
+    settings = {**json.loads(json.dumps(SMALL.__dict__)), **promised}
+    save_weights(saved, network_of(), INFO)
+    path = rewritten(saved, settings=json.dumps(settings))
+    resource = pytest.importorskip("resource")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    refuses(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+
+
+def test_tensors_that_repeat_one_number_are_weighed_by_all_of_them(tmp_path: Path) -> None:
+    large = torch.zeros(1).expand(20_000, 20_000)
+    torch.save({"first_linear.weight": large, "last_linear.weight": large}, tmp_path / "zero.pth")
+    refuses(tmp_path / "zero.pth", "HOMOLOG_EXPANSION_MB")

@@ -19,7 +19,7 @@ import numpy as np
 from homolog.core.memory import most_expanded
 
 # Within so many seconds of processor time, or of waiting for it, any small file is read that is whole.
-_PROCESSOR_SECONDS, _SECONDS = 6.0, 20.0
+_PROCESSOR_SECONDS, _SECONDS = 6.0, 30.0
 _SECONDS_PER_BYTE = 2e-6
 # Of a library, whatever it reads.
 _OWN_MEMORY = 32 * 2**20

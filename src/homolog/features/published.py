@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import torch
 from torch import Tensor
@@ -89,7 +90,9 @@ def read_published(path: Path) -> tuple[NetworkSettings, FeatureInfo, dict[str, 
     """
     try:
         _check_expansion(path)
-        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+        with catch_warnings():
+            simplefilter("ignore")  # of PyTorch, about pickles that it refuses next
+            checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except UnpicklingError:
         raise ValueError("it holds something other than numbers, or is damaged") from None
     given = _parameters(checkpoint)

@@ -41,6 +41,8 @@ _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 _POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
 # Of a coordinate or an index of a shape, and as often as reading holds it at a time.
 _NUMBER_BYTES = 40
+# To place a mesh takes as long as to read so many numbers.
+_PLACING = 100
 _MOST_JOINTS_PER_POINT = 16
 
 
@@ -422,9 +424,9 @@ def _check_size(file: Gltf) -> None:
         often = max([int(accessors[number]["count"]) for number in instances.values()], default=1)
         if "mesh" in node:
             n_points, n_corners = sizes[node["mesh"]]
-            total, n_numbers = total + often * n_points, n_numbers + often * (3 * n_points + n_corners)
+            total, n_numbers = total + often * n_points, n_numbers + often * (3 * n_points + n_corners + _PLACING)
     # Whatever is placed once is in the file.
-    once = sum(3 * n_points + n_corners for n_points, n_corners in sizes)
+    once = sum(3 * n_points + n_corners + _PLACING for n_points, n_corners in sizes)
     if n_numbers > once and (fault := expansion_fault(_NUMBER_BYTES * n_numbers, file.size)):
         raise UnreadableError(f"its scene has {total} points; export one object alone; {fault}")
 
