@@ -192,14 +192,12 @@ def _work(tasks: Sequence[Task], pipe: int, folder: Path) -> None:
         said = _read(task.seed.reader, file)
         if printed.stat().st_size and not said:
             said = f"printed: {printed.read_text(errors='replace')[:200]!r}"
-        os.write(pipe, f"{json.dumps(said)}\n".encode())
+        os.write(pipe, f"{json.dumps([said, _allowed(file)])}\n".encode())
         shutil.rmtree(folder / "mutant")
 
 
 def _read(reader: str, file: Path) -> str:
     """What is wrong with how a file was read; nothing if all is well."""
-    held = [file] if file.is_file() else [*file.iterdir()]
-    size = sum(each.stat().st_size for each in held if each.is_file()) / _MEBIBYTE
     began, before, said = time.monotonic(), _peak(anew=True), ""
     try:
         READERS[reader](file)
@@ -208,10 +206,9 @@ def _read(reader: str, file: Path) -> str:
     except BaseException as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         said = f"traceback: {type(error).__name__} at {Path(last.filename).name}:{last.lineno}: {str(error)[:200]!r}"
-    children = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024 - _PLAIN_PROCESS_MEGABYTES
-    used = max(_peak() - before, children)
-    if not said and used > 2 * size + _MEGABYTES:
-        said = f"memory: {used:.0f} MB for a file of {size:.2f} MB"
+    used = _peak() - before
+    if not said and used > _allowed(file):
+        said = f"memory: {used:.0f} MB"
     seconds = time.monotonic() - began
     return said or (f"slow: {seconds:.1f} s" if seconds > _SECONDS else "")
 
@@ -222,13 +219,28 @@ def _fault_of(message: str) -> str:
     return "" if "allocate" not in message else f"message of memory: {message!r}"
 
 
-def _peak(*, anew: bool = False) -> float:
-    """The most memory that this process has held, in megabytes; from now on, if it is to begin anew."""
-    if anew:
-        with suppress(OSError):
-            Path("/proc/self/clear_refs").write_text("5")
-    status = Path("/proc/self/status").read_text()
-    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
+def _allowed(file: Path) -> float:
+    """The megabytes that may be taken to read a file, or a folder."""
+    held = [file] if file.is_file() else [*file.glob("*")]
+    return 2 * sum(each.stat().st_size for each in held if each.is_file()) / _MEBIBYTE + _MEGABYTES
+
+
+def _peak(process: str = "self", *, anew: bool = False) -> float:
+    """The most memory that a process has held, in megabytes; from now on, if it is to begin anew; 0 if it is gone."""
+    with suppress(OSError):
+        if anew:
+            Path(f"/proc/{process}/clear_refs").write_text("5")
+        found = Path(f"/proc/{process}/status").read_text().partition("VmHWM:")[2]
+        return int(found.split()[0]) / 1024 if found else 0.0
+    return 0.0
+
+
+def _peak_of_children(process: int) -> float:
+    """The most memory that a process which it runs has held beyond a plain start, in megabytes."""
+    with suppress(OSError):
+        children = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+        return max(map(_peak, children), default=0.0) - _PLAIN_PROCESS_MEGABYTES
+    return 0.0
 
 
 # ---- the campaign
@@ -274,9 +286,10 @@ class Campaign:
 
     def _listen(self, pipe: int, tasks: Sequence[Task], worker: int) -> tuple[int, str]:
         """Hear what a worker tells of each file, until it ends or is silent for too long."""
-        done, rest, began = 0, b"", time.monotonic()
+        done, rest, began, used = 0, b"", time.monotonic(), 0.0
         while done < len(tasks):
-            if not select.select([pipe], [], [], 0.5)[0]:
+            used = max(used, _peak_of_children(worker))
+            if not select.select([pipe], [], [], 0.02)[0]:
                 if time.monotonic() - began > self._seconds:
                     return done, f"hang: longer than {self._seconds:g} s"
                 continue
@@ -286,9 +299,10 @@ class Campaign:
             *lines, rest = (rest + part).split(b"\n")
             for line in lines:
                 began = time.monotonic()
-                if line.startswith(b'"'):
-                    self._note(tasks[done], json.loads(line))
-                    done += 1
+                if line.startswith(b"["):
+                    said, allowed = json.loads(line)
+                    self._note(tasks[done], said or (f"memory: {used:.0f} MB" if used > allowed else ""))
+                    done, used = done + 1, 0.0
         return done, ""
 
     def _note(self, task: Task, said: str) -> None:

@@ -267,6 +267,13 @@ def test_blanks_cost_no_more_than_their_number(tmp_path):
     refused(put(tmp_path, "a.obj", FOUR_LINES.replace("0 ", "v 0 ", 1) + "f " + "/" * 500_000 + "\n"))
 
 
+@pytest.mark.parametrize("kind", ["ascii", "binary", "binary_compressed"])
+@pytest.mark.parametrize("n_points", [0, 1, 4])
+def test_pcd_points_of_billions_of_values(tmp_path, kind, n_points, little_memory):
+    head = PCD.format(n=n_points, kind=kind).replace("COUNT 1 1 1", f"COUNT 1 1 {4 * BILLION}")
+    refused(put(tmp_path, "a.pcd", head.encode() + np.array([48, 48], "<u4").tobytes() + FOUR), "announces")
+
+
 def test_counts_of_billions_of_digits(tmp_path):
     """Python refuses to read numbers of so many digits in its own words."""
     digits = "9" * 5000

@@ -76,6 +76,20 @@ def test_promised_volumes_are_weighed_against_the_file(tmp_path: Path, name: str
     refused(tmp_path / name, content, "HOMOLOG_EXPANSION_MB")
 
 
+def test_voxels_that_cannot_be_unpacked_are_not_believed(tmp_path: Path) -> None:
+    """The library of MetaImage gives memory as it finds it."""
+    values = np.zeros((20, 20, 20), dtype=np.uint8)
+    values[5:15, 5:15, 5:15] = np.random.default_rng(0).integers(1, 9, (10, 10, 10))
+    packed = zlib.compress(values.tobytes())
+    more = f"CompressedData = True\nCompressedDataSize = {len(packed)}\n"
+    (tmp_path / "a.mha").write_bytes(meta("20 20 20", more=more) + packed)
+    assert read_mask(tmp_path / "a.mha").inside.sum() == 1000
+    middle = len(packed) // 2
+    for content in (packed[:middle], packed[:middle] + bytes(50) + packed[middle + 50 :], b"x" * len(packed)):
+        refused(tmp_path / "a.mha", meta("20 20 20", more=more) + content, "damaged")
+    refused(tmp_path / "a.mha", meta("20 20 20", more="CompressedData = True\n") + packed[:middle], "damaged")
+
+
 def test_a_packed_nifti_expands_as_far_as_allowed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     values = np.zeros((50, 60, 70), dtype=np.uint8)
     values[10:20, 10:20, 10:20] = 1

@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 import gzip
+import os
 import re
 import zlib
 from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,8 @@ def read(path: str, kind: str, voxels_size: str) -> dict[str, np.ndarray]:
             raise MemoryError from None
         said = str(error).replace(reader.GetFileName(), "it").strip().splitlines()[-1]
         said = re.sub(r"ITK ERROR: \w+\(0x\w+\): ", "", said).strip()
+        # After this word the system's last error follows, which may be another one.
+        said = "its voxels end early or are damaged" if said.startswith("Reason:") else said
         raise ValueError(f"it cannot be read as a volume ({said[:100]}); write it again") from None
     steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
     _KEPT.append(image)
@@ -70,7 +73,16 @@ def _read(file: Path, reader: Any, voxels_size: int, folder: Path) -> Any:
             length = _unpack(file, unpacked, begin + needed)
             reader.SetFileName(str(unpacked))
         _check_length(length, begin + needed)
-    return reader.Execute()
+    with TemporaryFile() as printed:
+        os.dup2(printed.fileno(), 1)
+        os.dup2(printed.fileno(), 2)
+        image = reader.Execute()
+        printed.seek(0)
+        said = printed.read(_CHUNK).decode(errors="replace")
+    # What it cannot unpack, the library of MetaImage leaves as it finds the memory, and only prints a line.
+    if reader.GetImageIO() == "MetaImageIO" and re.search("fail|not read|error", said, re.IGNORECASE):
+        raise ValueError("it ends early, or its voxels are damaged; copy or write it again")
+    return image
 
 
 def _check_length(length: int, needed: int) -> None:

@@ -68,11 +68,14 @@ def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
         raise ShapeError(f"{path}: there is no such file; give a segmentation mask")
     found = _read(file)
     values = found["values"].T
-    inside = values != 0 if label is None else values == label
     if label is None:
         _check_values(path, values)
-    elif not inside.any():
-        raise ShapeError(f"{path}: no voxel has label {label}; those there are {_labels(values)}")
+        inside = values != 0
+    else:
+        inside = values == label
+        if not inside.any():
+            raise ShapeError(f"{path}: no voxel has label {label}; those there are {_labels(values)}")
+    del values, found["values"]
     return Mask(inside, found["origin"], found["steps"], name=file.name)
 
 
@@ -144,11 +147,16 @@ def _check_length(voxels: Path, head: dict[str, str]) -> None:
 
 
 def _check_values(path: str | Path, values: np.ndarray) -> None:
-    if not np.isfinite(values).all():
-        raise ShapeError(f"{path} has voxels that are no numbers; write the mask again")
-    if values.dtype.kind == "f" and not np.array_equal(values, values.round()):
-        raise ShapeError(f"{path} has fractions for values and is no mask of labels; write it with whole numbers")
-    if len(np.unique(values)) > _MOST_LABELS:
+    labels = np.zeros(0, dtype=values.dtype)
+    for layer in values.T:  # one by one, as each check takes memory of its own
+        if not np.isfinite(layer).all():
+            raise ShapeError(f"{path} has voxels that are no numbers; write the mask again")
+        if values.dtype.kind == "f" and not np.array_equal(layer, layer.round()):
+            raise ShapeError(f"{path} has fractions for values and is no mask of labels; write it with whole numbers")
+        labels = np.union1d(labels, layer)
+        if len(labels) > _MOST_LABELS:
+            break
+    if len(labels) > _MOST_LABELS:
         raise ShapeError(f"{path} has more than {_MOST_LABELS} values and looks like an image; give a mask, or a label")
 
 

@@ -46,6 +46,7 @@ def _check_pcd(content: bytes) -> int:
     sizes = [_number(size) for size in entries[b"SIZE"]]
     counts = [_number(count) for count in entries.get(b"COUNT", [])] or [1] * len(sizes)
     bytes_per_point = sum(size * count for size, count in zip(sizes, counts, strict=True))
+    check_claim(sum(counts), "values of a point", 1, len(body))
     if head[1] == b"binary":
         check_claim(n_points, "points", bytes_per_point, len(body))
     elif head[1] == b"ascii":
