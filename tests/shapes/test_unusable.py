@@ -467,3 +467,7 @@ def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
     code += "try:\n    read_shape(sys.argv[1])\nexcept ShapeError:\n    print('refused')\n"
     done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr, done.returncode) == ("refused\n", "", 0)
+
+
+def test_cells_that_are_too_long(tmp_path):
+    refused(put(tmp_path, "a.csv", "name,x,y,z\n" + "a" * 200_000 + ",1,2,3\n" + "b,1,2,3\n" * 9), "no row of a table")

@@ -134,7 +134,13 @@ def _delimiter(line: str) -> str | None:
 def _cells(line: str) -> list[str]:
     """The cells of a line; a delimiter within double quotes is part of a cell."""
     delimiter = _delimiter(line)
-    cells = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    try:
+        rows = csv.reader([line], delimiter=delimiter or " ", skipinitialspace=True)
+        cells = line.split() if delimiter is None else next(rows)
+    except csv.Error as error:
+        raise UnreadableError(
+            f"the line {shorten(line)!r} is no row of a table ({error}); correct or remove it"
+        ) from None
     return [cell.strip(" \"'") for cell in cells]
 
 
