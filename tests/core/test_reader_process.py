@@ -63,7 +63,9 @@ def test_memory_and_time_are_bounded(tmp_path: Path, file: Path, monkeypatch: py
         monkeypatch.setenv("HOMOLOG_EXPANSION_MB", "2000")
         assert read_in_process(too_much, file, library="LIB")["a"].sum() == 50_000_000
     monkeypatch.setattr(reader_process, "_PROCESSOR_SECONDS", 1.0)
-    assert refusal(reader(tmp_path, "while True: pass"), file) == "LIB cannot take it in"
+    assert (
+        refusal(reader(tmp_path, "while True: pass"), file) == "LIB has not read it within 1 s of the processor's time"
+    )
     monkeypatch.setattr(reader_process, "_SECONDS", 1.0)
     assert "has not read it within 1 s" in refusal(reader(tmp_path, "time.sleep(100)"), file)
 

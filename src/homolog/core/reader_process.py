@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -19,7 +20,7 @@ import numpy as np
 from homolog.core.memory import most_expanded
 
 # Within so many seconds of processor time, or of waiting for it, any small file is read that is whole.
-_PROCESSOR_SECONDS, _SECONDS = 6.0, 30.0
+_PROCESSOR_SECONDS, _SECONDS = 4.0, 30.0
 _SECONDS_PER_BYTE = 2e-6
 # Of a library, whatever it reads.
 _OWN_MEMORY = 32 * 2**20
@@ -61,8 +62,12 @@ def read_in_process(script: Path, path: Path, *arguments: str, library: str) -> 
         try:
             return _received(process.stdout)
         except (EOFError, ValueError):
-            late = not timer.is_alive()
-            reason = f"{library} has not read it within {limit:.0f} s" if late else f"{library} cannot take it in"
+            if not timer.is_alive():
+                reason = f"{library} has not read it within {limit:.0f} s"
+            elif process.wait() == -getattr(signal, "SIGXCPU", 0):
+                reason = f"{library} has not read it within {order['processor_seconds']} s of the processor's time"
+            else:
+                reason = f"{library} cannot take it in"
             raise ReaderProcessError(reason) from None
         finally:
             timer.cancel()
