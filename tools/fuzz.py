@@ -165,9 +165,11 @@ class Task(NamedTuple):
         if source.is_dir():
             shutil.copytree(source, folder)
             return folder
-        shutil.copytree(source.parent, folder) if self.chance else folder.mkdir()
+        folder.mkdir()
+        for beside in source.parent.iterdir():
+            if beside.is_file():  # and no pipe
+                shutil.copy(beside, folder / beside.name)
         copy = folder / source.name
-        shutil.copy(source, copy)
         if self.chance is not None:
             copy.write_bytes(mutate(source.read_bytes(), source.suffix, Random(self.chance)))
         return copy
