@@ -178,8 +178,8 @@ def test_headers_that_do_not_fit_are_refused(saved: Path) -> None:
         ({"settings": "[1, 2]"}, None),
         ({"settings": json.dumps({**settings, "depth": 3})}, "unknown setting 'depth'"),
         ({"settings": json.dumps({**settings, "width": "six"})}, None),
-        ({"settings": json.dumps({**settings, "width": 7})}, "size mismatch"),
-        ({"settings": json.dumps({**settings, "blocks": 3})}, "Missing key"),
+        ({"settings": json.dumps({**settings, "width": 7})}, "its settings ask for"),
+        ({"settings": json.dumps({**settings, "blocks": 3})}, "its settings say"),
         ({"settings": json.dumps({**settings, "gradient_product": "none"})}, "gradient_product"),
         ({"info": "[]"}, None),
     ):
@@ -191,8 +191,8 @@ def test_tensors_that_do_not_fit_are_refused(saved: Path) -> None:
     tensors = load_file(saved)
     first = next(iter(tensors))
     for changed, words in (
-        ({**tensors, first: torch.zeros(2, 2)}, "size mismatch"),
-        ({name: tensor for name, tensor in tensors.items() if name != first}, "Missing key"),
+        ({**tensors, first: torch.zeros(2, 2)}, "its settings ask for"),
+        ({name: tensor for name, tensor in tensors.items() if name != first}, "is missing"),
         ({**tensors, "extra": torch.zeros(2)}, "Unexpected key"),
     ):
         refuses(rewritten(saved, changed), words)
@@ -266,3 +266,20 @@ def test_weights_that_ship_load_and_say_their_terms() -> None:
         assert (info.name, info.licence) == (name, "CC0-1.0")
         assert file.stat().st_size < 5_000_000
         assert file.name in (file.parent / "LICENSE.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("promised", [{"width": 10**9}, {"width": 20_000}, {"blocks": 5000}, {"in_channels": 10**12}])
+def test_settings_that_promise_more_than_the_file_holds_take_no_memory(promised: dict[str, int], saved: Path) -> None:
+    settings = {**json.loads(json.dumps(SMALL.__dict__)), **promised}
+    save_weights(saved, network_of(), INFO)
+    path = rewritten(saved, settings=json.dumps(settings))
+    resource = pytest.importorskip("resource")
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    refuses(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+
+
+def test_tensors_that_repeat_one_number_are_weighed_by_all_of_them(tmp_path: Path) -> None:
+    large = torch.zeros(1).expand(20_000, 20_000)
+    torch.save({"first_linear.weight": large, "last_linear.weight": large}, tmp_path / "zero.pth")
+    refuses(tmp_path / "zero.pth", "HOMOLOG_EXPANSION_MB")

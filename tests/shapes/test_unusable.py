@@ -236,15 +236,78 @@ def test_scene_that_places_a_mesh_too_often(tmp_path, little_memory):
     refused(put(tmp_path, "a.gltf", json.dumps(tree)), "300000000 points")
 
 
+def test_scene_that_places_a_mesh_often_is_read_up_to_the_bound(tmp_path, monkeypatch):
+    content = base64.b64encode(np.random.default_rng(0).random((40, 3)).astype("<f4").tobytes()).decode()
+    tree = gltf(count=40, placed=500, uri=f"data:;base64,{content}")
+    tree["buffers"][0]["byteLength"] = tree["bufferViews"][0]["byteLength"] = 480
+    assert read_shape(put(tmp_path, "a.gltf", json.dumps(tree))).n_points == 20_000
+    monkeypatch.setenv("HOMOLOG_EXPANSION_MB", "1")
+    refused(tmp_path / "a.gltf", "20000 points", "HOMOLOG_EXPANSION_MB")
+
+
+def test_compressed_vtk_that_would_fill_the_memory(tmp_path, little_memory):
+    for suffix in (".vtp", ".vtu"):
+        write_shape(tmp_path / f"whole{suffix}", MESH)
+        content = (tmp_path / f"whole{suffix}").read_bytes()
+        promised = content.replace(b'NumberOfPoints="5"', b'NumberOfPoints="%d"' % (BILLION // 10))
+        assert promised != content
+        refused(put(tmp_path, "a" + suffix, promised), "HOMOLOG_EXPANSION_MB")
+
+
+def test_blanks_cost_no_more_than_their_number(tmp_path):
+    """Regular expressions that look at each blank from each blank before it would take minutes."""
+    blanks = " " * 120_000
+    refused(put(tmp_path, "a.csv", f"x{blanks}y,b,c,d\n" + "1,2,3,4\n" * 9))
+    refused(put(tmp_path, "b.csv", "x [" * 60_000 + "\n" + "1,2,3,4\n" * 9))
+    refused(put(tmp_path, "a.pcd", f"SIZE{blanks[:90_000]}x\nPOINTS 1\nDATA binary\n"), "no header")
+    refused(put(tmp_path, "b.pcd", f"SIZE 4{blanks[:90_000]}x\nPOINTS 1\nDATA binary\n"), "no header")
+    refused(put(tmp_path, "a.ply", b"ply " + b"\n" * 200_000 + b"end_heade"), "no header")
+    refused(put(tmp_path, "a.vtk", f"# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\n{blanks}x 1 1 x" * 3))
+    refused(put(tmp_path, "a.vtp", '<VTKFile type="PolyData">' + f"NumberOfPoints{blanks}=" * 3 + "</VTKFile>"))
+    refused(put(tmp_path, "a.obj", FOUR_LINES.replace("0 ", "v 0 ", 1) + "f " + "/" * 500_000 + "\n"))
+
+
+@pytest.mark.parametrize("kind", ["ascii", "binary", "binary_compressed"])
+@pytest.mark.parametrize("n_points", [0, 1, 4])
+def test_pcd_points_of_billions_of_values(tmp_path, kind, n_points, little_memory):
+    head = PCD.format(n=n_points, kind=kind).replace("COUNT 1 1 1", f"COUNT 1 1 {4 * BILLION}")
+    refused(put(tmp_path, "a.pcd", head.encode() + np.array([48, 48], "<u4").tobytes() + FOUR), "announces")
+
+
+def test_counts_of_billions_of_digits(tmp_path):
+    """Python refuses to read numbers of so many digits in its own words."""
+    digits = "9" * 5000
+    refused(put(tmp_path, "a.pcd", PCD.format(n=digits, kind="ascii") + FOUR_LINES), "announces")
+    refused(put(tmp_path, "a.vtk", VTK.format(kind="ASCII") + f"POINTS {digits} float\n{FOUR_LINES}"), "announces")
+    refused(put(tmp_path, "a.vtp", VTP.format(n=digits, m=0)))
+    refused(put(tmp_path, "a.off", f"OFF\n{digits} 1 0\n{FOUR_LINES}"))
+    refused(put(tmp_path, "a.ply", ply_head("ascii", digits, 0) + FOUR_LINES.encode()))
+    refused(put(tmp_path, "a.xyz", f"{digits}\n{FOUR_LINES}"))
+    refused(put(tmp_path, "a.gltf", json.dumps(gltf()).replace('"count": 4', f'"count": {digits}')))
+
+
+def test_a_name_with_a_tilde_is_no_home_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_shape(tmp_path / "~x.ply", MESH)
+    assert read_shape("~x.ply").n_points == MESH.n_points
+
+
+def test_names_with_line_breaks_stay_on_one_line(tmp_path):
+    path = put(tmp_path, "a\nb\x1b[31m.off", "OFF\n1 0 0\n")
+    with pytest.raises(ShapeError, match=r"a\\nb\\x1b\[31m.off") as caught:
+        read_shape(path)
+    assert str(caught.value).isprintable()
+
+
 def test_archive_that_would_fill_the_memory(tmp_path, little_memory):
     with (
         zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("points.npy", "w") as file,
     ):
-        file.write(npy_head((4_000_000, 3)))
-        for _ in range(12):
+        file.write(npy_head((16_000_000, 3)))
+        for _ in range(48):
             file.write(bytes(8_000_000))
-    refused(tmp_path / "a.npz", "would grow")
+    refused(tmp_path / "a.npz", "points.npy", "HOMOLOG_EXPANSION_MB")
 
 
 def test_points_as_columns_are_refused(tmp_path):
@@ -404,3 +467,7 @@ def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
     code += "try:\n    read_shape(sys.argv[1])\nexcept ShapeError:\n    print('refused')\n"
     done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr, done.returncode) == ("refused\n", "", 0)
+
+
+def test_cells_that_are_too_long(tmp_path):
+    refused(put(tmp_path, "a.csv", "name,x,y,z\n" + "a" * 200_000 + ",1,2,3\n" + "b,1,2,3\n" * 9), "no row of a table")

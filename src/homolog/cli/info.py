@@ -11,6 +11,7 @@ import homolog
 from homolog.cli.options import Json, check_json, on_stdout, write_figures
 from homolog.cli.progress import stderr_console
 from homolog.core.errors import HomologError
+from homolog.core.messages import one_line
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,7 +48,7 @@ def info(
         failed |= not report.usable
         entries.append({"file": str(file), "format": _format(file), **report.to_dict()})
         if not on_stdout(json):
-            typer.echo(file)  # not in the table, which breaks a long path over lines
+            typer.echo(one_line(file))  # not in the table, which breaks a long path over lines
             Console().print(_table(file, report))
     write_figures(json, entries)
     if failed:

@@ -18,6 +18,7 @@ from typing import NoReturn
 from homolog.cli.wording import in_options
 from homolog.core.ends import bound_end
 from homolog.core.errors import HomologError
+from homolog.core.messages import one_line
 from homolog.core.threads import tune_threads
 
 # What PyTorch says, in a plain RuntimeError, where there is not enough memory for an array.
@@ -126,6 +127,7 @@ def _fail(error: str) -> NoReturn:
 
     The arguments are looked at as they are, as the mistake may be in them.
     """
+    error = one_line(error)
     as_json = " --progress json" in " ".join(sys.argv).replace("=", " ")
     _end(json.dumps({"error": error}) if as_json else f"Error: {error}", 2)
 

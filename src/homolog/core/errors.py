@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
-# Characters of a value that a message shows.
-_LONGEST_VALUE = 160
+from homolog.core.messages import one_line, shown
 
 
 class HomologError(Exception):
@@ -25,6 +24,9 @@ class HomologError(Exception):
         ...     print(error)
         working memory is -1, but must be a positive number of mebibytes
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 class ArgumentError(HomologError, ValueError):
@@ -81,15 +83,9 @@ def bad_choice(name: str, found: Any, allowed: Sequence[str], hint: str = "") ->
     near = get_close_matches(str(found), allowed, n=1)
     guess = f"; did you mean {near[0]!r}?" if near else ""
     tail = f"; {hint}" if hint else ""
-    return ArgumentError(f"{name} is {_shown(found)}, but must be one of {', '.join(allowed)}{guess}{tail}")
+    return ArgumentError(f"{name} is {shown(found)}, but must be one of {', '.join(allowed)}{guess}{tail}")
 
 
 def bad_value(name: str, found: Any, allowed: str) -> ArgumentError:
     """Build the error for a value outside its range: ``name`` is ``found``, but must be ``allowed``."""
-    return ArgumentError(f"{name} is {_shown(found)}, but must be {allowed}")
-
-
-def _shown(value: Any) -> str:
-    """A value on one line, cut where it is long, such as an array."""
-    line = " ".join(repr(value).split())
-    return line if len(line) <= _LONGEST_VALUE else f"{line[:_LONGEST_VALUE]} ..."
+    return ArgumentError(f"{name} is {shown(found)}, but must be {allowed}")

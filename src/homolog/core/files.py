@@ -1,8 +1,9 @@
-"""Writing files so that a half-written one, or half of several, is never left behind."""
+"""Reading ordinary files alone, and writing so that a half-written one, or half of several, is never left behind."""
 
 from __future__ import annotations
 
 import csv
+import errno
 import hashlib
 import json
 import os
@@ -18,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, BinaryIO, TextIO
 
 from homolog.core.errors import ArgumentError, bad_value
 
@@ -40,15 +41,18 @@ _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
 
 def expanded(path: str | Path) -> Path:
-    """A path with ``~`` and ``~name`` replaced by a home folder.
+    """A path with ``~`` and ``~name`` replaced by a home folder, unless there is a file or folder of just this name.
 
     Raises:
         ArgumentError: if it is no path, or there is no such user.
     """
     if path == "" or not isinstance(path, str | PathLike):
         raise bad_value("path", path, "a path, that is a str or a pathlib.Path")
+    given = Path(path)
+    if given.parts[:1] and given.parts[0].startswith("~") and len(given.parts[0]) > 1 and is_there(given.parts[0]):
+        return given
     try:
-        return Path(path).expanduser()
+        return given.expanduser()
     except RuntimeError:
         raise ArgumentError(f"{path}: there is no such user's home folder; write the path out") from None
 
@@ -66,6 +70,72 @@ def resolved(path: str | Path) -> Path:
     if place.is_symlink():
         raise ArgumentError(f"{path} is a link that leads to itself, or cannot be followed; give another path")
     return place
+
+
+def is_there(path: str | Path) -> bool:
+    """Whether a path leads to something; one that is too long, or a link to itself, does not."""
+    try:
+        return Path(path).exists()
+    except (OSError, ValueError):
+        return False
+
+
+def opened(path: str | Path) -> BinaryIO:
+    """An ordinary file, or a link to one, opened for reading; the one way in which files of others are opened.
+
+    Raises:
+        OSError: if it is not there, or cannot be read; and of a pipe or a device, which may never end.
+    """
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    file = os.fdopen(descriptor, "rb")
+    mode = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(mode):
+        return file
+    file.close()
+    number = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
+    raise OSError(number, os.strerror(number) if stat.S_ISDIR(mode) else "it is not an ordinary file", str(path))
+
+
+def ordinary(path: str | Path) -> Path:
+    """A path of an ordinary file, for a library that opens it.
+
+    Raises:
+        OSError: as ``opened`` does.
+    """
+    opened(path).close()
+    return Path(path)
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """The content of an ordinary file.
+
+    Raises:
+        OSError: as ``opened`` does.
+    """
+    with opened(path) as file:
+        return file.read()
+
+
+def read_text(path: str | Path, *, encoding: str = "utf-8", errors: str = "strict") -> str:
+    """The content of an ordinary file of text, with line feeds as its ends of lines.
+
+    Raises:
+        OSError: as ``opened`` does.
+        UnicodeDecodeError: if it is no text in this encoding.
+    """
+    return read_bytes(path).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """What a text of JSON holds.
+
+    Raises:
+        ValueError: if it is none, or its values lie too deep in each other.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("its values lie too deep in each other") from None
 
 
 def made_folder(path: str | Path) -> Path:
@@ -427,7 +497,7 @@ def sha256(*paths: str | Path) -> str:
 
 def _chunks(path: str | Path) -> Iterator[bytes]:
     try:
-        with expanded(path).open("rb") as file:
+        with opened(expanded(path)) as file:
             while chunk := file.read(1 << 20):
                 yield chunk
     except OSError as error:

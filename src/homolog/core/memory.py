@@ -1,16 +1,24 @@
-"""The working-memory bound: an n_y x n_x array is made only if it fits. And how a process keeps freed memory."""
+"""Bounds on memory: of arrays between all points of two shapes, and of what a file expands to.
+
+An n_y x n_x array is made only if it fits. And how a process keeps freed memory.
+"""
 
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from homolog.core.arguments import is_number
-from homolog.core.errors import bad_value
+from homolog.core.errors import ArgumentError, bad_value
 
 _MEBIBYTE = 2**20
 _bound = 1024.0
+
+# A file may expand to so many megabytes, or to so many times its own size.
+_EXPANSION_MB = "200"
+_EXPANSION = 20
 
 # Rows are worked on in tiles of about this size even where more would fit: a tile then stays in the processor's cache
 # between the product that makes it and the reductions that read it.
@@ -93,6 +101,29 @@ def row_tiles(n_rows: int, bytes_per_row: float) -> Iterator[slice]:
     height = max(height, next(affordable, 1))
     for start in range(0, n_rows, height):
         yield slice(start, min(start + height, n_rows))
+
+
+def most_expanded(size: int) -> int:
+    """The number of bytes that a file of ``size`` bytes may expand to when it is read.
+
+    It is 20 times the size, or 200 MB if that is more; the environment variable ``HOMOLOG_EXPANSION_MB`` changes these.
+
+    Raises:
+        ArgumentError: if ``HOMOLOG_EXPANSION_MB`` is not a number.
+    """
+    given = os.environ.get("HOMOLOG_EXPANSION_MB", _EXPANSION_MB)
+    try:
+        return max(int(float(given) * _MEBIBYTE), _EXPANSION * size)
+    except (ValueError, OverflowError):  # the latter from an infinite one
+        raise ArgumentError(f"HOMOLOG_EXPANSION_MB is {given!r}, but must be a number of megabytes") from None
+
+
+def expansion_fault(n_bytes: int, size: int) -> str:
+    """Why a file of ``size`` bytes is not expanded to ``n_bytes``; nothing if it may be."""
+    if n_bytes <= most_expanded(size):
+        return ""
+    needed = f"its {size} bytes would take {n_bytes / _MEBIBYTE:.4g} MB when read"
+    return f"{needed}; if that is right, set HOMOLOG_EXPANSION_MB"
 
 
 # Of the C library of Linux: from what size on freed memory at the heap's end is given back to the system, and from what

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from homolog.core.errors import DataError
+from homolog.core.files import read_text
+from homolog.core.messages import shorten
 
 if TYPE_CHECKING:  # loaded once something is checked
     from pydantic import TypeAdapter
@@ -42,9 +44,9 @@ def read_record(path: Path, kind: Any, *, instead: str) -> dict[str, Any]:
         DataError: if it cannot be read, or an entry is not as the model says; numbers that are not finite never are.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except (OSError, ValueError) as error:
-        raise DataError(f"{path} cannot be read ({in_a_line(error)}); {instead}") from None
+        raise DataError(f"{path} cannot be read ({shorten(error, 160)}); {instead}") from None
     try:
         return checked_json(text, kind)
     except ValueError as error:
@@ -67,9 +69,9 @@ def checked_json(text: str, kind: Any) -> dict[str, Any]:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(map(str, first["loc"])) or "it"
-        raise ValueError(f"{key}: {in_a_line(first['msg'])}") from None
+        raise ValueError(f"{key}: {shorten(first['msg'], 160)}") from None
     except (ValueError, RecursionError) as error:
-        raise ValueError(in_a_line(error)) from None
+        raise ValueError(shorten(error, 160)) from None
     return dict(content)
 
 
@@ -114,8 +116,3 @@ def check_plain(content: Any, left: int = _DEEPEST) -> None:
     if isinstance(content, dict | list):
         for entry in content.values() if isinstance(content, dict) else content:
             check_plain(entry, left - 1)
-
-
-def in_a_line(error: object) -> str:
-    """What an error says, short enough for a message of ours."""
-    return " ".join(str(error).split())[:160]

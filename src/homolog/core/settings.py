@@ -26,6 +26,8 @@ from typing import (
 from annotated_types import Ge, Gt, Le, Lt
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.files import read_text
+from homolog.core.messages import shorten, shown
 from homolog.core.records import check_plain
 
 if TYPE_CHECKING:  # loaded once something is checked
@@ -97,12 +99,14 @@ def read_toml(path: Path) -> dict[str, Any]:
         ArgumentError: if it cannot be read, or is no TOML.
     """
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(read_text(path))
         check_plain(tables)
     except (OSError, UnicodeDecodeError) as error:
         raise ArgumentError(f"{path} cannot be read ({error}); give a TOML file") from None
-    except (ValueError, RecursionError) as error:
-        raise ArgumentError(f"{path} is not valid TOML: {' '.join(str(error).split())[:160]}") from None
+    except RecursionError:
+        raise ArgumentError(f"{path} is not valid TOML: its values lie too deep in each other") from None
+    except ValueError as error:  # of tomllib, and of numbers that are too long
+        raise ArgumentError(f"{path} is not valid TOML: {shorten(error, 150)}") from None
     return tables
 
 
@@ -132,7 +136,7 @@ def unknown_key(key: str, known: list[str]) -> str:
     """What to say of a key that is not among those known: the nearest one, or all of them."""
     near = get_close_matches(key, known, n=1)
     instead = f"did you mean {near[0]!r}?" if near else f"it knows {', '.join(known)}"
-    return f"has an unknown key {key!r}; {instead}"
+    return f"has an unknown key {shown(key)}; {instead}"
 
 
 def argument_error(error: ValidationError, settings: type) -> ArgumentError:
@@ -145,7 +149,7 @@ def argument_error(error: ValidationError, settings: type) -> ArgumentError:
         return bad_choice(str(key), first["input"], words)
     found = list(first["input"]) if isinstance(first["input"], tuple) else first["input"]
     if inside and first["type"] != "missing":
-        return ArgumentError(f"{key} holds {found!r}, but must be {described(annotation)}")
+        return ArgumentError(f"{key} holds {shown(found)}, but must be {described(annotation)}")
     return bad_value(str(key), found, described(annotation))
 
 

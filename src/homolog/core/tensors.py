@@ -1,4 +1,4 @@
-"""Safetensors files whose bytes depend on nothing but what they hold."""
+"""Safetensors files: those that are read are ordinary ones, and the bytes written depend on nothing but the content."""
 
 from __future__ import annotations
 
@@ -6,10 +6,22 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
+from safetensors import safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from homolog.core.files import atomic_path
+from homolog.core.files import atomic_path, ordinary
+
+
+def read_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """The tensors of a safetensors file, and the notes about them; the library checks that the file is so long.
+
+    Raises:
+        OSError: if it cannot be read.
+        SafetensorError: if it is damaged.
+    """
+    with safe_open(ordinary(path), framework="pt") as file:
+        return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
 
 
 def write_tensors(path: str | Path, tensors: Mapping[str, Tensor], notes: Mapping[str, str]) -> None:

@@ -12,7 +12,7 @@ from typing import get_args
 
 from homolog.core.choices import Split
 from homolog.core.errors import DataError, HomologError
-from homolog.core.files import expanded, sha256
+from homolog.core.files import expanded, read_text, sha256
 from homolog.core.progress import Progress, ignore
 from homolog.datasets.description import DatasetDescription
 from homolog.datasets.folder import Pair, ShapeFolder, class_of, names_at, partner, path_of
@@ -276,7 +276,7 @@ class _Reader:
 
 def _data_file(header: Path) -> Path | None:
     """The voxel file that a MetaImage header names; None if it names none."""
-    for line in header.read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in read_text(header, errors="replace").splitlines():
         key, _, value = line.partition("=")
         if key.strip() == "ElementDataFile":
             return header.parent / value.strip()

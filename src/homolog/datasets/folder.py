@@ -18,7 +18,7 @@ from jaxtyping import Int
 from homolog.core.arguments import check_choice
 from homolog.core.choices import Split, Up
 from homolog.core.errors import DataError, bad_value
-from homolog.core.files import expanded
+from homolog.core.files import expanded, read_text
 from homolog.datasets.description import DatasetDescription, read_description
 from homolog.datasets.truth import GroundTruth, read_vertices
 from homolog.shapes import Shape, read_shape, stand_upright
@@ -285,7 +285,7 @@ class ShapeFolder:
 
 def _listed_words(path: Path) -> tuple[str, ...]:
     try:
-        return tuple(path.read_text(encoding="utf-8").split())
+        return tuple(read_text(path).split())
     except (OSError, UnicodeDecodeError):
         raise DataError(f"{path} cannot be read as text; it must hold a name a line") from None
 
@@ -293,7 +293,7 @@ def _listed_words(path: Path) -> tuple[str, ...]:
 def _listed_pairs(path: Path, separator: str) -> tuple[Pair, ...]:
     expected = f"SOURCE{separator}TARGET"
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = read_text(path).splitlines()
     except (OSError, UnicodeDecodeError):
         raise DataError(f"{path}: there is no such list of pairs; it must hold {expected} a line") from None
     pairs = []

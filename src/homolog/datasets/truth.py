@@ -12,8 +12,10 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
+from homolog.core.array_files import open_npz
 from homolog.core.errors import DataError
-from homolog.core.files import expanded
+from homolog.core.files import expanded, opened
+from homolog.core.messages import shorten
 from homolog.datasets.description import DatasetDescription
 from homolog.shapes import Shape
 
@@ -255,14 +257,14 @@ def _shared(source: Int[np.ndarray, " p"], target: Int[np.ndarray, " p"]) -> Tru
 
 def _read_cloud_map(path: Path) -> Int[np.ndarray, " n"]:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with open_npz(path) as arrays:
             found: np.ndarray = arrays[_CLOUD_MAP]
     except KeyError:
         raise DataError(
             f"{path} has no {_CLOUD_MAP}: its dataset was made of shapes without template correspondence"
         ) from None
     except Exception as error:  # whatever NumPy raises of a damaged file
-        raise DataError(f"{path} must hold {_CLOUD_MAP} ({error})") from None
+        raise DataError(f"{path} must hold {_CLOUD_MAP} ({shorten(error, 160)})") from None
     if found.ndim != 1 or found.dtype.kind != "i" or found.size == 0 or found.min() < -1:
         raise DataError(f"{path}: {_CLOUD_MAP} must hold a point's number for each point of the cloud, or -1")
     return found
@@ -285,10 +287,11 @@ def _read_numbers(path: Path, kind: type[Any], what: str, *, dimensions: Literal
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # an empty file, or a number with a fraction
-            rows: np.ndarray = np.loadtxt(path, dtype=kind, ndmin=dimensions)
+            with opened(path) as file:
+                rows: np.ndarray = np.loadtxt(file, dtype=kind, ndmin=dimensions)
             return rows
     except (OSError, ValueError, OverflowError, Warning) as error:
-        raise DataError(f"{path} must hold {what} ({error})") from None
+        raise DataError(f"{path} must hold {what} ({shorten(error, 160)})") from None
 
 
 def _check_vertices(path: Path, vertices: Int[np.ndarray, " p"], shape: Shape, way_out: str) -> None:

@@ -7,17 +7,20 @@ layout is another entry of ``LAYOUTS``.
 from __future__ import annotations
 
 import re
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import torch
 from torch import Tensor
 
 from homolog.core.errors import WeightsError
-from homolog.core.files import sha256
+from homolog.core.files import opened, sha256
+from homolog.core.memory import expansion_fault
 from homolog.features.diffusion_net import GradientProduct, NetworkSettings
 from homolog.features.info import FeatureInfo, NetworkInput
 
@@ -86,7 +89,10 @@ def read_published(path: Path) -> tuple[NetworkSettings, FeatureInfo, dict[str, 
         ValueError: if the file holds something other than numbers.
     """
     try:
-        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
+        _check_expansion(path)
+        with catch_warnings():
+            simplefilter("ignore")  # of PyTorch, about pickles that it refuses next
+            checkpoint = torch.load(path, map_location="cpu", weights_only=True)
     except UnpicklingError:
         raise ValueError("it holds something other than numbers, or is damaged") from None
     given = _parameters(checkpoint)
@@ -97,6 +103,8 @@ def read_published(path: Path) -> tuple[NetworkSettings, FeatureInfo, dict[str, 
             "DiffusionNets by the paper's authors and by those of DiffusionNet"
         )
     tensors = {layout.own_name(name): tensor for name, tensor in given.items()}
+    # A tensor may repeat one number over and over.
+    _check_size(sum(tensor.numel() * tensor.element_size() for tensor in tensors.values()), path)
     settings = NetworkSettings(
         in_channels=tensors["first.weight"].shape[1],
         out_channels=tensors["last.weight"].shape[0],
@@ -105,6 +113,18 @@ def read_published(path: Path) -> tuple[NetworkSettings, FeatureInfo, dict[str, 
         gradient_product=layout.gradient_product,
     )
     return settings, _info(path, settings), tensors
+
+
+def _check_expansion(path: Path) -> None:
+    """Refuse an archive whose parts would expand to too much."""
+    with opened(path) as file:
+        if zipfile.is_zipfile(file):
+            _check_size(sum(info.file_size for info in zipfile.ZipFile(file).infolist()), path)
+
+
+def _check_size(n_bytes: int, path: Path) -> None:
+    if fault := expansion_fault(n_bytes, path.stat().st_size):
+        raise ValueError(fault)
 
 
 def _parameters(checkpoint: Any) -> dict[str, Tensor]:

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import safe_open
 from torch import Tensor
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import WeightsError
-from homolog.core.files import sha256
+from homolog.core.files import parse_json, sha256
+from homolog.core.messages import shorten, shown
 from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
-from homolog.core.tensors import write_tensors
+from homolog.core.tensors import read_tensors, write_tensors
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
 from homolog.features.extractor import NetworkFeatures
 from homolog.features.info import FeatureInfo
@@ -90,7 +90,7 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     except PermissionError as error:
         raise WeightsError(f"{path} cannot be read: {error.strerror}; change its permissions") from None
     except Exception as error:  # on damaged bytes the readers raise nearly anything
-        reason = " ".join(str(error).split())[:160] or type(error).__name__
+        reason = shorten(error, 160) or type(error).__name__
         raise WeightsError(f"{path} does not hold weights of this network ({reason}); check the file") from None
     networks = [network] if orienter is None else [network, orienter.network]
     if not all(torch.isfinite(tensor).all() for each in networks for tensor in each.state_dict().values()):
@@ -99,8 +99,17 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
 
 
 def _network(settings: NetworkSettings, tensors: Mapping[str, Tensor]) -> DiffusionNet:
-    network = DiffusionNet(settings)
-    network.load_state_dict(tensors)
+    """The network of these settings, once the tensors are known to be its own, whatever size the settings promise."""
+    n_blocks = sum(name.endswith(".times") for name in tensors)
+    if settings.blocks != n_blocks:
+        raise ValueError(f"its settings say {shown(settings.blocks)} blocks, but it holds {n_blocks}")
+    with torch.device("meta"):  # which takes no memory
+        network = DiffusionNet(settings)
+    for name, expected in network.state_dict().items():
+        found = tuple(tensors[name].shape) if name in tensors else "missing"
+        if found != tuple(expected.shape):
+            raise ValueError(f"its {name} is {found}, but its settings ask for {tuple(expected.shape)}")
+    network.load_state_dict({name: tensor.float() for name, tensor in tensors.items()}, assign=True)
     return network.eval()
 
 
@@ -108,9 +117,7 @@ _Contents = tuple[NetworkSettings, FeatureInfo, dict[str, Tensor], NetworkSettin
 
 
 def _read_own(path: Path) -> _Contents:
-    with safe_open(path, framework="pt") as file:
-        described = file.metadata() or {}
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    tensors, described = read_tensors(path)
     if "progress" in described:
         raise WeightsError(f"{path} is a checkpoint, to go on training from; give the weights.safetensors beside it")
     name, version = described.get("format", "").rpartition("-")[::2]
@@ -121,10 +128,10 @@ def _read_own(path: Path) -> _Contents:
             f"{path} has version {version} of the weights' format, but this homolog reads up to {_VERSION}; "
             "install a newer homolog"
         )
-    settings = NetworkSettings(**_known(json.loads(described["settings"])))
-    orienter = NetworkSettings(**_known(json.loads(described["orienter"]))) if "orienter" in described else None
+    settings = NetworkSettings(**_known(parse_json(described["settings"])))
+    orienter = NetworkSettings(**_known(parse_json(described["orienter"]))) if "orienter" in described else None
     known = {f.name for f in fields(FeatureInfo)}
-    info = {name: value for name, value in json.loads(described["info"]).items() if name in known}
+    info = {name: value for name, value in parse_json(described["info"]).items() if name in known}
     return settings, FeatureInfo(**{**info, "sha256": sha256(path)}), tensors, orienter
 
 

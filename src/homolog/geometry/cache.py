@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import save_file
 from torch import Tensor
 
@@ -20,6 +20,7 @@ from homolog.core.arguments import check_choice, check_kind, given_or_default
 from homolog.core.caches import SUFFIX, CacheFolder
 from homolog.core.errors import ArgumentError
 from homolog.core.files import atomic_path
+from homolog.core.tensors import read_tensors
 from homolog.geometry.operators import Operators, OperatorSettings, compressed_rows, compute_operators
 from homolog.shapes import Shape
 
@@ -115,9 +116,7 @@ class OperatorCache(CacheFolder):
 def _read(path: Path) -> Operators | None:
     before = _identity(path)
     try:
-        with safe_open(path, framework="pt") as entry:
-            notes = entry.metadata() or {}
-            tensors = {name: entry.get_tensor(name) for name in entry.keys()}  # noqa: SIM118
+        tensors, notes = read_tensors(path)
         if notes.pop("checksum", None) != _checksum(path.stem, tensors, notes):
             raise ValueError("its checksum is not that of its name and contents")
         operators = _operators(tensors, scale=float.fromhex(notes["length"]), method=notes["method"])

@@ -171,7 +171,7 @@ def _factors(
 
 def _unsolvable(penalty: Tensor, right: Tensor) -> ArgumentError:
     if not right.isfinite().all():
-        return ArgumentError("the features are not finite: coefficients_x or coefficients_y hold NaN or infinity")
+        return ArgumentError("the features are not finite; check what makes them, such as the weights")
     if not penalty.isfinite().all():
         return ArgumentError("mask is not finite; check the eigenvalues that it is made from")
     return ArgumentError(

@@ -15,13 +15,25 @@ from jaxtyping import Int
 from typing_extensions import NotRequired, TypedDict
 
 from homolog.core.arguments import check_choice, is_count
+from homolog.core.array_files import open_npz
 from homolog.core.errors import ArgumentError, DataError, HomologError, bad_value
-from homolog.core.files import all_or_nothing, atomic_path, expanded, made_folder, sha256, write_json
+from homolog.core.files import (
+    all_or_nothing,
+    atomic_path,
+    expanded,
+    made_folder,
+    opened,
+    ordinary,
+    sha256,
+    write_json,
+)
+from homolog.core.messages import shorten
 from homolog.core.progress import Timings
-from homolog.core.records import in_a_line, read_record, record
+from homolog.core.reader_process import read_in_process
+from homolog.core.records import read_record, record
 from homolog.matching.colours import matched_colours
 from homolog.matching.quality import MapQuality
-from homolog.pairs import PairOptions, Side
+from homolog.pairs import SIDES, PairOptions, Side
 from homolog.shapes import Shape, drawable, read_shape, write_shape
 
 if TYPE_CHECKING:
@@ -35,8 +47,11 @@ _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_
 _DIRECTIONS = ("target_to_source", "source_to_target")
 # The first index of each format, as other programs write it.
 _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
+_MATLAB = Path(__file__).with_name("mat_process.py")
 # No shape has so many points, and below it floating-point numbers are exact.
 _TOO_LARGE = 2**53
+# No coordinate whose square is no number can be matched.
+_FARTHEST = 1e150
 
 
 class _Input(TypedDict, total=False):
@@ -137,6 +152,8 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
 def _read_shape(root: Path, report: dict[str, Any], side: Side) -> Shape:
     """One of the shapes, by the name of the file that was matched where the report tells it."""
     shape = read_shape(root / f"{side}.ply")
+    if not (np.abs(shape.points) < _FARTHEST).all():
+        raise DataError(f"{root / shape.name} has points that no match writes, infinite or beyond; match again")
     return replace(shape, name=matched_name(report, side, otherwise=shape.name))
 
 
@@ -148,11 +165,12 @@ def matched_name(report: Mapping[str, Any], side: Side, *, otherwise: str) -> st
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            missing = [name for name in _ARRAYS if name not in stored.files]
+        with open_npz(path) as stored:
+            missing = [name for name in _ARRAYS if name not in stored.names]
             arrays = {name: stored[name] for name in _ARRAYS if name not in missing}
     except Exception as error:  # whatever NumPy raises of a damaged file
-        raise DataError(f"{path} cannot be read as the arrays of a match ({in_a_line(error)}); match again") from None
+        said = shorten(error, 160)
+        raise DataError(f"{path} cannot be read as the arrays of a match ({said}); match again") from None
     if missing:
         raise DataError(f"{path} has no array {missing[0]!r}; it must be what homolog match wrote")
     for name, array in arrays.items():
@@ -219,10 +237,10 @@ def read_point_map(
     first = base
     try:
         if suffix == ".npz":
-            with np.load(file, allow_pickle=False) as stored:
-                values = _only(path, {name: stored[name] for name in stored.files}, direction)
+            with open_npz(file) as archive:
+                values = _only(path, {name: archive[name] for name in archive.names}, direction)
         elif suffix == ".mat":
-            stored = scipy.io.loadmat(file)
+            stored = read_in_process(_MATLAB, ordinary(file), library="SciPy")
             own = stored.pop("first_index", None)
             first = int(own.item()) if base is None and own is not None else base
             named = {name: value for name, value in stored.items() if not name.startswith("_")}
@@ -230,11 +248,12 @@ def read_point_map(
         else:
             with catch_warnings():
                 simplefilter("error")  # NumPy only warns of a file without a number
-                values = np.loadtxt(file, ndmin=1)
+                with opened(file) as text:
+                    values = np.loadtxt(text, ndmin=1)
     except HomologError:
         raise
     except Exception as error:  # whatever NumPy and SciPy raise of a damaged file
-        raise DataError(f"{path} cannot be read as a point map ({' '.join(str(error).split())[:160]})") from None
+        raise DataError(f"{path} cannot be read as a point map ({shorten(error, 160)})") from None
     values = _whole_numbers(path, values)
     if first is None:
         first = _BASES.get(suffix, 1)
@@ -275,7 +294,7 @@ def _only(path: str | Path, arrays: dict[str, Any], direction: str) -> Any:
     maps = {name: array for name, array in arrays.items() if array.size > 1} or arrays
     if len(maps) == 1:
         return next(iter(maps.values()))
-    raise DataError(f"{path} has no array {direction!r}, but {', '.join(sorted(arrays)) or 'none'}")
+    raise DataError(f"{path} has no array {direction!r}, but {shorten(', '.join(sorted(arrays)), 100) or 'none'}")
 
 
 def _whole_numbers(path: str | Path, given: Any) -> Int[np.ndarray, " n"]:

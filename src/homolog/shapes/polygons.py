@@ -12,6 +12,10 @@ from homolog.shapes.topology import face_vectors
 
 # A triangle looks the other way where its normal opposes the polygon's by more than rounding.
 _ROUNDING = 1e-12
+# The triangles of a quadrilateral, as positions in it, where the fan around its first corner is none.
+_OTHER_DIAGONAL = np.array([[1, 2, 3], [1, 3, 0]])
+# Triangles whose normals are held at a time.
+_CHUNK = 2**18
 
 
 def triangulate(
@@ -34,7 +38,14 @@ def triangulate(
     triangles, n_triangles = fans(sizes), np.maximum(sizes - 2, 0)
     first_triangle, first_corner = np.cumsum(n_triangles) - n_triangles, np.cumsum(sizes) - sizes
     polygon = np.repeat(np.arange(len(sizes)), n_triangles)
-    for one in _folded(points, corners[triangles], polygon, sizes).tolist():
+    folded = _folded(points, corners[triangles], polygon, sizes)
+    # Nearly all are quadrilaterals, which the other diagonal splits as well as ears do, many at once.
+    quads = folded[sizes[folded] == 4]
+    split = first_corner[quads][:, None, None] + _OTHER_DIAGONAL
+    triangles[first_triangle[quads][:, None] + [0, 1]] = split
+    of_quad = np.repeat(np.arange(len(quads)), 2)
+    still = quads[_folded(points, corners[split.reshape(-1, 3)], of_quad, sizes[quads])]
+    for one in np.concatenate([folded[sizes[folded] != 4], still]).tolist():
         first, size = first_corner[one], sizes[one]
         ears = _ears(points[corners[first : first + size]])
         triangles[first_triangle[one] : first_triangle[one] + size - 2] = first + ears
@@ -72,11 +83,18 @@ def _folded(
         return np.zeros(0, dtype=np.int64)
     polygon = polygon[looked_at]
     with np.errstate(all="ignore"):
-        normals = face_vectors(points[triangles[looked_at]])
-        whole = np.stack([np.bincount(polygon, axis, len(sizes)) for axis in normals.T], axis=1)
-        against = -np.einsum("ij,ij->i", normals, whole[polygon])
-        folded = against > _ROUNDING * np.einsum("ij,ij->i", whole, whole)[polygon]
-    return np.unique(polygon[folded])
+        triangles, whole = triangles[looked_at], np.zeros((len(sizes), 3))
+        chunks = [slice(start, start + _CHUNK) for start in range(0, len(triangles), _CHUNK)]
+        for chunk in chunks:
+            normals = face_vectors(points[triangles[chunk]])
+            first, last = polygon[chunk][[0, -1]]
+            for axis in range(3):
+                whole[first : last + 1, axis] += np.bincount(polygon[chunk] - first, normals[:, axis])
+        folded, length = list[np.ndarray](), np.einsum("ij,ij->i", whole, whole)
+        for chunk in chunks:
+            against = -np.einsum("ij,ij->i", face_vectors(points[triangles[chunk]]), whole[polygon[chunk]])
+            folded.append(polygon[chunk][against > _ROUNDING * length[polygon[chunk]]])
+    return np.unique(np.concatenate(folded))
 
 
 def _ears(ring: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, "k-2 3"]:

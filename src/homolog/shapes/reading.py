@@ -19,9 +19,10 @@ import numpy as np
 from homolog.core.arguments import check_choice, check_kind
 from homolog.core.errors import HomologError, ShapeError
 from homolog.core.files import expanded, sha256
+from homolog.core.messages import shorten
 from homolog.shapes.formats import formats, imports_of, readable_suffixes
 from homolog.shapes.formats.gltf import Pose
-from homolog.shapes.formats.parsing import Arrays, UnreadableError, shorten
+from homolog.shapes.formats.parsing import Arrays, UnreadableError
 from homolog.shapes.shape import FEWEST_POINTS, Shape, counts_from_one
 
 VOLUMES: tuple[str, ...] = (".mhd", ".mha", ".nii", ".nii.gz", ".nrrd", ".nhdr")

@@ -10,14 +10,16 @@ from typing import Annotated, Any
 
 import torch
 from annotated_types import Ge
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from torch import Tensor
 from typing_extensions import TypedDict
 
 from homolog.core.errors import TrainingError
+from homolog.core.files import parse_json
+from homolog.core.messages import shorten
 from homolog.core.records import checked_json, record
 from homolog.core.settings import NotNegative
-from homolog.core.tensors import write_tensors
+from homolog.core.tensors import read_tensors, write_tensors
 from homolog.training.losses import Loss
 from homolog.training.settings import Recipe
 from homolog.training.state import TrainingState
@@ -91,19 +93,17 @@ def load_checkpoint(
         TrainingError: if the file is damaged, or comes from another recipe or other shapes.
     """
     try:
-        with safe_open(path, framework="pt") as file:
-            header = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        tensors, header = read_tensors(path)
         if header.get("format") != _FORMAT:
             raise ValueError("it is no checkpoint")
-        _check_recipe(path, json.loads(header["recipe"]), _described(recipe, losses))
+        _check_recipe(path, parse_json(header["recipe"]), _described(recipe, losses))
         if header["shapes"] != shapes:
             raise TrainingError(f"{path} was trained on other shapes; give the same DATA, or another -o")
         return _state(recipe, tensors, checked_json(header["progress"], _Progress), device)
     except TrainingError:
         raise
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:160]
+        reason = shorten(error, 160)
         raise TrainingError(f"{path} cannot be gone on from ({reason}); give another -o") from None
 
 

@@ -8,11 +8,15 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from homolog.core.errors import DataError, HomologError, needs_extra
+from homolog.core.files import read_bytes
+from homolog.core.memory import expansion_fault
+from homolog.core.messages import shorten
 from homolog.shapes import Shape
 from homolog.shapes.formats.ply import read_ply_colours
 from homolog.transfer.gltf import linear, read_gltf_look, srgb
@@ -140,7 +144,8 @@ def _blamed(path: Path) -> Iterator[None]:
     except HomologError:
         raise
     except Exception as error:
-        raise DataError(f"{path}: its texture or colours cannot be read ({error}); export it again") from error
+        said = shorten((isinstance(error, OSError) and error.strerror) or error, 160)
+        raise DataError(f"{path}: its texture or colours cannot be read ({said}); export it again") from error
 
 
 def read_image(source: Path | bytes, name: str | None = None) -> Image:
@@ -157,11 +162,17 @@ def read_image(source: Path | bytes, name: str | None = None) -> Image:
     with needs_extra("reading a texture", "transfer"):
         from PIL import Image as Pillow
     try:
-        with Pillow.open(BytesIO(source) if isinstance(source, bytes) else source) as image:
-            return np.asarray(image.convert("RGB"))
-    except (OSError, ValueError, SyntaxError, Pillow.DecompressionBombError) as error:
-        called = name if isinstance(source, bytes) else f"{source}, a texture,"
-        raise DataError(f"{called} cannot be read as an image ({error}); put it there, or export it again") from None
+        content = source if isinstance(source, bytes) else read_bytes(source)
+        with catch_warnings():
+            simplefilter("ignore")  # of Pillow, about large images
+            with Pillow.open(BytesIO(content)) as image:
+                if fault := expansion_fault(3 * image.width * image.height, len(content)):
+                    raise ValueError(fault)
+                return np.asarray(image.convert("RGB"))
+    except (OSError, ValueError, SyntaxError, MemoryError, Pillow.DecompressionBombError) as error:
+        called = name if isinstance(source, bytes) else f"{shorten(source, 200)}, a texture,"
+        said = shorten((isinstance(error, OSError) and error.strerror) or error, 120)
+        raise DataError(f"{called} cannot be read as an image ({said}); put it there, or export it again") from None
 
 
 def _of_ply(path: Path, shape: Shape) -> Appearance:
@@ -180,7 +191,10 @@ def _of_obj(path: Path, shape: Shape) -> Appearance:
 
 
 def _tinted(image: Image, tint: Any) -> Image:
-    return np.asarray(np.round(image * tint).clip(0, 255), dtype=np.uint8)
+    if np.all(np.asarray(tint) == 1):
+        return image
+    # A row at a time, as a number of tinted colour takes eight times the memory of one of the image.
+    return np.stack([np.round(row * tint).clip(0, 255).astype(np.uint8) for row in image])
 
 
 def _lit(image: Image, factor: Any) -> Image:

@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int, Num
 
+from homolog.core.array_files import ArrayFileError, read_npy
 from homolog.core.errors import DataError
 from homolog.core.files import expanded, sha256
+from homolog.core.messages import shorten
 from homolog.matching import Match
 from homolog.pairs import Side
 from homolog.shapes import Shape, files_of_shape, read_shape
@@ -84,16 +86,15 @@ def read_array(path: Path, shape: Shape) -> Num[np.ndarray, "n ..."]:
         DataError: if it is missing, damaged, holds something else, or has another number of rows.
     """
     try:
-        array = np.load(expanded(path), allow_pickle=False)
+        array = read_npy(expanded(path))
     except OSError as error:
         raise DataError(f"{path} cannot be read as an NPY array: {error.strerror or error}") from None
-    except Exception:  # whatever NumPy raises of a damaged header, a size that no memory holds included
+    except ArrayFileError as error:
         raise DataError(
-            f"{path} cannot be read as an NPY array: it is damaged or does not hold plain numbers; "
-            "write it anew with numpy.save, from an array of numbers"
+            f"{path} cannot be read as an NPY array: {error}; write it anew with numpy.save, from an array of numbers"
         ) from None
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "biuf":
-        raise DataError(f"{path} holds {getattr(array, 'dtype', 'several arrays')}, but must be one array of numbers")
+    if array.dtype.kind not in "biuf":
+        raise DataError(f"{path} holds {shorten(array.dtype)}, but must be one array of numbers")
     if array.ndim < 1 or len(array) != shape.n_points:
         raise DataError(
             f"{path} has shape {array.shape}, but must have one row for each of the {shape.n_points} points "

@@ -7,7 +7,6 @@ import io
 import json
 import re
 from collections.abc import Callable
-from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,13 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from homolog.core.arguments import is_number
 from homolog.core.choices import System
 from homolog.core.errors import DataError
-from homolog.core.files import atomic_path, expanded
+from homolog.core.files import atomic_path, expanded, parse_json, read_text
+from homolog.core.messages import shorten
 from homolog.core.records import check_plain
-from homolog.shapes.formats.parsing import UnreadableError, number_rows, shorten
+from homolog.shapes.formats.parsing import UnreadableError, number_rows
 from homolog.shapes.formats.tables import read_table_lines
 
 LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
@@ -27,6 +28,8 @@ LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
 
 _LPS_TO_RAS = np.array([-1.0, -1.0, 1.0])  # and back
 # Older .fcsv files have numbers for the systems.
+# Beyond it floating-point numbers end.
+_LARGEST = 1e300
 _SYSTEMS: dict[str, System] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
 
 
@@ -76,15 +79,17 @@ def read_landmarks(path: str | Path) -> Landmarks:
 
 
 def _read_markups(path: Path) -> Landmarks:
-    content = _markups_content(path)
+    text = read_text(path, encoding="utf-8-sig")
+    content = _markups_content(text)
     # Of what the file defines, the points of all lists, one after the other.
     points = np.array([_position(point) for point in _control_points(content)]).reshape(-1, 3)
     systems = {str(markup.get("coordinateSystem", "LPS")) for markup in content["markups"]}
     if len(systems) > 1 or not systems <= _SYSTEMS.keys():
-        raise UnreadableError(f"its coordinate systems are {', '.join(sorted(systems))}; save it in LPS or in RAS")
+        found = shorten(", ".join(sorted(systems)))
+        raise UnreadableError(f"its coordinate systems are {found}; save it in LPS or in RAS")
 
     def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
-        changed = deepcopy(content)
+        changed = _markups_content(text)
         for markup in changed["markups"]:
             markup.pop("measurements", None)  # lengths and areas on the other shape
         for point, position in zip(_control_points(changed), points.tolist(), strict=True):
@@ -97,12 +102,15 @@ def _read_markups(path: Path) -> Landmarks:
     return Landmarks(points, _SYSTEMS[systems.pop()] if systems else "LPS", write)
 
 
-def _markups_content(path: Path) -> dict[str, Any]:
+def _markups_content(text: str) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8-sig"))
+        content = parse_json(text)
         check_plain(content)
-    except (ValueError, RecursionError) as error:
-        raise UnreadableError(f"it is no valid JSON ({error}); save it again") from None
+        json.dumps(content, indent=4)  # as it will be written
+    except RecursionError:
+        raise UnreadableError("its values lie too deep in each other; save it again") from None
+    except ValueError as error:
+        raise UnreadableError(f"it is no valid JSON ({shorten(error, 100)}); save it again") from None
     markups = content.get("markups") if isinstance(content, dict) else None
     if not isinstance(markups, list) or not markups or not all(isinstance(markup, dict) for markup in markups):
         raise UnreadableError("it has no list 'markups', as Slicer writes it; save it again")
@@ -121,13 +129,14 @@ def _position(point: dict[str, Any]) -> list[float]:
     position = point.get("position")
     if point.get("positionStatus", "defined") == "undefined" or position is None:
         return [np.nan] * 3
-    if not isinstance(position, list) or len(position) != 3 or not all(isinstance(x, int | float) for x in position):
+    numbers = [x for x in position if is_number(x) and abs(x) < _LARGEST] if isinstance(position, list) else []
+    if len(numbers) != 3 or len(position) != 3:
         raise UnreadableError(f"the position {shorten(position)} should be three numbers; save it again")
     return [float(x) for x in position]
 
 
 def _read_fcsv(path: Path) -> Landmarks:
-    lines = path.read_text(encoding="utf-8-sig").splitlines()
+    lines = read_text(path, encoding="utf-8-sig").splitlines()
     rows = [number for number, line in enumerate(lines) if line.strip() and not line.startswith("#")]
     if not rows:
         raise UnreadableError("it holds no landmarks")
@@ -153,7 +162,7 @@ def _fcsv_system(lines: list[str]) -> System:
     found = re.search(r"^#\s*CoordinateSystem\s*=\s*(\S+)", header, re.MULTILINE)
     name = found[1].upper() if found else "RAS"
     if name not in _SYSTEMS:
-        raise UnreadableError(f"its coordinate system is {name}; save it in LPS or in RAS")
+        raise UnreadableError(f"its coordinate system is {shorten(name)}; save it in LPS or in RAS")
     return _SYSTEMS[name]
 
 
@@ -168,7 +177,7 @@ def _read_table(path: Path) -> Landmarks:
     points = number_rows(table.lines, table.columns, delimiter=table.delimiter)
     if not len(points):
         raise UnreadableError("it holds no landmarks")
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    text = read_text(path, encoding="utf-8-sig", errors="replace")
 
     def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         rows = iter(points)

@@ -19,6 +19,8 @@ from homolog.shapes.formats.parsing import number_rows, read_text
 
 _NO_MATERIAL = ""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?\s+"
+# No name of a file is longer, with what may stand before it.
+_LONGEST_NAME = 4096
 # The values that follow options of textures, where these are not one word.
 _OPTIONS = dict.fromkeys(("o", "s", "t"), f"(?i:{_NUMBER}){{1,3}}") | {"mm": f"(?i:{_NUMBER}){{1,2}}"}
 
@@ -190,6 +192,7 @@ class _Coordinates:
 
 def _library_files(folder: Path, words: str) -> list[Path]:
     """The files of materials that a statement names: one whose name may hold blanks, or several."""
+    words = words[:_LONGEST_NAME]
     whole = _beside(folder, words)
     names = [words] if whole.is_file() else re.findall(r'"[^"]+"|\S.*?\.mtl(?=\s|$)', words, re.IGNORECASE) or [words]
     return [_beside(folder, name) for name in names]
@@ -214,7 +217,7 @@ def _materials(library: Path) -> dict[str, Material]:
 
 def _textured(material: Material, words: str, folder: Path) -> Material:
     """A material with the texture that a statement names, of whose options those that move coordinates are kept."""
-    moves, rest = {"s": material.scale, "o": material.offset}, words
+    moves, rest = {"s": material.scale, "o": material.offset}, words[:_LONGEST_NAME]
     while option := re.match(r"-(\w+)\s+", rest):
         name = option[1].lower()
         values = re.compile(_OPTIONS.get(name, r"\S+\s+")).match(rest, option.end())

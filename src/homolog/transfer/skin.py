@@ -10,6 +10,8 @@ from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from homolog.core.errors import DataError
+from homolog.core.memory import expansion_fault
+from homolog.core.messages import shorten
 from homolog.maps import rigid_motion
 from homolog.shapes import Shape
 from homolog.shapes.formats.gltf import Gltf, influences, parts
@@ -24,6 +26,8 @@ _REACH = 1.5
 _FEWEST_AROUND = 12
 # A vertex of the skin is a point of the shape if they are nearer than this share of the shape's extent.
 _SAME = 1e-5
+# Of a joint's share in moving a point, when it is weighed against the file; large skins of many joints are no bombs.
+_WEIGHT_BYTES = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +64,14 @@ def read_skin(path: Path, shape: Shape) -> Skin | None:
         skinned = [number for number, node in enumerate(file.nodes) if "skin" in node and "mesh" in node]
         return _skin_of(file, file.nodes[skinned[0]]["skin"], skinned, shape) if skinned else None
     except (UnreadableError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: its skin cannot be read ({error!r}); export it again") from None
+        raise DataError(f"{path}: its skin cannot be read ({shorten(error, 160)}); export it again") from None
 
 
 def _skin_of(file: Gltf, number: int, skinned: list[int], shape: Shape) -> Skin:
     joints: list[int] = list(file.header["skins"][number]["joints"])
     nodes = [node for node in skinned if file.nodes[node]["skin"] == number]
+    if fault := expansion_fault(_WEIGHT_BYTES * shape.n_points * len(joints), file.size):
+        raise UnreadableError(f"it has {len(joints)} joints; {fault}")
     vertices, weights = _skinned_vertices(file, nodes, len(joints))
     # The shape is as its joints pose it in the file.
     frames = np.stack([file.world(joint) for joint in joints])

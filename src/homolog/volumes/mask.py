@@ -8,6 +8,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from homolog.core.errors import ShapeError
+from homolog.core.messages import shown
+
+# In millimetres; no mask lies beyond it.
+_FARTHEST = 1e100
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +41,12 @@ class Mask:
     def __post_init__(self) -> None:
         if self.inside.ndim != 3 or not self.inside.any():
             raise ShapeError(f"{self.name} marks no voxel of a volume; give another mask, or another label")
-        volume = np.linalg.det(self.axes)
-        if not np.isfinite(volume) or volume == 0:
-            raise ShapeError(f"{self.name} has voxels without a volume (axes {self.axes.tolist()}); correct its header")
+        with np.errstate(all="ignore"):
+            volume = np.linalg.det(self.axes)
+            farthest = np.max(np.abs(self.origin) + np.abs(self.axes) @ self.inside.shape)
+        if not 0 < abs(volume) < np.inf or not farthest < _FARTHEST:
+            found = f"voxels without a volume, or too far away (axes {shown(self.axes.tolist())})"
+            raise ShapeError(f"{self.name} has {found}; correct its header")
 
     def cropped(self, margin: int) -> Mask:
         """Crop to the bounding box of the object with a margin in voxels, which may extend beyond the volume."""

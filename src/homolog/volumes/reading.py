@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import gzip
-import zlib
-from contextlib import suppress
+import re
+from importlib.util import find_spec
+from math import prod
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
-from homolog.core.errors import ShapeError, needs_extra
-from homolog.core.files import expanded
+from homolog.core.errors import MissingExtraError, ShapeError
+from homolog.core.files import expanded, is_there, opened
+from homolog.core.messages import shorten
+from homolog.core.reader_process import ReaderProcessError, read_in_process
 from homolog.shapes import VOLUMES
 from homolog.volumes.mask import Mask
 
@@ -22,8 +22,25 @@ _KINDS = {".mh": "MetaImageIO", ".nii": "NiftiImageIO", ".nrrd": "NrrdImageIO", 
 # A volume with more values than this is an image and not a mask.
 _MOST_LABELS = 256
 _LABELS_SHOWN = 12
-# Bytes read at a time.
+_PROCESS = Path(__file__).with_name("itk_process.py")
+# Names of files with a number in them, and the first number, the last and the step.
+_PATTERN = re.compile(r"([^%]*%0?\d?\d?d[^%\s]*)\s+(\d{1,6})\s+(\d{1,6})\s+(\d{1,6})(?:\s+\d)?")
+# No name of a file is longer, and no header.
+_LONGEST_NAME = 4096
 _CHUNK = 2**22
+# What separates names from values in headers, the names of the entry that tells where the voxels are, and the bytes of
+# a voxel by its type.
+_SIGNS = {".mhd": "=", ".mha": "=", ".nrrd": ":", ".nhdr": ":"}
+_VOXELS = ("elementdatafile", "data file", "datafile")
+_VOXEL_BYTES = {"MET_CHAR": 1, "MET_UCHAR": 1, "MET_SHORT": 2, "MET_USHORT": 2, "MET_INT": 4, "MET_UINT": 4}
+_VOXEL_BYTES |= {
+    "MET_LONG": 4,
+    "MET_ULONG": 4,
+    "MET_LONG_LONG": 8,
+    "MET_ULONG_LONG": 8,
+    "MET_FLOAT": 4,
+    "MET_DOUBLE": 8,
+}
 
 
 def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
@@ -49,92 +66,97 @@ def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
         raise ShapeError(f"{path} is no volume; its suffix must be one of {', '.join(VOLUMES)}")
     if not file.is_file():
         raise ShapeError(f"{path}: there is no such file; give a segmentation mask")
-    image = _read(file)
-    values = _simple_itk().GetArrayViewFromImage(image).T
-    inside = values != 0 if label is None else values == label
+    found = _read(file)
+    values = found["values"].T
     if label is None:
         _check_values(path, values)
-    elif not inside.any():
-        raise ShapeError(f"{path}: no voxel has label {label}; those there are {_labels(values)}")
-    steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
-    return Mask(inside, np.array(image.GetOrigin()), steps, name=file.name)
+        inside = values != 0
+    else:
+        inside = values == label
+        if not inside.any():
+            raise ShapeError(f"{path}: no voxel has label {label}; those there are {_labels(values)}")
+    del values, found["values"]
+    return Mask(inside, found["origin"], found["steps"], name=file.name)
 
 
-def _read(file: Path) -> Any:
-    reader = _simple_itk().ImageFileReader()
-    reader.SetFileName(str(file))
+def _read(file: Path) -> dict[str, np.ndarray]:
+    """What ``itk_process`` reads, once the files of the voxels are known to be there."""
+    if find_spec("SimpleITK") is None:
+        raise MissingExtraError("reading volumes", "SimpleITK", "volumes")
     kind = next(kind for suffix, kind in _KINDS.items() if suffix in file.name.lower())
-    reader.SetImageIO(kind)
     try:
-        voxels = _voxels_file(file) if kind == "MetaImageIO" else None
-        reader.ReadImageInformation()
-        size = tuple(length for length in reader.GetSize() if length != 1)
-        if len(size) != 3 or len(reader.GetSize()) != 3 or reader.GetNumberOfComponents() != 1:
-            found = " x ".join(map(str, reader.GetSize()))
-            raise ShapeError(f"{file} holds {found} voxels of {reader.GetNumberOfComponents()} values; give one volume")
-        n_voxels = int(np.prod(reader.GetSize(), dtype=np.int64))
-        if kind == "NiftiImageIO":
-            bits, begin = int(reader.GetMetaData("bitpix")), int(float(reader.GetMetaData("vox_offset")))
-            return _read_nifti(file, reader, begin + bits // 8 * n_voxels)
-        if voxels is not None:
-            voxel_bytes = _simple_itk().Image(1, 1, reader.GetPixelID()).GetSizeOfPixelComponent()
-            _check_length(voxels, voxels.stat().st_size, voxel_bytes * n_voxels)
-        return reader.Execute()
-    except (OSError, RuntimeError) as error:
-        reason = str(error).strip().splitlines()[-1].strip()
-        raise ShapeError(f"{file} cannot be read as a volume ({reason[:200]}); write it again") from None
+        head = _head(file)
+        voxels = _voxel_files(file, head)
+        for one in voxels:
+            if not (is_there(one) and one.is_file()):
+                raise ShapeError(
+                    f"{file}: its voxels are to be in the file {shorten(one, 200)}, which is not there; put it there"
+                )
+        if len(voxels) == 1 and head.get("compresseddata", "f").lower()[0] not in "t1":
+            _check_length(voxels[0], head)
+        size = sum(one.stat().st_size for one in voxels)
+        return read_in_process(_PROCESS, file, kind, str(size), library="SimpleITK")
+    except OSError as error:
+        raise ShapeError(f"{file} cannot be read as a volume ({error.strerror}); write it again") from None
+    except ReaderProcessError as error:
+        raise ShapeError(f"{file} {shorten(error, 200).removeprefix('it ')}") from None
 
 
-def _read_nifti(file: Path, reader: Any, needed: int) -> Any:
-    """Read a NIfTI file whose header promises a length; compressed files are unpacked once, to that length."""
-    if file.suffix.lower() != ".gz":
-        _check_length(file, file.stat().st_size, needed)
-        return reader.Execute()
-    with TemporaryDirectory() as folder:
-        unpacked = Path(folder) / "volume.nii"
-        _check_length(file, _unpack(file, unpacked, needed), needed)
-        reader.SetFileName(str(unpacked))
-        return reader.Execute()
+def _head(file: Path) -> dict[str, str]:
+    """The entries of a MetaImage's or NRRD's header by their names in lower case; what follows a list is part of it."""
+    if not file.name.lower().endswith((".mhd", ".mha", ".nrrd", ".nhdr")):
+        return {}
+    with opened(file) as stream:
+        lines = stream.read(_CHUNK).decode("latin-1").splitlines()
+    entries = dict[str, str]()
+    for number, line in enumerate(lines):
+        name, sign, value = (part.strip() for part in line.partition(_SIGNS[file.suffix.lower()]))
+        if not line.strip():
+            break
+        entries[name.lower()] = value
+        if sign and name.lower() in _VOXELS:
+            if value.split()[:1] == ["LIST"]:
+                entries[name.lower()] = "\n".join(["LIST", *lines[number + 1 :]])
+            if file.suffix.lower()[:3] == ".mh":
+                break  # the voxels follow
+    return entries
 
 
-def _unpack(file: Path, unpacked: Path, most: int) -> int:
-    """Unpack hardly more than that many bytes of a gzip file, as far as it is intact; the number of bytes."""
-    length = 0
-    with suppress(EOFError, zlib.error, gzip.BadGzipFile), gzip.open(file) as content, unpacked.open("wb") as output:
-        # One byte more is asked for, so that the checksum behind the last one is read as well.
-        while length <= most and (chunk := content.read(min(_CHUNK, most + 1 - length))):
-            length += output.write(chunk)
-    return length
+def _voxel_files(file: Path, head: dict[str, str]) -> list[Path]:
+    """The other files that a header takes its voxels from."""
+    given = next((head[name] for name in _VOXELS if name in head), "LOCAL")
+    first, *listed = given.splitlines() or [""]
+    pattern = _PATTERN.fullmatch(first[:_LONGEST_NAME])
+    if pattern is not None:
+        numbers = range(int(pattern[2]), int(pattern[3]) + 1, int(pattern[4]) or 1)
+        names = [pattern[1] % number for number in numbers]
+    elif first.split()[:1] == ["LIST"]:
+        names = [line.strip() for line in listed if line.strip()]
+    else:
+        names = [] if first.upper() in ("LOCAL", "") else [first]
+    return [file.parent / name for name in names]
 
 
-def _voxels_file(file: Path) -> Path | None:
-    """The file of a MetaImage's voxels, if it is a separate one whose length is known.
-
-    If it is missing or too short, the library would print a message of its own that names no file.
-    """
-    with file.open("rb") as header:
-        lines = (line.partition(b"=") for line in header.read(_CHUNK).splitlines())
-    entries = {key.strip(): value.strip().decode(errors="replace") for key, _, value in lines}
-    name = entries.get(b"ElementDataFile", "LOCAL")
-    if name.split(" ")[0] in ("LOCAL", "LIST") or "%" in name:
-        return None
-    if not (file.parent / name).is_file():
-        raise ShapeError(f"{file}: its voxels are to be in {file.parent / name}, which is not there; put it there")
-    return None if entries.get(b"CompressedData", "").upper()[:1] in ("T", "1") else file.parent / name
-
-
-def _check_length(file: Path, length: int, needed: int) -> None:
-    """Refuse files that end early: the library reads zeros (NIfTI), or prints a message of its own (MetaImage)."""
-    if length < needed:
-        raise ShapeError(f"{file} ends after {length} of {needed} bytes; copy or write it again")
+def _check_length(voxels: Path, head: dict[str, str]) -> None:
+    """Refuse a MetaImage's file of voxels that ends early, of which the library gives a reason that names no file."""
+    sizes, kind = head.get("dimsize", "").split(), head.get("elementtype", "")
+    if kind in _VOXEL_BYTES and all(size.isdecimal() and len(size) < 10 for size in sizes):
+        needed, length = prod(map(int, sizes)) * _VOXEL_BYTES[kind], voxels.stat().st_size
+        if length < needed:
+            raise ShapeError(f"{voxels} ends after {length} of {needed} bytes; copy or write it again")
 
 
 def _check_values(path: str | Path, values: np.ndarray) -> None:
-    if not np.isfinite(values).all():
-        raise ShapeError(f"{path} has voxels that are no numbers; write the mask again")
-    if values.dtype.kind == "f" and not np.array_equal(values, values.round()):
-        raise ShapeError(f"{path} has fractions for values and is no mask of labels; write it with whole numbers")
-    if len(np.unique(values)) > _MOST_LABELS:
+    labels = np.zeros(0, dtype=values.dtype)
+    for layer in values.T:  # one by one, as each check takes memory of its own
+        if not np.isfinite(layer).all():
+            raise ShapeError(f"{path} has voxels that are no numbers; write the mask again")
+        if values.dtype.kind == "f" and not np.array_equal(layer, layer.round()):
+            raise ShapeError(f"{path} has fractions for values and is no mask of labels; write it with whole numbers")
+        labels = np.union1d(labels, layer)
+        if len(labels) > _MOST_LABELS:
+            break
+    if len(labels) > _MOST_LABELS:
         raise ShapeError(f"{path} has more than {_MOST_LABELS} values and looks like an image; give a mask, or a label")
 
 
@@ -142,9 +164,3 @@ def _labels(values: np.ndarray) -> str:
     found = np.unique(values)
     shown = ", ".join(f"{value:g}" for value in found[:_LABELS_SHOWN])
     return f"{shown} and {len(found) - _LABELS_SHOWN} more" if len(found) > _LABELS_SHOWN else shown
-
-
-def _simple_itk() -> Any:
-    with needs_extra("reading volumes", "volumes"):
-        import SimpleITK
-    return SimpleITK

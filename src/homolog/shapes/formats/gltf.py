@@ -18,8 +18,11 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from jaxtyping import Float, Int
 
+from homolog.core.files import parse_json, read_bytes
+from homolog.core.memory import expansion_fault
+from homolog.core.messages import shorten
 from homolog.shapes.finding import Finding
-from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out, shorten
+from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out
 from homolog.shapes.polygons import fans, strips
 from homolog.shapes.shape import Shape
 
@@ -36,8 +39,10 @@ _TYPES = {width: name for name, width in _WIDTHS.items()}
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 # The modes of primitives.
 _POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
-# Of meshes that are placed several times.
-_MOST_POINTS = 10_000_000
+# Of a coordinate or an index of a shape, and as often as reading holds it at a time.
+_NUMBER_BYTES = 40
+# To place a mesh takes as long as to read so many numbers.
+_PLACING = 100
 _MOST_JOINTS_PER_POINT = 16
 
 
@@ -52,7 +57,7 @@ class Gltf:
     """
 
     def __init__(self, path: Path) -> None:
-        content, self.folder = path.read_bytes(), path.parent
+        content, self.folder = read_bytes(path), path.parent
         self.header, binary = _opened(path, content)
         self.files = _files_beside(path.parent, self.header)
         entries = self.header.get("buffers", [])
@@ -62,7 +67,8 @@ class Gltf:
         check_claim(sum(int(entry["byteLength"]) for entry in held), "bytes of buffers", 1, available)
         for accessor in self.header.get("accessors", []):
             check_claim(int(accessor["count"]), "elements", 1, available)
-        self._entries, self._binary = entries, binary
+        self._entries, self._binary, self.size = entries, binary, available
+        self._worlds = dict[int, np.ndarray]()
 
     @cached_property
     def buffers(self) -> list[bytes | None]:
@@ -73,7 +79,7 @@ class Gltf:
         name = entry.get("uri")
         if name is None:
             return self._binary if number == 0 else None
-        return _embedded(name) if name.startswith("data:") else self.files[name].read_bytes()
+        return _embedded(name) if name.startswith("data:") else read_bytes(self.files[name])
 
     def view(self, number: int) -> bytes:
         """The bytes of a buffer view."""
@@ -135,13 +141,17 @@ class Gltf:
 
     def world(self, node: int) -> Float[np.ndarray, "4 4"]:
         """The transform from a node's own coordinates to the scene's."""
-        transform, seen = np.eye(4), set[int]()
+        above, seen = list[int](), set[int]()
         step: int | None = node
-        while step is not None:
+        while step is not None and step not in self._worlds:
             if step in seen or not 0 <= step < len(self.nodes):
                 raise UnreadableError("its nodes make no tree; export it again")
+            above.append(step)
             seen.add(step)
-            transform, step = local_transform(self.nodes[step]) @ transform, self.parents.get(step)
+            step = self.parents.get(step)
+        transform = np.eye(4) if step is None else self._worlds[step]
+        for number in reversed(above):
+            transform = self._worlds[number] = transform @ local_transform(self.nodes[number])
         return transform
 
     def shown(self) -> list[int]:
@@ -218,7 +228,7 @@ def _version_one(found: str) -> UnreadableError:
 
 def _checked_header(content: bytes) -> dict[str, Any]:
     try:
-        header = json.loads(content)
+        header = parse_json(content)
     except ValueError:
         raise UnreadableError(f"it holds no valid JSON; {CUT_OFF}") from None
     if not isinstance(header, dict):
@@ -231,7 +241,7 @@ def _checked_header(content: bytes) -> dict[str, Any]:
 
 def buffer_files(path: Path) -> tuple[Path, ...]:
     """The files beside a GLB or glTF that hold its buffers, in the order of the buffers."""
-    header, _ = _opened(path, path.read_bytes())
+    header, _ = _opened(path, read_bytes(path))
     return tuple(_files_beside(path.parent, header).values())
 
 
@@ -426,19 +436,24 @@ def read_rest(path: Path) -> Arrays:
 
 def _check_size(file: Gltf) -> None:
     """Refuse small meshes placed so often that the scene would not fit."""
-    header = file.header
-    accessors = header.get("accessors", [])
-    sizes = [
-        sum(int(accessors[number]["count"]) for p in m["primitives"] for number in _positions(p))
-        for m in header.get("meshes", [])
-    ]
-    total = 0
+    accessors = file.header.get("accessors", [])
+    sizes = list[tuple[int, int]]()
+    for primitives in (mesh["primitives"] for mesh in file.header.get("meshes", [])):
+        n_points = sum(int(accessors[number]["count"]) for each in primitives for number in _positions(each))
+        sizes.append(
+            (n_points, n_points + sum(int(accessors[p["indices"]]["count"]) for p in primitives if "indices" in p))
+        )
+    total, n_numbers = 0, 0
     for node in file.nodes:
         instances = node.get("extensions", {}).get(_INSTANCES, {}).get("attributes", {})
         often = max([int(accessors[number]["count"]) for number in instances.values()], default=1)
-        total += often * sizes[node["mesh"]] if "mesh" in node else 0
-    if total > max(_MOST_POINTS, sum(sizes)):
-        raise UnreadableError(f"its scene has {total} points, more than {_MOST_POINTS}; export one object alone")
+        if "mesh" in node:
+            n_points, n_corners = sizes[node["mesh"]]
+            total, n_numbers = total + often * n_points, n_numbers + often * (3 * n_points + n_corners + _PLACING)
+    # Whatever is placed once is in the file.
+    once = sum(3 * n_points + n_corners + _PLACING for n_points, n_corners in sizes)
+    if n_numbers > once and (fault := expansion_fault(_NUMBER_BYTES * n_numbers, file.size)):
+        raise UnreadableError(f"its scene has {total} points; export one object alone; {fault}")
 
 
 def _positions(primitive: dict[str, Any]) -> tuple[int, ...]:

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import math
-import zipfile
-from collections.abc import Iterable
-from io import BytesIO
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
+from homolog.core.array_files import ArrayFileError, open_npz
+from homolog.core.array_files import read_npy as read_array
+from homolog.core.messages import shorten
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
     Arrays,
     UnreadableError,
-    check_claim,
     left_out,
     polygon_faces,
-    shorten,
 )
 from homolog.shapes.shape import Shape
 
@@ -27,41 +25,42 @@ _POINT_KEYS = ("points", "vertices", "verts", "v", "xyz", "pos", "positions", "c
 _FACE_KEYS = ("faces", "triangles", "tris", "f", "face", "triangle", "tri", "polygons", "polys", "cells")
 # Three rows of more numbers than this are faces as columns, and not three polygons.
 _MOST_CORNERS = 8
-# Coordinates hardly compress; an archive that grows more than this is made to fill the memory.
-_MOST_COMPRESSION = 200
-_ALWAYS_ALLOWED = 64 * 2**20
 
 
 def read_npy(path: Path) -> Arrays:
     """Read an array of points, shape (n, 3), from an NPY file; no code in it is run."""
-    content = path.read_bytes()
-    return Arrays(_columns(_array(BytesIO(content), len(content), "its array"), "its array"))
+    with _as_unreadable():
+        array = read_array(path)
+    return Arrays(_columns(array, "its array"))
 
 
 def read_npz(path: Path) -> Arrays:
     """Read points and perhaps faces from an NPZ file, by any of their usual names; others are named in a note."""
-    try:
-        archive = zipfile.ZipFile(path)
-    except zipfile.BadZipFile:
-        raise UnreadableError(f"it is no archive of arrays; {CUT_OFF}") from None
-    with archive:
-        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+    with _as_unreadable(), open_npz(path) as archive:
         # An array that stands alone needs no name.
-        point_key = next(iter(members)) if len(members) == 1 else _key(members, _POINT_KEYS)
-        face_key = _key(members, _FACE_KEYS)
+        point_key = next(iter(archive.names)) if len(archive.names) == 1 else _key(archive.names, _POINT_KEYS)
+        face_key = _key(archive.names, _FACE_KEYS)
         face_key = None if face_key == point_key else face_key
-        others = sorted(members.keys() - {point_key, face_key})
+        others = sorted({*archive.names} - {point_key, face_key})
         if point_key is None:
-            found = shorten(", ".join(sorted(members)[:8]) or "nothing", 100)
+            found = shorten(", ".join(sorted(archive.names)[:8]) or "nothing", 100)
             raise UnreadableError(f"it holds {found}, but an array 'points' (and perhaps 'faces') is needed")
-        points = _columns(_member(archive, members[point_key]), point_key)
-        faces = None if face_key is None else _member(archive, members[face_key])
+        points = _columns(archive[point_key], point_key)
+        faces = None if face_key is None else archive[face_key]
     notes = (
         [left_out("arrays", len(others), f"{shorten(', '.join(others[:8]), 100)} are not points or faces")]
         if others
         else []
     )
     return Arrays(points, None if faces is None or not len(faces) else _triangles(points, faces), tuple(notes))
+
+
+@contextmanager
+def _as_unreadable() -> Iterator[None]:
+    try:
+        yield
+    except ArrayFileError as error:
+        raise UnreadableError(f"{error}; {CUT_OFF}") from None
 
 
 def _triangles(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -79,42 +78,10 @@ def _key(members: Iterable[str], names: tuple[str, ...]) -> str | None:
     return next((lower[name] for name in names if name in lower), None)
 
 
-def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
-    if info.file_size > max(_MOST_COMPRESSION * info.compress_size, _ALWAYS_ALLOWED):
-        raise UnreadableError(
-            f"{info.filename} would grow from {info.compress_size} to {info.file_size} bytes; save it again"
-        )
-    try:
-        with archive.open(info) as stream:
-            return _array(stream, info.file_size, info.filename)
-    except zipfile.BadZipFile:
-        raise UnreadableError(f"its {info.filename} is damaged; {CUT_OFF}") from None
-
-
-def _array(stream: IO[bytes], available: int, what: str) -> np.ndarray:
-    """An array of real numbers, whose header is checked before its numbers are read."""
-    version = _magic(stream, what)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, in_columns, dtype = read_header(stream)
-    if dtype.kind not in "biuf":
-        raise UnreadableError(f"{what} holds values of type {dtype}, but real numbers are needed")
-    count = math.prod(shape)
-    check_claim(count, "numbers", dtype.itemsize, available)
-    content = stream.read(count * dtype.itemsize)
-    if len(content) < count * dtype.itemsize:
-        raise UnreadableError(f"{what} ends too early; {CUT_OFF}")
-    return np.frombuffer(content, dtype).reshape(shape, order="F" if in_columns else "C")
-
-
-def _magic(stream: IO[bytes], what: str) -> tuple[int, int]:
-    try:
-        return np.lib.format.read_magic(stream)
-    except ValueError:
-        raise UnreadableError(f"{what} is no NumPy array") from None
-
-
 def _columns(array: np.ndarray, what: str, *, at_most: int | None = None) -> np.ndarray:
     lying = array.ndim == 2 and array.shape[0] == 3 < array.shape[1]  # points as columns; no shape has only three
+    if array.dtype.kind not in "biuf":
+        raise UnreadableError(f"{what} holds values of type {shorten(array.dtype)}, but real numbers are needed")
     if array.ndim != 2 or array.shape[1] < 3 or array.shape[1] > (at_most or array.shape[1]) or lying:
         raise UnreadableError(f"{what} has shape {array.shape}, but must have shape (n, 3)")
     return array[:, :3]

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from homolog.core.messages import shorten
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
     Arrays,
@@ -16,7 +17,6 @@ from homolog.shapes.formats.parsing import (
     number_rows,
     polygon_corners,
     read_text,
-    shorten,
     space_of,
 )
 from homolog.shapes.formats.text_rows import write_rows

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from homolog.core.files import read_bytes
+from homolog.core.messages import shorten
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
     Arrays,
@@ -17,7 +19,6 @@ from homolog.shapes.formats.parsing import (
     polygon_faces,
     polygon_rows,
     read_text,
-    shorten,
 )
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape
@@ -34,7 +35,7 @@ def read(path: Path) -> Arrays:
     Line breaks mean nothing where points have no further numbers. Points of 4OFF are divided by their fourth
     coordinate, and those of nOFF must have three.
     """
-    if _BINARY.match(path.read_bytes()):
+    if _BINARY.match(read_bytes(path)):
         raise UnreadableError("it is a binary OFF; export it as text, or as PLY")
     text = read_text(path)
     lines = content_lines(text)

@@ -11,6 +11,8 @@ from typing import Literal, NamedTuple, NoReturn, cast
 import numpy as np
 from jaxtyping import Float, Int
 
+from homolog.core.files import read_bytes
+from homolog.core.messages import shorten, shown
 from homolog.shapes.finding import Finding
 from homolog.shapes.polygons import triangulate
 
@@ -73,15 +75,15 @@ def check_claim(count: int, what: str, smallest: int, available: int) -> None:
         available: bytes in the file.
     """
     if count < 0:
-        raise UnreadableError(f"the header announces {count} {what}; {CUT_OFF}")
+        raise UnreadableError(f"the header announces {shown(count)} {what}; {CUT_OFF}")
     if count * smallest > available:
         found = f"the file has only {available} bytes"
-        raise UnreadableError(f"the header announces {count} {what}, but {found}; {CUT_OFF}")
+        raise UnreadableError(f"the header announces {shown(count)} {what}, but {found}; {CUT_OFF}")
 
 
 def read_text(path: Path) -> str:
     """Read a text file, refusing binary content; UTF-16 by its byte order mark."""
-    content = path.read_bytes()
+    content = read_bytes(path)
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16", errors="replace")
     if b"\0" in content:
@@ -123,13 +125,6 @@ def _blame_line(lines: Sequence[str], columns: Sequence[int], dtype: type, delim
         except (ValueError, OverflowError):
             raise UnreadableError(f"the line {shorten(line)!r} should hold {kind}; correct or remove it") from None
     raise UnreadableError(f"its lines do not all hold {kind}")
-
-
-def shorten(text: object, length: int = 50) -> str:
-    """One line of at most ``length`` printable characters."""
-    flat = "".join(c if c.isprintable() else " " for c in str(text))
-    line = " ".join(flat.split())
-    return line if len(line) <= length else line[: length - 3] + "..."
 
 
 Polygons = tuple[Int[np.ndarray, " m"], Int[np.ndarray, " c"]]

@@ -9,18 +9,22 @@ from typing import Any, cast
 
 import numpy as np
 
+from homolog.core.files import read_bytes
 from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim
 from homolog.shapes.shape import Shape
 
 # LZF writes at least three bytes for 264.
 _MOST_LZF = 100
+_LONGEST_HEAD = 100_000
+# A number of more digits is larger than any file.
+_DIGITS = 20
 
 
 def read(path: Path) -> Arrays:
     """Read the fields x, y and z of a PCD file: text, binary or compressed."""
     from pypcd4.pypcd4 import PointCloud
 
-    content = path.read_bytes()
+    content = read_bytes(path)
     n_points = _check_pcd(content)
     cloud = PointCloud.from_fileobj(cast(Any, BytesIO(content)))
     if missing := {"x", "y", "z"}.difference(cloud.fields):
@@ -33,14 +37,16 @@ def read(path: Path) -> Arrays:
 
 def _check_pcd(content: bytes) -> int:
     """The number of points announced, once the file can hold them."""
-    head = re.match(rb".*?^DATA[ \t]+(\w+)[^\n]*\n", content[:100_000], re.DOTALL | re.MULTILINE)
-    entries = dict(re.findall(rb"^([A-Z]+)[ \t]+([\d \t]+?)\s*$", head[0], re.MULTILINE)) if head else {}
+    head = re.match(rb".*?^DATA[ \t]+(\w+)[^\n]*\n", content[:_LONGEST_HEAD], re.DOTALL | re.MULTILINE)
+    words = [line.split() for line in head[0].splitlines()] if head else []
+    entries = {name: values for name, *values in filter(None, words) if all(map(bytes.isdigit, values)) and values}
     if head is None or not {b"SIZE", b"POINTS"} <= entries.keys():
         raise UnreadableError("it has no header from FIELDS and SIZE to POINTS and DATA")
-    n_points, body = int(entries[b"POINTS"]), content[head.end() :]
-    sizes = [int(size) for size in entries[b"SIZE"].split()]
-    counts = [int(count) for count in entries.get(b"COUNT", b"").split()] or [1] * len(sizes)
+    n_points, body = _number(entries[b"POINTS"][0]), content[head.end() :]
+    sizes = [_number(size) for size in entries[b"SIZE"]]
+    counts = [_number(count) for count in entries.get(b"COUNT", [])] or [1] * len(sizes)
     bytes_per_point = sum(size * count for size, count in zip(sizes, counts, strict=True))
+    check_claim(sum(counts), "values of a point", 1, len(body))
     if head[1] == b"binary":
         check_claim(n_points, "points", bytes_per_point, len(body))
     elif head[1] == b"ascii":
@@ -49,6 +55,11 @@ def _check_pcd(content: bytes) -> int:
         check_claim(n_points * bytes_per_point, "bytes", 1, _MOST_LZF * len(body))
         check_claim(int.from_bytes(body[4:8], "little"), "bytes", 1, _MOST_LZF * len(body))
     return n_points
+
+
+def _number(digits: bytes) -> int:
+    """A count, or one that is too large in any case."""
+    return int(digits[:_DIGITS])
 
 
 def write(path: Path, shape: Shape) -> None:

@@ -6,12 +6,14 @@ A reader of our own, because the one at hand refuses binary files with mixed pol
 from __future__ import annotations
 
 import struct
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
+from homolog.core.files import read_bytes
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
@@ -110,7 +112,7 @@ def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
 
 
 def _opened(path: Path) -> _File:
-    content = path.read_bytes()
+    content = read_bytes(path)
     end = content.find(b"end_header")
     if not content.startswith(b"ply") or end < 0:
         raise UnreadableError("it has no header from 'ply' to 'end_header'")
@@ -222,13 +224,14 @@ class _Rows:
     def _walked(self, offset: int, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
         """Where each row begins, where the values of its lists begin, and their sizes; and where the last row ends."""
         lists, after = self._lists()
-        row_starts, list_starts, sizes = list[int](), list[int](), list[int]()
+        # Numbers of eight bytes each, where objects would take many times the memory of the file.
+        row_starts, list_starts, sizes = array("q"), array("q"), array("q")
         try:
             for _ in range(count):
                 row_starts.append(offset)
                 for before, counter, width in lists:
                     (size,) = counter.unpack_from(self._body, offset + before)
-                    if size < 0:
+                    if not 0 <= size <= len(self._body):
                         raise self._too_short()
                     offset += before + counter.size
                     list_starts.append(offset)
@@ -238,8 +241,8 @@ class _Rows:
         except struct.error:
             raise self._too_short() from None
         shape = (count, len(lists))
-        starts = np.array(list_starts, np.int64).reshape(shape)
-        return np.array(row_starts, np.int64), starts, np.array(sizes, np.int64).reshape(shape), offset
+        starts = np.array(list_starts).reshape(shape)
+        return np.array(row_starts), starts, np.array(sizes).reshape(shape), offset
 
     def _lists(self) -> tuple[list[tuple[int, struct.Struct, int]], int]:
         """The bytes before each list, its counter and the bytes of one of its values; and the bytes behind the last."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from homolog.core.files import read_bytes
 from homolog.shapes.equal_rows import first_of_equal_rows
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import (
@@ -34,7 +35,7 @@ def read(path: Path) -> Arrays:
 
     The points are numbered as they first appear in the file.
     """
-    content = path.read_bytes()
+    content = read_bytes(path)
     announced = int.from_bytes(content[80:_HEAD], "little") if len(content) >= _HEAD else -1
     exact = len(content) == _HEAD + announced * _FACET.itemsize
     if not exact and content.lstrip()[:5].lower() == b"solid" and b"\0" not in content.rstrip(b"\0"):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homolog.core.messages import shorten
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
@@ -18,7 +19,6 @@ from homolog.shapes.formats.parsing import (
     left_out,
     number_rows,
     read_text,
-    shorten,
 )
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape
@@ -172,7 +172,13 @@ def _delimiter(line: str) -> str | None:
 def _cells(line: str) -> list[str]:
     """The cells of a line; a delimiter within double quotes is part of a cell."""
     delimiter = _delimiter(line)
-    cells = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    try:
+        rows = csv.reader([line], delimiter=delimiter or " ", skipinitialspace=True)
+        cells = line.split() if delimiter is None else next(rows)
+    except csv.Error as error:
+        raise UnreadableError(
+            f"the line {shorten(line)!r} is no row of a table ({error}); correct or remove it"
+        ) from None
     return [cell.strip(" \"'") for cell in cells]
 
 
@@ -191,7 +197,7 @@ def _is_number(cell: str) -> bool:
 
 def _names(header: str) -> list[str]:
     """The names of columns, in lower case; a unit in brackets stays with its name, and CloudCompare's // goes."""
-    return [name.lower() for name in _cells(re.sub(r"\s+(?=[\[(])", "", header.lstrip("/ ")))]
+    return [name.lower() for name in _cells(re.sub(r"(?<!\s)\s+(?=[\[(])", "", header.lstrip("/ ")))]
 
 
 def _commented_names(text: str, first_row: str) -> list[str]:

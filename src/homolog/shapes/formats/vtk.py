@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
-import subprocess
-import sys
 from importlib.util import find_spec
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +11,16 @@ import numpy as np
 from jaxtyping import Int
 
 from homolog.core.errors import MissingExtraError, ShapeError
+from homolog.core.files import read_bytes
+from homolog.core.memory import expansion_fault
+from homolog.core.messages import shorten
+from homolog.core.reader_process import ReaderProcessError, read_in_process
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
     Arrays,
     UnreadableError,
     check_claim,
     polygon_faces,
-    shorten,
     space_of,
 )
 from homolog.shapes.polygons import strips
@@ -36,13 +35,11 @@ _LEGACY_COUNTS = re.compile(
 )
 _LEGACY_KIND = re.compile(rb"^[ \t]*dataset[ \t]+(\w+)", re.IGNORECASE | re.MULTILINE)
 _XML_COUNTS = re.compile(rb"""\bNumberOf\w+\s*=\s*["']\s*(\d+)""")
-# No compressor of VTK makes data smaller than this.
-_MOST_COMPRESSION = 1100
-# Within so many seconds VTK has read any file that is whole.
-_SECONDS = 30.0
-_SECONDS_PER_BYTE = 2e-6
-# The exit code of vtk_process.py that comes with a reason.
-_REFUSED = 3
+# Of a point or of a cell, once it is expanded.
+_LEAST_BYTES = 12
+# A number of more digits is too large in any case.
+_DIGITS = 20
+_PROCESS = Path(__file__).with_name("vtk_process.py")
 
 
 # The kinds of XML data sets that are read.
@@ -54,7 +51,7 @@ def read(path: Path) -> Arrays:
 
     Of volume cells the outer surface is read. Faces of quadratic cells go through the points on their edges.
     """
-    content = path.read_bytes()
+    content = read_bytes(path)
     return _load(path, ".vtk" if content.startswith(b"# vtk") else _xml_kind(content), content)
 
 
@@ -65,14 +62,15 @@ def _check_legacy(content: bytes) -> None:
         raise UnreadableError(f"it holds {found}, but POLYDATA or UNSTRUCTURED_GRID is needed")
     for match in _LEGACY_COUNTS.finditer(content):
         for count in filter(None, match.groups()):
-            check_claim(int(count), "values", 1, len(content))
+            check_claim(int(count[:_DIGITS]), "values", 1, len(content))
 
 
 def _check_xml(content: bytes) -> None:
     if not content.rstrip().endswith(b"</VTKFile>"):
         raise UnreadableError(f"it does not end with </VTKFile>; {CUT_OFF}")
-    for match in _XML_COUNTS.finditer(content):
-        check_claim(int(match[1]), "values", 1, _MOST_COMPRESSION * len(content))
+    announced = sum(_LEAST_BYTES * int(match[1][:_DIGITS]) for match in _XML_COUNTS.finditer(content))
+    if fault := expansion_fault(announced, len(content)):
+        raise UnreadableError(fault)
 
 
 def _xml_kind(content: bytes) -> str:
@@ -92,27 +90,18 @@ def _load(path: Path, suffix: str, content: bytes) -> Arrays:
     (_check_legacy if suffix == ".vtk" else _check_xml)(content)
     if find_spec("vtkmodules") is None:
         raise _missing()
-    script = Path(__file__).with_name("vtk_process.py")
-    command = [sys.executable, "-I", "-W", "ignore", str(script), str(path.resolve()), suffix, json.dumps(sys.path)]
-    limit = _SECONDS + len(content) * _SECONDS_PER_BYTE
+    space = space_of(content[:256])
+    del content
     try:
-        done = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False, timeout=limit)
-    except subprocess.TimeoutExpired:
-        raise UnreadableError(f"VTK has not read it within {limit:.0f} s; {CUT_OFF}") from None
-    if done.returncode:
-        # Exit codes other than the one that comes with a reason are crashes.
-        said = (
-            shorten(done.stderr.decode(errors="replace"), 120)
-            if done.returncode == _REFUSED
-            else "VTK cannot take it in"
-        )
+        found = read_in_process(_PROCESS, path, suffix, library="VTK")
+    except ReaderProcessError as error:
+        said = shorten(error, 120)
         # A reason that says itself what to do is not about damage.
-        raise UnreadableError(said if "; " in said else f"{said}; {CUT_OFF}")
-    stream = BytesIO(done.stdout)
-    points, sizes, corners, strip_sizes, strip_corners = (np.load(stream, allow_pickle=False) for _ in range(5))
-    points = points.astype(np.float64)
-    faces = np.concatenate([polygon_faces(points, sizes, corners), strip_corners[strips(strip_sizes)]])
-    return Arrays(points, faces if len(faces) else None, space=space_of(content[:256]))
+        raise UnreadableError(said if "; " in said else f"{said}; {CUT_OFF}") from None
+    points = found["points"].astype(np.float64)
+    of_strips = found["strip_corners"][strips(found["strip_sizes"])]
+    faces = np.concatenate([polygon_faces(points, found["sizes"], found["corners"]), of_strips])
+    return Arrays(points, faces if len(faces) else None, space=space)
 
 
 def surface_of(data: Any) -> tuple[np.ndarray, Int[np.ndarray, " m"], Int[np.ndarray, " c"]]:

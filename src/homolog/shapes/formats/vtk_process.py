@@ -1,25 +1,17 @@
 """VTK in a process of its own, because on a damaged file it ends the whole process.
 
-Run as a script with a path and its suffix, this reads the file and writes points and polygons to standard
-output, or a reason to standard error. It imports nothing of Homolog, to start fast. Writing uses some of it.
+``homolog.core.reader_process`` calls ``read``. This imports nothing of Homolog, to start fast. Writing uses some of it.
 """
 
 from __future__ import annotations
 
-import json
 import re
-import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-
-if __name__ == "__main__":
-    # The search path of the calling process, which may have been changed there.
-    sys.path[:] = json.loads(sys.argv[3])
 
 import numpy as np
 from vtkmodules.util import numpy_support
@@ -47,40 +39,13 @@ from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridRead
 # Not typed by VTK.
 vtk_to_numpy: Any = numpy_support.vtk_to_numpy
 
-REFUSED = 3
-"""The exit code when standard error holds the reason why the file is refused."""
-
-_LEAST_MEMORY = 6 * 2**30
-_MEMORY_PER_BYTE = 64
 _BLANKS_LEFT = 32
 
 
-def main() -> int:
-    """Read the file named on the command line; gives the exit code."""
-    path = Path(sys.argv[1])
-    _limit_memory(path.stat().st_size)
-    try:
-        arrays = surface(load(path, sys.argv[2]))
-    except (ValueError, MemoryError) as error:
-        sys.stderr.write(str(error) or "it does not fit into memory")
-        return REFUSED
-    stream = BytesIO()
-    for array in arrays:
-        np.save(stream, array, allow_pickle=False)
-    sys.stdout.buffer.write(stream.getbuffer())
-    return 0
-
-
-def _limit_memory(file_size: int) -> None:
-    """Let damaged sizes in a file fail here, not exhaust the machine; there is no such limit on Windows."""
-    try:
-        import resource
-    except ImportError:
-        return
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    wanted = _LEAST_MEMORY + _MEMORY_PER_BYTE * file_size
-    if hard == resource.RLIM_INFINITY or wanted < hard:
-        resource.setrlimit(resource.RLIMIT_AS, (wanted, hard))
+def read(path: str, suffix: str) -> dict[str, np.ndarray]:
+    """What ``surface`` gives of a file, by name."""
+    arrays = surface(load(Path(path), suffix))
+    return dict(zip(("points", "sizes", "corners", "strip_sizes", "strip_corners"), arrays, strict=True))
 
 
 @contextmanager
@@ -322,7 +287,3 @@ _SPLITS: dict[int, tuple[int, list[list[int]]]] = {
     VTK_QUADRATIC_QUAD: (4, [[0, 4, 7], [4, 1, 5], [5, 2, 6], [6, 3, 7], [4, 5, 6, 7]]),
     VTK_BIQUADRATIC_QUAD: (4, [[0, 4, 8, 7], [4, 1, 5, 8], [8, 5, 2, 6], [7, 8, 6, 3]]),
 }
-
-
-if __name__ == "__main__":
-    sys.exit(main())

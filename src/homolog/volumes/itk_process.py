@@ -1,0 +1,100 @@
+"""SimpleITK in a process of its own, because on a damaged header it ends the whole process.
+
+``homolog.core.reader_process`` calls ``read``. This imports nothing of Homolog that loads slowly.
+"""
+
+from __future__ import annotations
+
+import gzip
+import os
+import re
+import zlib
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import Any
+
+import numpy as np
+import SimpleITK
+
+from homolog.core.memory import expansion_fault
+
+# Not typed by SimpleITK.
+_itk: Any = SimpleITK
+# Images that arrays look into.
+_KEPT = list[Any]()
+# Bytes read at a time.
+_CHUNK = 2**22
+
+
+def read(path: str, kind: str, voxels_size: str) -> dict[str, np.ndarray]:
+    """The values (k, j, i) of a volume, its origin, and the steps along i, j and k as columns.
+
+    Args:
+        path: the file.
+        kind: the library's name of its format.
+        voxels_size: the bytes of the files of its voxels, where these are others.
+
+    Raises:
+        ValueError: if the file holds no volume, or ends early; the library reads zeros then.
+    """
+    reader: Any = _itk.ImageFileReader()
+    reader.SetFileName(path)
+    reader.SetImageIO(kind)
+    try:
+        with TemporaryDirectory() as folder:
+            image = _read(Path(path), reader, int(voxels_size), Path(folder))
+    except RuntimeError as error:
+        if "allocate" in str(error):
+            raise MemoryError from None
+        said = str(error).replace(reader.GetFileName(), "it").strip().splitlines()[-1]
+        said = re.sub(r"ITK ERROR: \w+\(0x\w+\): ", "", said).strip()
+        # After this word the system's last error follows, which may be another one.
+        said = "its voxels end early or are damaged" if said.startswith("Reason:") else said
+        raise ValueError(f"it cannot be read as a volume ({said[:100]}); write it again") from None
+    steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
+    _KEPT.append(image)
+    return {"values": _itk.GetArrayViewFromImage(image), "origin": np.array(image.GetOrigin()), "steps": steps}
+
+
+def _read(file: Path, reader: Any, voxels_size: int, folder: Path) -> Any:
+    reader.ReadImageInformation()
+    size, n_values = reader.GetSize(), reader.GetNumberOfComponents()
+    if len(size) != 3 or 1 in size or n_values != 1:
+        raise ValueError(f"it holds {' x '.join(map(str, size))} voxels of {n_values} values; give one volume")
+    voxel_bytes = _itk.Image(1, 1, reader.GetPixelID()).GetSizeOfPixelComponent()
+    needed = int(np.prod([int(length) for length in size], dtype=object)) * voxel_bytes
+    if fault := expansion_fault(needed, file.stat().st_size + voxels_size):
+        raise ValueError(fault)
+    if reader.GetImageIO() == "NiftiImageIO":
+        begin, length = int(float(reader.GetMetaData("vox_offset"))), file.stat().st_size
+        if file.suffix.lower() == ".gz":
+            unpacked = folder / "volume.nii"
+            length = _unpack(file, unpacked, begin + needed)
+            reader.SetFileName(str(unpacked))
+        _check_length(length, begin + needed)
+    with TemporaryFile() as printed:
+        os.dup2(printed.fileno(), 1)
+        os.dup2(printed.fileno(), 2)
+        image = reader.Execute()
+        printed.seek(0)
+        said = printed.read(_CHUNK).decode(errors="replace")
+    # What it cannot unpack, the library of MetaImage leaves as it finds the memory, and only prints a line.
+    if reader.GetImageIO() == "MetaImageIO" and re.search("fail|not read|error", said, re.IGNORECASE):
+        raise ValueError("it ends early, or its voxels are damaged; copy or write it again")
+    return image
+
+
+def _check_length(length: int, needed: int) -> None:
+    if length < needed:
+        raise ValueError(f"it ends after {length} of {needed} bytes; copy or write it again")
+
+
+def _unpack(file: Path, unpacked: Path, most: int) -> int:
+    """Unpack hardly more than that many bytes of a gzip file, as far as it is intact; the number of bytes."""
+    length = 0
+    with suppress(EOFError, zlib.error, gzip.BadGzipFile), gzip.open(file) as content, unpacked.open("wb") as output:
+        # One byte more is asked for, so that the checksum behind the last one is read as well.
+        while length <= most and (chunk := content.read(min(_CHUNK, most + 1 - length))):
+            length += output.write(chunk)
+    return length

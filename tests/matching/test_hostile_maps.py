@@ -1,0 +1,61 @@
+"""Point maps of other programs that are damaged, or made to fill the memory."""
+
+import os
+
+import numpy as np
+import pytest
+import scipy.io
+
+from homolog.core.errors import DataError
+from homolog.matching import read_point_map
+
+
+def refused(path, *words):
+    with pytest.raises(DataError) as caught:
+        read_point_map(path)
+    message = str(caught.value)
+    assert message.isprintable()
+    assert len(message) < 400
+    for word in (path.name, *words):
+        assert word in message, message
+
+
+def test_matlab_files_are_read_as_scipy_reads_them(tmp_path):
+    values = np.arange(1, 6)
+    scipy.io.savemat(tmp_path / "a.mat", {"map": values, "name": "x", "cells": np.array([1, "a"], dtype=object)})
+    np.testing.assert_array_equal(read_point_map(tmp_path / "a.mat"), values - 1)
+
+
+def test_expansion_is_bounded(tmp_path):
+    zeros = np.zeros(60_000_000)
+    scipy.io.savemat(tmp_path / "a.mat", {"map": zeros}, do_compression=True)
+    refused(tmp_path / "a.mat", "HOMOLOG_EXPANSION_MB")
+    np.savez_compressed(tmp_path / "a.npz", map=zeros)
+    refused(tmp_path / "a.npz", "HOMOLOG_EXPANSION_MB")
+
+
+def test_flipped_bytes_crash_nothing(tmp_path):
+    """Some make SciPy's reader write where it must not."""
+    path, random = tmp_path / "a.mat", np.random.default_rng(0)
+    scipy.io.savemat(path, {"map": np.arange(1, 43), "first_index": 1})
+    content = np.frombuffer(path.read_bytes(), np.uint8)
+    for _ in range(20):
+        changed = content.copy()
+        changed[random.integers(128, len(content), 4)] ^= 1 << random.integers(0, 8, 4).astype(np.uint8)
+        path.write_bytes(changed.tobytes())
+        try:
+            read_point_map(path)
+        except DataError as error:
+            assert str(error).isprintable()
+
+
+def test_pipes_are_not_waited_for(tmp_path):
+    for suffix in (".txt", ".vts", ".map", ".mat", ".npz"):
+        path = tmp_path / f"pipe{suffix}"
+        os.mkfifo(path)
+        refused(path, "ordinary file")
+
+
+def test_names_in_archives_stay_on_one_line(tmp_path):
+    np.savez(tmp_path / "a.npz", **{"a\nb\x1b": np.arange(5), "c" * 500: np.arange(5)})
+    refused(tmp_path / "a.npz", "has no array 'target_to_source'")
