@@ -58,6 +58,7 @@ FUNCTIONS = [
     (maps.handedness, (POINTS[0], POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T)),
     (maps.rotation_angle, (torch.eye(3),)),
     (maps.rigid_motion, (POINTS[0], POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T + 1)),
+    (maps.best_similarity, (POINTS[0], 2 * POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T + 1)),
     (maps.sinkhorn_matches, FEATURES),
     (maps.wave_kernel_signature, (VALUES[0], PHI[0])),
     (maps.zoomout, (Y_TO_X, X_TO_Y, *PHI, *FEATURES)),
@@ -99,7 +100,8 @@ def moved(value, device, dtype):
 def tensors(result):
     """The tensors of a result, which may be one, several, or a dataclass of them."""
     if is_dataclass(result):
-        return [getattr(result, field.name) for field in fields(result)]
+        values = (getattr(result, field.name) for field in fields(result))
+        return [value for value in values if isinstance(value, Tensor)]
     return list(result) if isinstance(result, tuple) else [result]
 
 

@@ -76,7 +76,7 @@ def test_what_is_refused(homolog, result, truth, files, tmp_path):
     nothing.write_text("-1\n" * 162)
     for arguments, said in (
         ([tmp_path], "no correspondence.npz"),
-        ([tmp_path / "absent"], "no correspondence.npz"),
+        ([tmp_path / "absent"], "there is no folder"),
         ([result, "--truth", short, truth[1]], "line i must be the same point"),
         ([result, "--truth", truth[0], beyond], "names vertex 163, but the shape has 162"),
         ([result, "--truth", truth[0], nothing], "no point in common"),

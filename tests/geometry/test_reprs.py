@@ -41,6 +41,7 @@ def objects(make) -> dict[type, Any]:
         maps.RefinementSettings(),
         maps.ConfidenceSettings(),
         maps.RegistrationSettings(),
+        maps.Similarity(torch.eye(3), 2.0, torch.zeros(3)),
     ]
     return {type(each): each for each in found}
 

@@ -11,7 +11,8 @@ from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import registered_positions
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.training.data import TrainingSet
-from homolog.training.losses import Loss, losses_of
+from homolog.training.losses import Loss
+from homolog.training.objective import losses_of
 from homolog.training.pairs import PairLoader
 from homolog.training.sampling import PairSampler, SampledPair, SampledShape
 from homolog.training.state import TrainingState
