@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -59,14 +59,9 @@ def complete(form: Form) -> dict[str, float]:
     return {**dict.fromkeys(FACTORS, 1.0), **AMOUNTS, **form}
 
 
-def mixed(forms: Mapping[str, Form], shares: Mapping[str, float]) -> dict[str, float]:
-    """The mean of forms: geometric of factors, arithmetic of amounts.
-
-    Args:
-        forms: by name.
-        shares: of each of them, which sum to one.
-    """
-    parts = [(share, complete(forms[name])) for name, share in shares.items()]
+def mixed(forms: Sequence[Form], shares: Sequence[float]) -> dict[str, float]:
+    """The mean of forms with shares that sum to one: geometric of factors, arithmetic of amounts."""
+    parts = [(share, complete(form)) for form, share in zip(forms, shares, strict=True)]
     means = {name: sum(share * form[name] for share, form in parts) for name in AMOUNTS}
     factors = {name: float(np.exp(sum(share * np.log(form[name]) for share, form in parts))) for name in FACTORS}
     return {**factors, **means}

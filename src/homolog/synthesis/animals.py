@@ -50,14 +50,16 @@ _STREAM = 1
 _MIXTURES, _LESSER = 0.5, (0.15, 0.5)
 # Standard deviations of the logarithms of factors: of each one alone, of all legs' lengths, of all girths.
 _SPREAD, _LEGS_SPREAD, _GIRTH_SPREAD = 0.06, 0.08, 0.09
-_STANCE_SPREAD = 2.5
+_STANCE_SPREAD, _EAR_SPREAD = 2.5, 8.0
 # One in so many is young: a large head with a short snout, on a small body.
 _YOUNG = 6
 _YOUNG_FACTORS = {"size": 0.5, "head": 1.25, "snout_length": 0.85, "paw": 1.15, "neck_length": 0.9, "chest_length": 0.92}
 # Bumps of the skin: their number, standard deviation and range of widths in metres of the dog.
 _BUMPS, _BUMP_HEIGHT, _BUMP_WIDTHS = 14, 0.006, (0.04, 0.12)
-# An individual that passes through itself while it stands is drawn anew, with less spread each time.
-_TAMER = 0.8
+# An individual that passes through itself while it stands by more than this share is drawn anew, and nearer to the dog,
+# which does not; by this factor each time.
+_MOST_CROSSING = MOST_CROSSING / 2
+_TAMER = 0.9
 
 
 class Animals:
@@ -103,13 +105,15 @@ class Animals:
 def _individual(seed: int, number: int) -> tuple[dict[str, Any], Individual]:
     """The description of an individual and its shape, without limbs that pass through each other."""
     generator = np.random.default_rng([seed, number, _STREAM])
-    spread, shares = 1.0, _draw_species(seed, number, generator)
+    shares, wild = _draw_species(seed, number, generator), 1.0
     while True:
-        form = _varied(mixed(SPECIES, shares), spread, generator)
-        one = individual(form, spread * _draw_bumps(generator))
-        if self_intersection_share(Surface(one.vertices, Quadruped.load().surface.faces), by_area=True) < MOST_CROSSING / 2:
+        drawn = _varied(mixed([SPECIES[name] for name in shares], list(shares.values())), generator)
+        form = {name: round(value, 4) for name, value in mixed([drawn, {}], [wild, 1.0 - wild]).items()}
+        one = individual(form, wild * _draw_bumps(generator))
+        surface = Surface(one.vertices, Quadruped.load().surface.faces)
+        if self_intersection_share(surface, by_area=True) < _MOST_CROSSING:
             return {"seed": seed, "individual": number, "species": shares, "form": form}, one
-        spread *= _TAMER
+        wild *= _TAMER
 
 
 def _draw_species(seed: int, number: int, generator: np.random.Generator) -> dict[str, float]:
@@ -124,21 +128,21 @@ def _draw_species(seed: int, number: int, generator: np.random.Generator) -> dic
     return {first: 1.0} if second == first else {first: 1.0 - lesser, second: lesser}
 
 
-def _varied(form: Mapping[str, float], spread: float, generator: np.random.Generator) -> dict[str, float]:
+def _varied(form: Mapping[str, float], generator: np.random.Generator) -> dict[str, float]:
     """A form with the variation of individuals."""
     found = dict(form)
-    legs, girth = spread * generator.normal(0, [_LEGS_SPREAD, _GIRTH_SPREAD])
+    legs, girth = generator.normal(0, [_LEGS_SPREAD, _GIRTH_SPREAD])
     for name in FACTORS:
         of_all = girth if name.endswith(("girth", "width", "depth")) else 0.0
         of_all += legs if name in _LEG_LENGTHS else 0.0
-        found[name] *= float(np.exp(of_all + generator.normal(0, _SPREAD * spread)))
+        found[name] *= float(np.exp(of_all + generator.normal(0, _SPREAD)))
     for name in found:
         if name.startswith("stance"):
-            found[name] += float(generator.normal(0, _STANCE_SPREAD * spread))
-    found["ear_droop"] += float(generator.normal(0, 8.0 * spread))
+            found[name] += float(generator.normal(0, _STANCE_SPREAD))
+    found["ear_droop"] += float(generator.normal(0, _EAR_SPREAD))
     if generator.integers(_YOUNG) == 0:
         found = {name: value * _YOUNG_FACTORS.get(name, 1.0) for name, value in found.items()}
-    return {name: round(value, 4) for name, value in found.items()}
+    return found
 
 
 _LEG_LENGTHS = tuple(f"{bone}_length" for bone in ("lower_arm", "hand", "lower_leg", "foot", "upper_arm", "upper_leg"))
