@@ -50,18 +50,21 @@ _MOUTH_RADIUS, _MOUTH_BELOW, _MOUTH_FROM = 0.0075, 0.69, 0.36
 _VOXEL, _MARGIN = 0.0015, 8
 # Vertices this near to the dog's own skin move onto it.
 _NEAR = 0.003
-_VERTICES = 12000
+_VERTICES = 13000
 # Edge lengths relative to the trunk's, by the prefix of the bone's name.
 _FINER = {"skull": 0.6, "foot": 0.65, "toe": 0.5, "hand": 0.6, "finger": 0.5, "C_1": 0.8, "Ca_": 0.35, "lower": 0.7}
 # Horns grow out of a patch around this point of the left side, which is meshed finely.
-HORN, _HORN_RADIUS, _HORN_DETAIL = np.array([0.024, 0.746, 0.335]), 0.018, 0.16
+_HORN, _HORN_RADIUS, _HORN_DETAIL = np.array([0.024, 0.746, 0.335]), 0.018, 0.16
+# The balls that contain the left ear, and the left corner of the mouth, where the jaw was turned.
+_EAR, _EAR_RADIUS, _EAR_DETAIL = np.array([0.064, 0.757, 0.292]), 0.042, 0.4
+_MOUTH_CORNER, _MOUTH_CORNER_RADIUS = np.array([0.025, 0.655, 0.385]), 0.03
 # An ear reaches this far from its tip along the skin, and ends smoothly over this length.
 _EAR_LENGTH, _EAR_RIM = 0.105, 0.03
 _WEIGHTS = 6
 _WEIGHT_ROUNDS, _TOE_ROUNDS = 12, 60
 # How wide and how long hooves are, relative to toes.
 _HOOF = np.array([0.9, 0.72])
-# Rounds and steps of smoothing without shrinkage, of all but heads and toes.
+# Rounds and steps of smoothing without shrinkage, of all but faces and toes.
 _SKIN_ROUNDS, _SKIN_STEPS = 25, (0.5, -0.53)
 
 
@@ -158,9 +161,9 @@ def meshed(dog: Skinned) -> Surface:
     _, nearest = cKDTree(dog.surface.vertices).query(outside.vertices)
     finer = [next((length for start, length in _FINER.items() if bone.startswith(start)), 1.0) for bone in dog.bones]
     detail = (dog.weights @ np.array(finer))[nearest]
-    apart = np.linalg.norm(outside.vertices * [[1, 1, 1]] - HORN, axis=1)
-    apart = np.minimum(apart, np.linalg.norm(outside.vertices * [[-1, 1, 1]] - HORN, axis=1))
+    apart = np.linalg.norm(_folded(outside.vertices) - _HORN, axis=1)
     detail = np.minimum(detail, np.interp(apart, [_HORN_RADIUS, 3 * _HORN_RADIUS], [_HORN_DETAIL, 1.0]))
+    detail = np.minimum(detail, np.where(_at_ear(outside.vertices), _EAR_DETAIL, 1.0))
     mesh = remesh(ReferenceSurface(outside), detail, MeshSettings(_VERTICES), np.random.default_rng(0))
     on_skin = ReferenceSurface(dog.surface).project(mesh.vertices, mesh.vertex_normals, around=4)
     moved = on_skin.positions(dog.surface)
@@ -168,10 +171,21 @@ def meshed(dog: Skinned) -> Surface:
     return smoothed(Surface(np.where(near[:, None], moved, mesh.vertices), mesh.faces), dog)
 
 
+def _folded(points: np.ndarray) -> np.ndarray:
+    """Both sides on the left one."""
+    return np.column_stack([np.abs(points[:, 0]), points[:, 1:]])
+
+
+def _at_ear(points: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(_folded(points) - _EAR, axis=1) < _EAR_RADIUS
+
+
 def smoothed(mesh: Surface, dog: Skinned) -> Surface:
-    """Smooth all but the face and the toes (G. Taubin, "A signal processing approach to fair surface design", 1995)."""
+    """Smooth all but the face and the toes, yet mouth and ears, too (G. Taubin, "A signal processing approach to fair surface design", 1995)."""
     _, nearest = cKDTree(dog.surface.vertices).query(mesh.vertices)
     kept = (dog.of("skull") + dog.of("jaw") + dog.of("toe") + dog.of("finger")).clip(0, 1)[nearest]
+    mouth = np.linalg.norm(_folded(mesh.vertices) - _MOUTH_CORNER, axis=1) < _MOUTH_CORNER_RADIUS
+    kept = np.where(mouth | _at_ear(mesh.vertices), 0.0, kept)
     vertices, means = mesh.vertices, averaging(mesh)
     for _ in range(_SKIN_ROUNDS):
         for step in _SKIN_STEPS:
