@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 import pyvista
-import vtk
 from scipy import ndimage
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from skimage.measure import marching_cubes
+from vtkmodules.vtkImagingStencil import vtkImageStencilToImage, vtkPolyDataToImageStencil
 
 from homolog.geometry import edge_graph
 from homolog.geometry.surface import ReferenceSurface, Surface
@@ -34,7 +34,14 @@ from homolog.synthesis.remeshing import MeshSettings, is_one_closed_surface, rem
 
 _SKIN = "dm_control/locomotion/walkers/assets/dog_v2/dog_skin.skn"
 _FORMS = "infinigen/assets/objects/creatures/parts/nurbs_data/"
-_HEADS = ("carnivore_wolf", "carnivore_tiger", "herbivore_cow", "herbivore_giraffe", "herbivore_goat", "herbivore_llama")
+_HEADS = (
+    "carnivore_wolf",
+    "carnivore_tiger",
+    "herbivore_cow",
+    "herbivore_giraffe",
+    "herbivore_goat",
+    "herbivore_llama",
+)
 _BODIES = (
     *("feline_wolf", "feline_cheetah", "feline_housecat", "feline_tiger", "feline_tiger_2"),
     *("herbivore_cow", "herbivore_giraffe", "herbivore_goat", "herbivore_llama"),
@@ -43,8 +50,8 @@ _OUTPUT = Path(__file__).parents[1] / "src" / "homolog" / "synthesis" / "animal_
 
 # The dog is +z up and faces +x; Homolog's shapes are +y up and face +z. All lengths are in metres.
 _TO_UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-# The jaw is turned about this point, which closes the mouth; what is left open is closed by a ball of this radius, below
-# this height and in front of this depth.
+# The jaw is turned about this point, which closes the mouth; what is left open is closed by a ball of this radius,
+# below this height and in front of this depth.
 _JAW_DEGREES, _JAW_HINGE = -30.0, np.array([0.0, 0.655, 0.335])
 _MOUTH_RADIUS, _MOUTH_BELOW, _MOUTH_FROM = 0.0075, 0.69, 0.36
 _VOXEL, _MARGIN = 0.0015, 8
@@ -136,18 +143,19 @@ def outer_surface(surface: Surface) -> Surface:
     labels, _ = ndimage.label(whole)
     largest = labels == np.bincount(labels.ravel())[1:].argmax() + 1
     smooth = ndimage.gaussian_filter(largest.astype(np.float32), 1.0)
-    vertices, faces, _, _ = marching_cubes(smooth, 0.5, spacing=(_VOXEL,) * 3)
+    cubes: Any = marching_cubes
+    vertices, faces, _, _ = cubes(smooth, 0.5, spacing=(_VOXEL,) * 3)
     return Surface(vertices.astype(float) + low, faces[:, ::-1].astype(np.int64))
 
 
 def _voxels(surface: Surface, low: np.ndarray) -> np.ndarray:
     shape = tuple((np.ceil(np.ptp(surface.vertices, axis=0) / _VOXEL).astype(int) + 2 * _MARGIN).tolist())
-    stencil: Any = vtk.vtkPolyDataToImageStencil()
+    stencil: Any = vtkPolyDataToImageStencil()
     stencil.SetInputData(pyvista.PolyData.from_regular_faces(surface.vertices, surface.faces))
     stencil.SetOutputOrigin(*low)
     stencil.SetOutputSpacing(_VOXEL, _VOXEL, _VOXEL)
     stencil.SetOutputWholeExtent(0, shape[0] - 1, 0, shape[1] - 1, 0, shape[2] - 1)
-    image: Any = vtk.vtkImageStencilToImage()
+    image: Any = vtkImageStencilToImage()
     image.SetInputConnection(stencil.GetOutputPort())
     image.SetInsideValue(1)
     image.Update()
@@ -177,11 +185,14 @@ def _folded(points: np.ndarray) -> np.ndarray:
 
 
 def _at_ear(points: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(_folded(points) - _EAR, axis=1) < _EAR_RADIUS
+    return np.asarray(np.linalg.norm(_folded(points) - _EAR, axis=1) < _EAR_RADIUS)
 
 
 def smoothed(mesh: Surface, dog: Skinned) -> Surface:
-    """Smooth all but the face and the toes, yet mouth and ears, too (G. Taubin, "A signal processing approach to fair surface design", 1995)."""
+    """Smooth all but the face and the toes, yet the mouth and the ears, too.
+
+    G. Taubin, "A signal processing approach to fair surface design" (SIGGRAPH 1995).
+    """
     _, nearest = cKDTree(dog.surface.vertices).query(mesh.vertices)
     kept = (dog.of("skull") + dog.of("jaw") + dog.of("toe") + dog.of("finger")).clip(0, 1)[nearest]
     mouth = np.linalg.norm(_folded(mesh.vertices) - _MOUTH_CORNER, axis=1) < _MOUTH_CORNER_RADIUS

@@ -22,9 +22,9 @@ def animals(
     """Make synthetic animals with four legs: two dozen species and mixtures of them, each body with its own mesh.
 
     Four bodies in a row are one individual in different poses. Writes DIR/off/NAME.off and DIR/corres/NAME.vts, which
-    train and evaluate read, and DIR/barycentric, DIR/records, DIR/template and DIR/manifest.json: barycentric coordinates
-    on the common template, how each body was made, and licences. The same command resumes where it was stopped; a
-    larger -n adds bodies.
+    train and evaluate read, and DIR/barycentric, DIR/records, DIR/template and DIR/manifest.json: barycentric
+    coordinates on the common template, how each body was made, and licences. The same command resumes where it was
+    stopped; a larger -n adds bodies.
 
     Examples:
       homolog synth animals -n 400 -o animals

@@ -22,8 +22,8 @@ def people(
     """Make synthetic people of any age, sex and build in any pose, each with its own mesh.
 
     Needs the extra `synth`. Writes DIR/off/NAME.off and DIR/corres/NAME.vts, which train and evaluate read, and
-    DIR/barycentric, DIR/records, DIR/template and DIR/manifest.json: barycentric coordinates on the common template, how
-    each body was made, and licences. The same command resumes where it was stopped; a larger -n adds bodies.
+    DIR/barycentric, DIR/records, DIR/template and DIR/manifest.json: barycentric coordinates on the common template,
+    how each body was made, and licences. The same command resumes where it was stopped; a larger -n adds bodies.
 
     Examples:
       homolog synth people -n 500 -o people

@@ -16,7 +16,7 @@ from homolog.synthesis.quadruped import SIDES, Quadruped
 
 _Moves = Float[np.ndarray, "n 3"]
 
-# The dog's head lies between these depths, and its trunk between those. Infinigen's bodies have the neck, too, in front.
+# The dog's head lies between these depths, and its trunk between those. Infinigen's bodies have the neck, too.
 _HEAD_FROM, _HEAD_TO = 0.245, 0.468
 _TRUNK_FROM, _TRUNK_TO, _TRUNK_SHARE = -0.40, 0.22, 0.72
 # The height of the spine, and that of the head's axis at its back, between the eyes and at the nose.
@@ -82,15 +82,15 @@ def _trunk(animal: Quadruped, form: Form) -> _Moves:
     moves[:, 0] = rest[:, 0] * (ratio(other.width, own.width) - 1)
     deeper = ratio(other.bottom - other.top[4], own.bottom - own.top[4])
     moves[:, 1] = np.minimum(rest[:, 1] - _SPINE, 0) * (deeper - 1)
-    return animal.share("torso", "L_", "pelvis")[:, None] * moves
+    return np.asarray(animal.share("torso", "L_", "pelvis")[:, None] * moves)
 
 
 def _outgrowths(animal: Quadruped, form: Form) -> _Moves:
     """Withers, hump, paunch, mane and dewlap: smooth bulges of parts of the skin."""
     rest = animal.surface.vertices
     x, y, z = rest.T
-    trunk = animal.share("torso", "L_", "pelvis")
-    back = ((y - 0.42) / 0.1).clip(0, 1) * np.exp(-((x / 0.06) ** 2)) * (trunk + animal.share("scapula", "C_")).clip(0, 1)
+    trunk, shoulders = animal.share("torso", "L_", "pelvis"), animal.share("scapula", "C_")
+    back = ((y - 0.42) / 0.1).clip(0, 1) * _bell(x, 0.06) * (trunk + shoulders).clip(0, 1)
     up = back * (form["withers"] * _bell(z - 0.1, 0.07) + form["hump"] * _bell(z + 0.1, 0.07))
     belly = form["paunch"] * _bell(z + 0.2, 0.13) * ((_SPINE - y) / 0.12).clip(0, 1) * trunk
     mane = animal.share("C_", "torso", "scapula") * np.exp(
@@ -101,7 +101,7 @@ def _outgrowths(animal: Quadruped, form: Form) -> _Moves:
     moves += form["dewlap"] * throat[:, None] * [0.0, -0.5, 0.5]
     moves[:, 0] += 0.4 * belly * np.tanh(x / 0.03)
     moves[:, 1] += up - belly * _bell(x, 0.07)
-    return moves
+    return np.asarray(moves)
 
 
 def _bell(values: np.ndarray, width: float) -> np.ndarray:

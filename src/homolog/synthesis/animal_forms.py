@@ -20,6 +20,7 @@ _SMOOTH_ROUNDS = 25
 # Rounds and steps of smoothing without shrinkage, of all but faces and toes.
 _SKIN_ROUNDS, _SKIN_STEPS = 8, (0.5, -0.53)
 _HIND_LEGS = tuple(f"{bone}_{letter}" for bone in ("upper_leg", "lower_leg", "foot") for letter in SIDES.values())
+_REGIONS = ("chest", "belly", "hip")
 _X, _, _Z = np.eye(3)
 
 
@@ -100,9 +101,11 @@ def _factors(bone: str, form: Form) -> tuple[float, float, float]:
     """By how much a bone is stretched along its axis, sideways, and at right angles to both."""
     name = bone[:-2] if bone[-2:] in ("_L", "_R") else bone
     if name in LOIN:
-        return form["loin_length"], *(_between(form, LOIN, name, "chest", "belly", "hip", way=way) for way in _WAYS)
+        at = LOIN.index(name) / 6
+        width, depth = (_between(at, *(form[f"{region}_{way}"] for region in _REGIONS)) for way in ("width", "depth"))
+        return form["loin_length"], width, depth
     if name in NECK:
-        girth = float(np.interp(NECK.index(name) / 6, [0, 1], [form["neck_base"], form["neck_top"]]))
+        girth = _between(NECK.index(name) / 6, form["neck_base"], form["neck_top"])
         return form["neck_length"], girth * form["neck_width"], girth
     if name in TAIL:
         ends = [form["tail_base"], form["tail_middle"], form["tail_tip"], 0.5 * form["tail_tip"]]
@@ -120,12 +123,9 @@ def _factors(bone: str, form: Form) -> tuple[float, float, float]:
     return form[f"{name}_length"], form[f"{name}_girth"], form[f"{name}_girth"]
 
 
-_WAYS = ("width", "depth")
-
-
-def _between(form: Form, bones: tuple[str, ...], bone: str, *regions: str, way: str) -> float:
-    at = bones.index(bone) / (len(bones) - 1) * (len(regions) - 1)
-    return float(np.interp(at, np.arange(len(regions)), [form[f"{region}_{way}"] for region in regions]))
+def _between(at: float, *values: float) -> float:
+    """Interpolate values at even steps from 0 to 1."""
+    return float(np.interp(at, np.linspace(0, 1, len(values)), values))
 
 
 @cache

@@ -65,7 +65,10 @@ _ABDUCTED = {"upper_arm": "shoulder_abduction", "upper_leg": "hip_abduction"}
 # The bones of the tail that raise it; the others curl.
 _TAIL_ROOT = TAIL[:6]
 _MIRROR = np.diag([-1.0, 1.0, 1.0])
-_MIRRORED = ("sway", "heading", "back_bend", "back_twist", "neck_bend", "neck_twist", "head_bend", "head_twist", "tail_bend")
+_MIRRORED = (
+    *("sway", "heading", "back_bend", "back_twist", "neck_bend", "neck_twist"),
+    *("head_bend", "head_twist", "tail_bend"),
+)
 
 
 def within_ranges(angles: Angles) -> dict[str, float]:
@@ -119,4 +122,4 @@ def _limbs(angles: Angles) -> dict[str, np.ndarray]:
 
 def _turn(axes: str, *degrees: float) -> np.ndarray:
     """Rotations about axes of the animal, the last one first."""
-    return Rotation.from_euler(axes.upper(), degrees, degrees=True).as_matrix()
+    return np.asarray(Rotation.from_euler(axes.upper(), degrees, degrees=True).as_matrix())

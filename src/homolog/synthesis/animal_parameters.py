@@ -19,15 +19,12 @@ FACTORS = (
 )
 """Lengths, widths and depths of parts, each 1 for the dog; girth is that of a bone's cross section."""
 
-HEADS = tuple(f"head_{name}" for name in ("carnivore_tiger", *(f"herbivore_{x}" for x in ("cow", "giraffe", "goat", "llama"))))
+HEADS = ("head_carnivore_tiger", *(f"head_herbivore_{name}" for name in ("cow", "giraffe", "goat", "llama")))
 """Shares of other species in the head; what they leave is the dog's."""
 
-BODIES = tuple(
-    f"body_{name}"
-    for name in (
-        *(f"feline_{cat}" for cat in ("cheetah", "housecat", "tiger", "tiger_2")),
-        *(f"herbivore_{hoofed}" for hoofed in ("cow", "giraffe", "goat", "llama")),
-    )
+BODIES = (
+    *(f"body_feline_{name}" for name in ("cheetah", "housecat", "tiger", "tiger_2")),
+    *(f"body_herbivore_{name}" for name in ("cow", "giraffe", "goat", "llama")),
 )
 """Shares of other species in the trunk; what they leave is the dog's."""
 

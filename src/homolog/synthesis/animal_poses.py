@@ -229,4 +229,3 @@ def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:
         angles[f"{side}_shoulder"] -= angles["rise"]
         angles[f"{side}_hip"] -= angles["rise"] + angles["back_flexion"]
     return within_ranges(mirrored(angles) if generator.random() < 0.5 else angles)
-

@@ -1,4 +1,4 @@
-"""Profiles of heads and trunks of several species: the control grids of infinigen's animals, as width, top and bottom."""
+"""Profiles of heads and trunks of several species, from the control grids of infinigen's animals."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ class Profile:
     @property
     def height(self) -> Float[np.ndarray, " s"]:
         """From the lower outline to the upper one."""
-        return self.top - self.bottom
+        return np.asarray(self.top - self.bottom)
 
     @property
     def middle(self) -> Float[np.ndarray, " s"]:
         """The height half way between both outlines."""
-        return (self.top + self.bottom) / 2
+        return np.asarray((self.top + self.bottom) / 2)
 
 
 @cache
@@ -52,20 +52,9 @@ def profile(name: str) -> Profile:
     points = _surface(Quadruped.load().grids[name]).reshape(-1, 3)
     at = points[:, 0] - points[:, 0].min()
     near = [points[np.abs(at / at.max() - station) < _REACH] for station in STATIONS]
-    width, top, bottom = (np.array([of(part) for part in near]) for of in (_width, _top, _bottom))
-    return Profile(float(at.max()), width, top, bottom)
-
-
-def _width(points: np.ndarray) -> float:
-    return 2 * float(points[:, 1].max())
-
-
-def _top(points: np.ndarray) -> float:
-    return float(points[:, 2].max())
-
-
-def _bottom(points: np.ndarray) -> float:
-    return float(points[:, 2].min())
+    highest = np.array([part.max(axis=0) for part in near])
+    lowest = np.array([part.min(axis=0) for part in near])
+    return Profile(float(at.max()), 2 * highest[:, 1], highest[:, 2], lowest[:, 2])
 
 
 def _surface(grid: Float[np.ndarray, "u v 3"]) -> Float[np.ndarray, "a b 3"]:

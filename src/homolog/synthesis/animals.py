@@ -53,7 +53,14 @@ _SPREAD, _LEGS_SPREAD, _GIRTH_SPREAD = 0.06, 0.08, 0.09
 _STANCE_SPREAD, _EAR_SPREAD = 2.5, 8.0
 # One in so many is young: a large head with a short snout, on a small body.
 _YOUNG = 6
-_YOUNG_FACTORS = {"size": 0.5, "head": 1.25, "snout_length": 0.85, "paw": 1.15, "neck_length": 0.9, "chest_length": 0.92}
+_YOUNG_FACTORS = {
+    "size": 0.5,
+    "head": 1.25,
+    "snout_length": 0.85,
+    "paw": 1.15,
+    "neck_length": 0.9,
+    "chest_length": 0.92,
+}
 # Bumps of the skin: their number, standard deviation and range of widths in metres of the dog.
 _BUMPS, _BUMP_HEIGHT, _BUMP_WIDTHS = 14, 0.006, (0.04, 0.12)
 # An individual that passes through itself while it stands by more than this share is drawn anew, and nearer to the dog,
@@ -151,12 +158,12 @@ _LEG_LENGTHS = tuple(f"{bone}_length" for bone in ("lower_arm", "hand", "lower_l
 def _draw_bumps(generator: np.random.Generator) -> Float[np.ndarray, " n"]:
     """Smooth and symmetric bumps of the skin: fat, muscles and bones that individuals have."""
     rest = Quadruped.load().surface.vertices
-    folded = rest * [1.0, 1.0, 1.0]
-    folded[:, 0] = np.abs(folded[:, 0])
+    folded = np.column_stack([np.abs(rest[:, 0]), rest[:, 1:]])
     middles = folded[generator.integers(len(rest), size=_BUMPS)]
     widths = generator.uniform(*_BUMP_WIDTHS, size=_BUMPS)
     heights = generator.normal(0, _BUMP_HEIGHT, size=_BUMPS)
     bumps = np.zeros(len(rest))
     for middle, width, height in zip(middles, widths, heights, strict=True):
         bumps += height * np.exp(-(np.linalg.norm(folded - middle, axis=1) ** 2) / width**2)
-    return bumps * (1 - Quadruped.load().share("toe", "finger", "ear", "skull", "Ca_", "hand", "foot").clip(0, 1))
+    slender = Quadruped.load().share("toe", "finger", "ear", "skull", "Ca_", "hand", "foot").clip(0, 1)
+    return np.asarray(bumps * (1 - slender))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 
 from homolog.core.arguments import is_count, is_real
 from homolog.core.errors import bad_value
@@ -30,12 +30,17 @@ _COUNT_SPREAD = 0.04
 class Kind(Protocol):
     """A kind of bodies that share one template: ``People``, ``Animals``, or a stand-in in tests."""
 
-    name: str
-    """The plural, as in the name of the command."""
-    stem: str
-    """The singular, with which the names of bodies begin."""
-    assets: Sequence[Mapping[str, str]]
-    """Everything that the bodies are made from: asset, package, licence and source."""
+    @property
+    def name(self) -> str:
+        """The plural, as in the name of the command."""
+
+    @property
+    def stem(self) -> str:
+        """The singular, with which the names of bodies begin."""
+
+    @property
+    def assets(self) -> Sequence[Mapping[str, str]]:
+        """Everything that the bodies are made from: asset, package, licence and source."""
 
     @property
     def making(self) -> Mapping[str, Any]:
@@ -156,4 +161,3 @@ def mesh_body(
     mesh, barycentric = project_mesh(remesh(reference, template.detail, settings, generator), reference)
     at_points = vertices_at(points, mesh, barycentric, body, template.rest)
     return MeshedBody(mesh, barycentric, at_points, self_intersection_share(mesh))
-

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib.resources import files
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -95,7 +96,9 @@ class Quadruped:
 
     def detail(self) -> Float[np.ndarray, " n"]:
         """The relative target edge length at each vertex."""
-        lengths = [next((l for start, l in _FINER.items() if bone.startswith(start)), 1.0) for bone in self.bones]
+        lengths = [
+            next((length for start, length in _FINER.items() if bone.startswith(start)), 1.0) for bone in self.bones
+        ]
         return self.blended(np.array(lengths))
 
     @cached_property
@@ -139,10 +142,10 @@ class Quadruped:
                 moved[bone] = moved[parent] + turned[parent] @ linear[parent] @ (pivots[bone] - pivots[parent])
         matrices = turned @ linear
         offsets = moved - np.einsum("bij,bj->bi", matrices, pivots)
-        maps = self.blended(np.concatenate([matrices, offsets[:, :, None]], axis=2)).reshape(len(vertices), 12)
+        flat = self.blended(np.concatenate([matrices, offsets[:, :, None]], axis=2).reshape(count, 12))
         for _ in range(smooth_rounds):
-            maps = (maps + self.means @ maps) / 2
-        maps = maps.reshape(-1, 3, 4)
+            flat = (flat + self.means @ flat) / 2
+        maps = flat.reshape(-1, 3, 4)
         followed = np.einsum("nij,nj->ni", maps[:, :, :3], vertices) + maps[:, :, 3]
         return followed, moved, maps[:, :, :3]
 
@@ -152,7 +155,7 @@ def _parent_of() -> dict[str, str]:
     for letter in SIDES.values():
         for start, limb in (("torso", FORE_LEG), ("pelvis", HIND_LEG), ("skull", ("ear",))):
             chains.append((start, *(f"{bone}_{letter}" for bone in limb)))
-    return {child: parent for chain in chains for parent, child in zip(chain, chain[1:], strict=False)}
+    return {child: parent for chain in chains for parent, child in pairwise(chain)}
 
 
 def _depth(bone: str, parent_of: Mapping[str, str]) -> int:
