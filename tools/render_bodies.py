@@ -22,7 +22,7 @@ from homolog.shapes import read_shape
 
 # From the front, bodies are drawn at one scale, so that children are small; from the side, each fills its picture.
 _FRONT, _SIDE = np.array([1.3, 0.6, 4.0]), np.array([4.0, 0.9, 1.8])
-_FRONT_SIZE, _SIDE_SIZE = (150, 200), (190, 160)
+_FRONT_SIZE, _SIDE_SIZE = (150, 200), (150, 128)
 _HALF_HEIGHT = 1.2
 
 
