@@ -62,7 +62,10 @@ def _outlined(points: Float[np.ndarray, "p 3"], form: Form) -> Float[np.ndarray,
     middle = other.middle - own.middle
     lift = length / own.length * along(middle - middle[_CRANIUM_STATION], at)
     longer = np.interp(at, [0, _CRANIUM, 1], [0, _CRANIUM, _CRANIUM + (1 - _CRANIUM) * form["snout_length"]])
-    up = (points[:, 1] - np.interp(at, *_HEAD_AXIS)) * (taller - 1) + lift
+    above = points[:, 1] - np.interp(at, *_HEAD_AXIS)
+    bridge = form["bridge"] * _bell(at - 0.62, 0.2) * (above / 0.02).clip(0, 1)
+    cheeks = form["cheeks"] * _bell(at - 0.45, 0.17) * (-above / 0.03).clip(0, 1)
+    up = above * (taller - 1) + lift + bridge - cheeks
     return np.stack([points[:, 0] * (wider - 1), up, (longer * other.length / own.length - at) * length], axis=1)
 
 

@@ -39,7 +39,7 @@ AMOUNTS: Mapping[str, float] = {
     "rise": 0.0,
     "ear_droop": 0.0,
     # Metres of the dog that the skin stands out.
-    **dict.fromkeys(("withers", "hump", "paunch", "mane", "dewlap"), 0.0),
+    **dict.fromkeys(("withers", "hump", "paunch", "mane", "dewlap", "bridge", "cheeks"), 0.0),
     # Metres, and degrees to the side and backwards where the horn begins and added to its tip.
     "horn_length": 0.0,
     "horn_radius": 0.012,

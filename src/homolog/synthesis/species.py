@@ -149,6 +149,7 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "lion": {
         **_CAT,
+        "bridge": 0.004,
         "paunch": 0.03,
         "size": 1.75,
         "head": 1.2,
@@ -213,6 +214,7 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "bear": {
         **_HEAVY,
+        "bridge": 0.003,
         "paunch": 0.05,
         "size": 1.7,
         "chest_width": 1.6,
@@ -265,6 +267,8 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "horse": {
         **_HOOFED,
+        "bridge": 0.014,
+        "cheeks": 0.016,
         "paunch": 0.06,
         "size": 1.9,
         "head_herbivore_giraffe": 0.35,
@@ -307,6 +311,8 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "donkey": {
         **_HOOFED,
+        "bridge": 0.013,
+        "cheeks": 0.014,
         "paunch": 0.07,
         "size": 1.3,
         "head_herbivore_giraffe": 0.3,
@@ -339,6 +345,8 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "cow": {
         **_HOOFED,
+        "bridge": 0.013,
+        "cheeks": 0.01,
         "paunch": 0.09,
         "size": 1.7,
         "head_herbivore_cow": 0.8,
@@ -385,6 +393,7 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "goat": {
         **_HOOFED,
+        "bridge": 0.008,
         "paunch": 0.07,
         "size": 0.9,
         "head_herbivore_goat": 0.6,
@@ -414,6 +423,7 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "sheep": {
         **_HOOFED,
+        "bridge": 0.016,
         "paunch": 0.07,
         "size": 0.85,
         "head_herbivore_goat": 0.5,
@@ -445,6 +455,7 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "deer": {
         **_HOOFED,
+        "bridge": 0.009,
         "paunch": 0.04,
         "size": 1.15,
         "head_herbivore_goat": 0.3,
@@ -475,6 +486,7 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "giraffe": {
         **_HOOFED,
+        "bridge": 0.01,
         "paunch": 0.03,
         "size": 2.4,
         "head_herbivore_giraffe": 0.9,
@@ -511,6 +523,7 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "camel": {
         **_HOOFED,
+        "bridge": 0.01,
         "paunch": 0.06,
         "size": 1.9,
         "hoof": 0.6,
@@ -539,6 +552,7 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "llama": {
         **_HOOFED,
+        "bridge": 0.006,
         "paunch": 0.06,
         "size": 1.1,
         "head_herbivore_llama": 0.5,
@@ -566,6 +580,8 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "pig": {
         **_HOOFED,
+        "bridge": 0.004,
+        "cheeks": 0.008,
         "paunch": 0.08,
         "size": 1.0,
         "hoof": 0.8,
@@ -601,6 +617,8 @@ SPECIES: Mapping[str, Mapping[str, float]] = {
     },
     "hippopotamus": {
         **_HEAVY,
+        "bridge": 0.012,
+        "cheeks": 0.012,
         "paunch": 0.1,
         "size": 2.2,
         "hoof": 0.5,
