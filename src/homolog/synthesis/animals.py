@@ -50,6 +50,7 @@ _STREAM = 1
 _MIXTURES, _LESSER = 0.5, (0.15, 0.5)
 # Standard deviations of the logarithms of factors: of each one alone, of all legs' lengths, of all girths.
 _SPREAD, _LEGS_SPREAD, _GIRTH_SPREAD = 0.06, 0.08, 0.09
+_LEG_LENGTHS = tuple(f"{bone}_length" for bone in ("lower_arm", "hand", "lower_leg", "foot", "upper_arm", "upper_leg"))
 _STANCE_SPREAD, _EAR_SPREAD = 2.5, 8.0
 # One in so many is young: a large head with a short snout, on a small body.
 _YOUNG = 6
@@ -132,7 +133,7 @@ def _draw_species(seed: int, number: int, generator: np.random.Generator) -> dic
         return {first: 1.0}
     second = names[int(generator.integers(len(names)))]
     lesser = round(float(generator.uniform(*_LESSER)), 3)
-    return {first: 1.0} if second == first else {first: 1.0 - lesser, second: lesser}
+    return {first: 1.0} if second == first else {first: round(1.0 - lesser, 3), second: lesser}
 
 
 def _varied(form: Mapping[str, float], generator: np.random.Generator) -> dict[str, float]:
@@ -150,9 +151,6 @@ def _varied(form: Mapping[str, float], generator: np.random.Generator) -> dict[s
     if generator.integers(_YOUNG) == 0:
         found = {name: value * _YOUNG_FACTORS.get(name, 1.0) for name, value in found.items()}
     return found
-
-
-_LEG_LENGTHS = tuple(f"{bone}_length" for bone in ("lower_arm", "hand", "lower_leg", "foot", "upper_arm", "upper_leg"))
 
 
 def _draw_bumps(generator: np.random.Generator) -> Float[np.ndarray, " n"]:
