@@ -12,7 +12,7 @@ from homolog.geometry.surface import unit
 from homolog.synthesis.animal_parameters import BODIES, HEADS, Form
 from homolog.synthesis.animal_profiles import STATIONS, along, mixed_profile, profile
 from homolog.synthesis.joints import smallest_rotation
-from homolog.synthesis.quadruped import SIDES, Quadruped
+from homolog.synthesis.quadruped import LETTERS, Quadruped
 
 _Moves = Float[np.ndarray, "n 3"]
 
@@ -40,7 +40,7 @@ def local_features(animal: Quadruped, form: Form) -> tuple[_Moves, dict[str, Flo
 
 def _head(animal: Quadruped, form: Form) -> tuple[_Moves, dict[str, Float[np.ndarray, " 3"]]]:
     """The head moves with its outline, the ears with their roots."""
-    ears = [f"ear_{letter}" for letter in SIDES.values()]
+    ears = [f"ear_{letter}" for letter in LETTERS.values()]
     roots = animal.pivots[[animal.bones.index(ear) for ear in ears]]
     of_roots = dict(zip(ears, _outlined(roots, form), strict=True))
     moves = animal.share("skull")[:, None] * _outlined(animal.surface.vertices, form)

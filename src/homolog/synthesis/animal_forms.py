@@ -13,13 +13,13 @@ from homolog.geometry.surface import unit
 from homolog.synthesis.animal_features import local_features
 from homolog.synthesis.animal_joints import bone_turns
 from homolog.synthesis.animal_parameters import JOINTS, Form, complete
-from homolog.synthesis.quadruped import LOIN, NECK, SIDES, TAIL, Quadruped
+from homolog.synthesis.quadruped import LETTERS, LOIN, NECK, TAIL, Quadruped
 
 # How often the maps of bones are averaged over neighbouring vertices.
 _SMOOTH_ROUNDS = 25
 # Rounds and steps of smoothing without shrinkage, of all but faces and toes.
 _SKIN_ROUNDS, _SKIN_STEPS = 8, (0.5, -0.53)
-_HIND_LEGS = tuple(f"{bone}_{letter}" for bone in ("upper_leg", "lower_leg", "foot") for letter in SIDES.values())
+_HIND_LEGS = tuple(f"{bone}_{letter}" for bone in ("upper_leg", "lower_leg", "foot") for letter in LETTERS.values())
 _REGIONS = ("chest", "belly", "hip")
 _X, _, _Z = np.eye(3)
 
@@ -78,7 +78,7 @@ def _stance(form: Form) -> dict[str, np.ndarray]:
     """How bones are turned while the animal stands; limbs stay upright where the trunk slopes."""
     angles = {"rise": form["rise"], "neck_flexion": form["stance_neck"], "head_flexion": form["stance_head"]}
     angles["tail_raise"] = form["stance_tail"]
-    for side in SIDES:
+    for side in LETTERS:
         angles |= {f"{side}_{joint}": form[f"stance_{joint}"] for joint in JOINTS}
         angles[f"{side}_ear_droop"] = form["ear_droop"]
         angles[f"{side}_hip"] -= form["rise"]

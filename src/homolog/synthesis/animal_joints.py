@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from homolog.synthesis.joints import Angles, Rotations
-from homolog.synthesis.quadruped import LOIN, NECK, SIDES, TAIL
+from homolog.synthesis.quadruped import LETTERS, LOIN, NECK, TAIL
 
 # The ranges of the dog of dm_control, rounded. Limbs go forward with "shoulder" and "hip"; the other joints bend, or
 # stretch where negative.
@@ -48,7 +48,7 @@ MIDDLE_RANGES = {
     "tail_bend": (-120.0, 120.0),
     "tail_curl": (-60.0, 120.0),
 }
-RANGES = {f"{side}_{name}": limits for side in SIDES for name, limits in SIDED_RANGES.items()} | MIDDLE_RANGES
+RANGES = {f"{side}_{name}": limits for side in LETTERS for name, limits in SIDED_RANGES.items()} | MIDDLE_RANGES
 
 # The bones of the left side that turn about x with one joint each, by how much; positive lets a hanging limb go back.
 _LIMBS = {
@@ -93,7 +93,7 @@ def bone_turns(angles: Mapping[str, float]) -> Rotations:
         angles: by the names of ``RANGES``; missing ones are 0.
     """
     turns = _middle({name: angles.get(name, 0.0) for name in MIDDLE_RANGES})
-    for side, letter in SIDES.items():
+    for side, letter in LETTERS.items():
         limbs = _limbs({name: angles.get(f"{side}_{name}", 0.0) for name in SIDED_RANGES})
         for bone, turn in limbs.items():
             turns[f"{bone}_{letter}"] = turn if letter == "L" else _MIRROR @ turn @ _MIRROR

@@ -9,7 +9,7 @@ import numpy as np
 from homolog.synthesis.animal_joints import MIDDLE_RANGES, RANGES, SIDED_RANGES, mirrored, within_ranges
 from homolog.synthesis.joints import Angles
 from homolog.synthesis.poses import Interval, both_sides
-from homolog.synthesis.quadruped import SIDES
+from homolog.synthesis.quadruped import LETTERS
 
 # Intervals of the joints that a family does not list. Shoulders and hips are relative to the vertical: they compensate
 # for the slope of the trunk.
@@ -225,7 +225,7 @@ def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:
     """Sample a pose of a family: the angles of all joints, in degrees."""
     intervals = {**both_sides(_BY_DEFAULT, RANGES), **both_sides(FAMILIES[family], RANGES)}
     angles = {name: float(generator.uniform(*intervals[name])) for name in RANGES}
-    for side in SIDES:
+    for side in LETTERS:
         angles[f"{side}_shoulder"] -= angles["rise"]
         angles[f"{side}_hip"] -= angles["rise"] + angles["back_flexion"]
     return within_ranges(mirrored(angles) if generator.random() < 0.5 else angles)

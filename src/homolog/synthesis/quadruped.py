@@ -27,7 +27,8 @@ TAIL = tuple(f"Ca_{i}" for i in range(1, 22))
 """The bones of the tail, from the pelvis backwards."""
 FORE_LEG = ("scapula", "upper_arm", "lower_arm", "hand", "finger")
 HIND_LEG = ("upper_leg", "lower_leg", "foot", "toe")
-SIDES = {"left": "L", "right": "R"}
+LETTERS = {"left": "L", "right": "R"}
+"""The last letter of the names of a side's bones."""
 
 # Where bones turn, if that is not their origin: the head turns about the nape, the pelvis about the last vertebra.
 _PIVOTS = {
@@ -152,7 +153,7 @@ class Quadruped:
 
 def _parent_of() -> dict[str, str]:
     chains = [("torso", *LOIN, "pelvis", *TAIL), ("torso", *NECK, "skull")]
-    for letter in SIDES.values():
+    for letter in LETTERS.values():
         for start, limb in (("torso", FORE_LEG), ("pelvis", HIND_LEG), ("skull", ("ear",))):
             chains.append((start, *(f"{bone}_{letter}" for bone in limb)))
     return {child: parent for chain in chains for parent, child in pairwise(chain)}
