@@ -1,5 +1,7 @@
 """``homolog synth animals``: options reach the making of animals, which needs no extra."""
 
+import json
+
 import pytest
 
 from homolog import synthesis
@@ -41,12 +43,21 @@ def test_wrong_options(homolog, tmp_path, wrong):
     assert not (tmp_path / "set").exists()
 
 
-def test_a_folder_of_people_is_left_alone(homolog, tmp_path):
-    made = homolog("synth", "animals", "-n", 1, "--vertices", 500, "-o", tmp_path / "set", "--processes", 1, "-q")
-    assert made.code == 0
-    ended = homolog("synth", "animals", "-n", 1, "--vertices", 500, "--seed", 9, "-o", tmp_path / "set", "-q")
-    assert ended.is_one_line_of_complaint()
-    assert "seed 0, not 9" in ended.err
+def test_folders_of_other_seeds_and_of_people_are_left_alone(homolog, tmp_path):
+    few = ("-n", 1, "--vertices", 500, "-o", tmp_path / "set", "--processes", 1, "-q")
+    assert homolog("synth", "animals", *few).code == 0
+    other = homolog("synth", "animals", *few, "--seed", 9)
+    assert other.is_one_line_of_complaint()
+    assert "seed 0, not 9" in other.err
+    manifest = tmp_path / "set" / "manifest.json"
+    made = json.loads(manifest.read_text())
+    # As in the folders that homolog synth people makes.
+    made["making"] = {**made["making"], "anny": "0.6.2"}
+    del made["making"]["kind"]
+    manifest.write_text(json.dumps(made))
+    people = homolog("synth", "animals", *few)
+    assert people.is_one_line_of_complaint()
+    assert "kind None, not animals" in people.err
 
 
 def test_help_shows_examples(homolog):

@@ -79,8 +79,8 @@ class Animals:
 
     @property
     def making(self) -> Mapping[str, Any]:
-        """The version of the way in which animals are made."""
-        return {"way": _MAKING}
+        """The version of the way in which animals are made; a folder of people has another ``kind``, none."""
+        return {"kind": self.name, "way": _MAKING}
 
     @cached_property
     def template(self) -> Template:
