@@ -230,3 +230,11 @@ def test_every_species_comes_first_equally_often():
         firsts.append(next(iter(character.build["species"])))
         assert sum(character.build["species"].values()) == pytest.approx(1.0)
     assert all(firsts.count(name) == 2 for name in SPECIES)
+
+
+def test_bumps_tie_off_no_limb(animal):
+    for seed in range(20):
+        bumps = animals._draw_bumps(np.random.default_rng(seed))
+        assert np.abs(bumps).max() < 0.02
+        assert np.abs(bumps[animal.share("lower_arm", "lower_leg", "hand", "foot") > 0.99]).max() < 2e-4
+    assert bumps.any()

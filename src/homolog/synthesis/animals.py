@@ -64,6 +64,9 @@ _YOUNG_FACTORS = {
 }
 # Bumps of the skin: their number, standard deviation and range of widths in metres of the dog.
 _BUMPS, _BUMP_HEIGHT, _BUMP_WIDTHS = 14, 0.006, (0.04, 0.12)
+_BUMP_RANGE = (-0.012, 0.016)
+# Parts without bumps, which would tie them off; thighs and upper arms have half of them.
+_SLENDER = ("lower_arm", "hand", "finger", "lower_leg", "foot", "toe", "ear", "skull", "Ca_")
 # An individual that passes through itself while it stands by more than this share is drawn anew, and nearer to the dog,
 # which does not; by this factor each time.
 _MOST_CROSSING = MOST_CROSSING / 2
@@ -163,5 +166,5 @@ def _draw_bumps(generator: np.random.Generator) -> Float[np.ndarray, " n"]:
     bumps = np.zeros(len(rest))
     for middle, width, height in zip(middles, widths, heights, strict=True):
         bumps += height * np.exp(-(np.linalg.norm(folded - middle, axis=1) ** 2) / width**2)
-    slender = Quadruped.load().share("toe", "finger", "ear", "skull", "Ca_", "hand", "foot").clip(0, 1)
-    return np.asarray(bumps * (1 - slender))
+    slender, limbs = Quadruped.load().share(*_SLENDER), Quadruped.load().share("upper_arm", "upper_leg")
+    return np.asarray(bumps.clip(*_BUMP_RANGE) * (1 - slender - limbs / 2).clip(0, 1))
