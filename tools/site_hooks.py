@@ -24,6 +24,7 @@ _ELSEWHERE = {
     "trained.md": "results/README.md",
     "demo-licence.md": "src/homolog/demo_data/LICENSE.md",
     "weights-licence.md": "src/homolog/features/pretrained/LICENSE.md",
+    "animals-licence.md": "src/homolog/synthesis/animal_data/LICENSE.md",
 }
 _LINK = re.compile(r"(?<=\]\()([^)\s#:]+)(?=[)#])")
 

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from homolog import synthesis
-from homolog.synthesis import PeopleFolder
+from homolog.synthesis import BodyFolder
 
 
 @pytest.fixture
@@ -15,7 +15,7 @@ def asked(monkeypatch):
 
     def synthesize(output, n, settings, *, processes, progress):
         calls.append((output, n, settings, processes))
-        return PeopleFolder(output)
+        return BodyFolder(output, "person")
 
     monkeypatch.setattr(synthesis, "synthesize_people", synthesize)
     return calls

@@ -19,7 +19,7 @@ from homolog import synthesis, training
 from homolog.cli.main import main
 from homolog.serving import PageServer
 from homolog.serving.server import MatchServer
-from homolog.synthesis import production, synthesize_people, write_view_dataset
+from homolog.synthesis import production, synthesize_animals, synthesize_people, write_view_dataset
 from homolog.training import builtin_recipes, read_recipe
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "synthesis"))
@@ -38,10 +38,14 @@ def read_short_recipe(recipe):
     return replace(whole, training=short, orienter=none, validation=validation)
 
 
-def synthesize_few(output, number, settings, *, processes, progress):
-    """A few stand-ins, coarsely meshed, made in this process."""
-    settings = replace(settings, mesh=replace(settings.mesh, vertices=min(settings.mesh.vertices, VERTICES)))
-    return synthesize_people(output, min(number, SHAPES), settings, processes=1, progress=progress)
+def few(synthesize):
+    """A few bodies, coarsely meshed, made in this process; people are stand-ins."""
+
+    def synthesize_few(output, number, settings, *, processes, progress):
+        settings = replace(settings, mesh=replace(settings.mesh, vertices=min(settings.mesh.vertices, VERTICES)))
+        return synthesize(output, min(number, SHAPES), settings, processes=1, progress=progress)
+
+    return synthesize_few
 
 
 def write_few_views(*arguments, views, processes, **others):
@@ -63,7 +67,8 @@ def end_once_it_serves(server):
 def shorten():
     """Put a little in the place of much."""
     training.read_recipe = read_short_recipe
-    synthesis.synthesize_people = synthesize_few
+    synthesis.synthesize_people = few(synthesize_people)
+    synthesis.synthesize_animals = few(synthesize_animals)
     synthesis.write_view_dataset = write_few_views
     production._body_model = StandIn
     end_once_it_serves(PageServer)

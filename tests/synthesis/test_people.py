@@ -17,19 +17,20 @@ from homolog.geometry.surface import BarycentricPoints, Surface
 from homolog.shapes import read_shape
 from homolog.synthesis import (
     BodyModel,
+    BodySettings,
     MeshSettings,
-    PeopleSettings,
-    make_person,
+    People,
+    make_body,
     production,
     remeshing,
     synthesize_people,
 )
-from homolog.synthesis.people import MOST_CROSSING
+from homolog.synthesis.bodies import MOST_CROSSING
 from homolog.synthesis.remeshing import is_one_closed_surface
 from homolog.synthesis.self_intersections import self_intersection_share
 from homolog.synthesis.template import boundary_loops, sample_evenly
 
-SMALL = PeopleSettings(seed=3, mesh=MeshSettings(500))
+SMALL = BodySettings(seed=3, mesh=MeshSettings(500))
 
 
 @pytest.fixture(scope="module")
@@ -50,19 +51,19 @@ def contents(root):
 
 
 def test_a_body_depends_on_seed_and_number_alone(points):
-    first, again = (make_person(StandIn(), points, SMALL, 4) for _ in range(2))
-    np.testing.assert_array_equal(first.body.mesh.vertices, again.body.mesh.vertices)
-    np.testing.assert_array_equal(first.body.at_points, again.body.at_points)
+    first, again = (make_body(People(StandIn()), points, SMALL, 4) for _ in range(2))
+    np.testing.assert_array_equal(first.meshed.mesh.vertices, again.meshed.mesh.vertices)
+    np.testing.assert_array_equal(first.meshed.at_points, again.meshed.at_points)
     assert first.character == again.character
-    other = make_person(StandIn(), points, SMALL, 5)
+    other = make_body(People(StandIn()), points, SMALL, 5)
     assert other.character.build != first.character.build
-    assert other.body.mesh.faces.shape != first.body.mesh.faces.shape
+    assert other.meshed.mesh.faces.shape != first.meshed.mesh.faces.shape
 
 
 def test_a_pose_that_crosses_is_drawn_back(points):
-    settings = PeopleSettings(seed=0, mesh=MeshSettings(500))
-    people = [make_person(Crossing(), points, settings, index) for index in (5, 8)]
-    assert all(person.body.self_intersection <= MOST_CROSSING for person in people)
+    settings = BodySettings(seed=0, mesh=MeshSettings(500))
+    people = [make_body(People(Crossing()), points, settings, index) for index in (5, 8)]
+    assert all(person.meshed.self_intersection <= MOST_CROSSING for person in people)
     assert min(person.character.pose_share for person in people) < 1.0
 
 
@@ -78,7 +79,7 @@ def test_a_pose_that_crosses_is_drawn_back(points):
 )
 def test_settings_out_of_range(settings):
     with pytest.raises(ArgumentError, match=r"must be a (whole )?number"):
-        PeopleSettings(**settings)
+        BodySettings(**settings)
 
 
 def test_openings_are_closed():
@@ -154,8 +155,8 @@ def test_going_on_makes_only_what_is_missing_or_damaged(tmp_path, workshop, monk
     (tmp_path / "corres" / "person_00001.vts").unlink()
     (tmp_path / "off" / "person_00003.off").write_text("OFF\n")
     made = []
-    write = type(folder).write_person
-    monkeypatch.setattr(type(folder), "write_person", lambda *given: (made.append(given[1]), write(*given)))
+    write = type(folder).write_body
+    monkeypatch.setattr(type(folder), "write_body", lambda *given: (made.append(given[1]), write(*given)))
     synthesize_people(tmp_path, 4, SMALL)
     assert made == ["person_00000", "person_00001", "person_00003"]
     assert contents(tmp_path) == before
@@ -165,7 +166,7 @@ def test_other_settings_need_another_folder(tmp_path, workshop):
     synthesize_people(tmp_path, 1, SMALL)
     before = contents(tmp_path)
     with pytest.raises(ArgumentError, match="seed 3, not 4"):
-        synthesize_people(tmp_path, 1, PeopleSettings(seed=4, mesh=MeshSettings(500)))
+        synthesize_people(tmp_path, 1, BodySettings(seed=4, mesh=MeshSettings(500)))
     assert contents(tmp_path) == before
 
 
@@ -200,7 +201,7 @@ def anny_is_ready():
 )
 def test_real_people(tmp_path):
     pytest.importorskip("anny")
-    settings = PeopleSettings(seed=1, mesh=MeshSettings(2500))
+    settings = BodySettings(seed=1, mesh=MeshSettings(2500))
     synthesize_people(tmp_path / "set", 2, settings, processes=2)
     again = synthesize_people(tmp_path / "again", 1, settings)
     for relative, path in again.files("person_00000").items():

@@ -6,6 +6,7 @@ synth = lazy_typer(
     "synth",
     help="Make shapes for training and tests, with ground truth.",
     people="homolog.cli.synth_people:people",
+    animals="homolog.cli.synth_animals:animals",
     views="homolog.cli.synth_views:views",
     part="homolog.cli.synth_part:part",
 )

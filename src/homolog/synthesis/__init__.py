@@ -1,34 +1,40 @@
-"""Synthetic data with exact ground truth: people, and partial shapes (cuts, holes, views) of full ones."""
+"""Synthetic data with exact ground truth: people, animals, and partial shapes (cuts, holes, views) of full ones."""
 
+from homolog.synthesis.animals import Animals
+from homolog.synthesis.bodies import Body, BodySettings, Kind, MeshedBody, make_body, mesh_body
+from homolog.synthesis.body_folder import BodyFolder, write_shape_files
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.cutting import cut, cut_holes
 from homolog.synthesis.degradation import add_outliers, subsample
 from homolog.synthesis.partial_shape import PartialShape
-from homolog.synthesis.people import MeshedBody, PeopleSettings, Person, make_person, mesh_body
-from homolog.synthesis.people_folder import PeopleFolder, write_shape_files
-from homolog.synthesis.production import synthesize_people
+from homolog.synthesis.people import People
+from homolog.synthesis.production import synthesize_animals, synthesize_people
 from homolog.synthesis.remeshing import MeshSettings
 from homolog.synthesis.view_dataset import write_view_dataset
 from homolog.synthesis.views import Camera, View, ViewSettings, sample_camera, view, view_from
 
 __all__ = [
+    "Animals",
+    "Body",
+    "BodyFolder",
     "BodyModel",
+    "BodySettings",
     "Camera",
+    "Kind",
     "MeshSettings",
     "MeshedBody",
     "PartialShape",
-    "PeopleFolder",
-    "PeopleSettings",
-    "Person",
+    "People",
     "View",
     "ViewSettings",
     "add_outliers",
     "cut",
     "cut_holes",
-    "make_person",
+    "make_body",
     "mesh_body",
     "sample_camera",
     "subsample",
+    "synthesize_animals",
     "synthesize_people",
     "view",
     "view_from",

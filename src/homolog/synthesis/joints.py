@@ -137,7 +137,7 @@ def _arm(angles: Angles, skeleton: Skeleton) -> dict[str, Rotation]:
     bent_at_rest = np.rad2deg(np.arccos(upper @ fore))
     plane, elevation = np.deg2rad(angles["shoulder_plane"]), angles["shoulder_elevation"]
     axis = np.cos(plane) * _Z - np.sin(plane) * _X
-    hanging = Rotation.from_matrix(_smallest_rotation(upper, -_Y))
+    hanging = Rotation.from_matrix(smallest_rotation(upper, -_Y))
     half_axial = _about(upper, angles["shoulder_rotation"] / 2.0)
     lifted = max(elevation - _GIRDLE_FROM, 0.0)
     rotations = {bone: _about(axis, share * lifted) for bone, share in _GIRDLE.items()}
@@ -191,7 +191,7 @@ def _unit(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
     return np.asarray(unit(vector[None])[0])
 
 
-def _smallest_rotation(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+def smallest_rotation(start: Float[np.ndarray, " 3"], end: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """The smallest rotation of one direction to another, not opposite one (Rodrigues' formula)."""
     cross = np.cross(start, end)
     skew = np.cross(np.eye(3), cross)

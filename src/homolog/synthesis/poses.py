@@ -209,7 +209,7 @@ STANDING: Angles = {name: _CALM.get(name.removeprefix("left_").removeprefix("rig
 
 def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:
     """Sample a pose of a family: the angles of all joints, in degrees."""
-    intervals = {**_both_sides(_BY_DEFAULT), **_both_sides(FAMILIES[family])}
+    intervals = {**both_sides(_BY_DEFAULT, RANGES), **both_sides(FAMILIES[family], RANGES)}
     angles = {name: float(generator.uniform(*intervals.get(name, (-4.0, 4.0)))) for name in RANGES}
     for side in SIDES:
         if f"{side}_ankle_dorsiflexion" not in intervals:
@@ -219,12 +219,12 @@ def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:
     return within_ranges(mirrored(angles) if generator.random() < 0.5 else angles)
 
 
-def _both_sides(intervals: Mapping[str, Interval]) -> dict[str, Interval]:
-    """Intervals by the names of ``RANGES``; an interval of one side overrides that of both sides."""
-    common = {f"{side}_{name}": values for name, values in intervals.items() if name in SIDED_RANGES for side in SIDES}
-    return {**common, **{name: values for name, values in intervals.items() if name in RANGES}}
+def scaled_pose(angles: Angles, share: float, standing: Angles = STANDING) -> dict[str, float]:
+    """Interpolate between the standing pose, at 0, and a pose, at 1; in degrees, with three digits."""
+    return {name: round(standing[name] + share * (angle - standing[name]), 3) for name, angle in angles.items()}
 
 
-def scaled_pose(angles: Angles, share: float) -> dict[str, float]:
-    """Interpolate between the standing pose, at 0, and a pose, at 1."""
-    return {name: STANDING[name] + share * (angle - STANDING[name]) for name, angle in angles.items()}
+def both_sides(intervals: Mapping[str, Interval], ranges: Mapping[str, Interval]) -> dict[str, Interval]:
+    """Intervals by the names of all joints; an interval of one side overrides that of both sides."""
+    sided = [(f"{side}_{name}", values) for name, values in intervals.items() for side in SIDES]
+    return {name: values for name, values in (*sided, *intervals.items()) if name in ranges}

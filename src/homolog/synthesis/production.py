@@ -1,7 +1,8 @@
-"""Making a dataset of synthetic people, each body independently of the others."""
+"""Making a dataset of synthetic bodies, each body independently of the others."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -10,9 +11,11 @@ from homolog.core.arguments import check_count
 from homolog.core.progress import Progress, ignore
 from homolog.core.tasks import run_tasks
 from homolog.geometry.surface import BarycentricPoints
+from homolog.synthesis.animals import Animals
+from homolog.synthesis.bodies import BodySettings, Kind, make_body
+from homolog.synthesis.body_folder import BodyFolder
 from homolog.synthesis.body_model import BodyModel
-from homolog.synthesis.people import PeopleSettings, make_person
-from homolog.synthesis.people_folder import PeopleFolder
+from homolog.synthesis.people import People
 from homolog.synthesis.template import sample_evenly
 
 TEMPLATE_POINTS = 5000
@@ -22,11 +25,11 @@ TEMPLATE_POINTS = 5000
 def synthesize_people(
     output: str | Path,
     n: int,
-    settings: PeopleSettings | None = None,
+    settings: BodySettings | None = None,
     *,
     processes: int = 1,
     progress: Progress = ignore,
-) -> PeopleFolder:
+) -> BodyFolder:
     """Write a dataset of synthetic people: the first ``n`` bodies of an endless sequence, as far as they are missing.
 
     Args:
@@ -44,13 +47,57 @@ def synthesize_people(
         MissingExtraError: if the package anny is not installed.
 
     Examples:
-        >>> synthesize_people("people", 500, PeopleSettings(seed=1), processes=4)  # doctest: +SKIP
+        >>> synthesize_people("people", 500, BodySettings(seed=1), processes=4)  # doctest: +SKIP
     """
+    return _synthesize(_people, output, n, settings, processes=processes, progress=progress)
+
+
+def synthesize_animals(
+    output: str | Path,
+    n: int,
+    settings: BodySettings | None = None,
+    *,
+    processes: int = 1,
+    progress: Progress = ignore,
+) -> BodyFolder:
+    """Write a dataset of synthetic animals with four legs, as ``synthesize_people`` writes people.
+
+    Four bodies in a row are one individual in different poses.
+
+    Args:
+        output: the folder; it may hold bodies made with the same settings, which are kept.
+        n: number of bodies.
+        settings: seed and meshing.
+        processes: number of worker processes; the bodies do not depend on it.
+        progress: called with the number of finished bodies, their total and the current body's name.
+
+    Returns:
+        The folder, which ``ShapeFolder`` reads.
+
+    Raises:
+        ArgumentError: if an argument is out of range, or the folder holds something else or cannot be written to.
+
+    Examples:
+        >>> synthesize_animals("animals", 400, BodySettings(seed=1), processes=4)  # doctest: +SKIP
+    """
+    return _synthesize(Animals, output, n, settings, processes=processes, progress=progress)
+
+
+def _synthesize(
+    kind_of_process: Callable[[], Kind],
+    output: str | Path,
+    n: int,
+    settings: BodySettings | None,
+    *,
+    processes: int,
+    progress: Progress,
+) -> BodyFolder:
     check_count("n", n)
     check_count("processes", processes)
-    settings = settings or PeopleSettings()
-    template = _body_model().template
-    folder = PeopleFolder.prepare(output, settings)
+    settings = settings or BodySettings()
+    kind = kind_of_process()
+    template = kind.template
+    folder = BodyFolder.prepare(output, kind, settings)
     names = [folder.name(index) for index in range(n)]
     progress(0, n, "checking the existing files")
     missing = [index for index, name in enumerate(names) if not folder.has_all_files(name)]
@@ -58,7 +105,7 @@ def synthesize_people(
         points = sample_evenly(template.rest, TEMPLATE_POINTS)
         folder.write_template(template.rest, points)
     if missing:
-        make = _Making(points, settings, folder)
+        make = _Making(kind_of_process, points, settings, folder)
         tasks = [(names[index], partial(make, index)) for index in missing]
         there = n - len(missing)
         run_tasks(
@@ -68,7 +115,7 @@ def synthesize_people(
         )
     while folder.has_all_files(folder.name(len(names))):  # of a larger dataset that was made before
         names.append(folder.name(len(names)))
-    folder.write_manifest(settings, names)
+    folder.write_manifest(kind, settings, names)
     return folder
 
 
@@ -76,13 +123,18 @@ def synthesize_people(
 class _Making:
     """Makes and writes the body with a given number; picklable, for worker processes."""
 
+    kind_of_process: Callable[[], Kind]
     points: BarycentricPoints
-    settings: PeopleSettings
-    folder: PeopleFolder
+    settings: BodySettings
+    folder: BodyFolder
 
     def __call__(self, index: int) -> None:
-        person = make_person(_body_model(), self.points, self.settings, index)
-        self.folder.write_person(self.folder.name(index), person)
+        body = make_body(self.kind_of_process(), self.points, self.settings, index)
+        self.folder.write_body(self.folder.name(index), body)
+
+
+def _people() -> People:
+    return People(_body_model())
 
 
 @cache

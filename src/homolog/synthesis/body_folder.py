@@ -1,8 +1,8 @@
-"""A dataset of synthetic people on disk, which can be resumed and extended."""
+"""A dataset of synthetic bodies on disk, which can be resumed and extended."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,8 @@ from homolog.core.records import record, stored_record
 from homolog.core.versions import version_of, versions
 from homolog.geometry.surface import BarycentricPoints, Surface
 from homolog.shapes import Shape, write_shape
-from homolog.synthesis.body_model import ASSETS
-from homolog.synthesis.people import MOST_CROSSING, MeshedBody, PeopleSettings, Person
+from homolog.synthesis.bodies import MOST_CROSSING, Body, BodySettings, Kind, MeshedBody
 
-# A version, increased whenever the same settings give other bodies.
-_MAKING = 1
 _FOLDERS = ("off", "corres", "barycentric", "records", "template")
 # Coordinates are rounded to micrometres.
 _DIGITS = 6
@@ -34,8 +31,8 @@ class _Record(TypedDict):
 
 
 @dataclass(frozen=True)
-class PeopleFolder:
-    """The files of a dataset of people.
+class BodyFolder:
+    """The files of a dataset of bodies.
 
     ``off/NAME.off`` is a body's mesh; ``corres/NAME.vts`` its vertex at each template point, counted from 1;
     ``barycentric/NAME.npz`` for each vertex its triangle on the template, counted from 0, and its barycentric
@@ -44,25 +41,26 @@ class PeopleFolder:
 
     Args:
         root: the folder.
+        stem: with which the names of bodies begin.
     """
 
     root: Path
+    stem: str
 
     @classmethod
-    def prepare(cls, root: str | Path, settings: PeopleSettings) -> PeopleFolder:
+    def prepare(cls, root: str | Path, kind: Kind, settings: BodySettings) -> BodyFolder:
         """Create the folder, or resume one that was made with the same settings.
 
         Raises:
             ArgumentError: if it holds something else, or bodies that were made in another way, or cannot be written to.
         """
-        folder = cls(expanded(root))
-        prepare_folder(folder.root, folder._manifest(settings, ()), _FOLDERS)
+        folder = cls(expanded(root), kind.stem)
+        prepare_folder(folder.root, folder._manifest(kind, settings, ()), _FOLDERS)
         return folder
 
-    @staticmethod
-    def name(index: int) -> str:
+    def name(self, index: int) -> str:
         """The name of body number ``index``; names sort by number."""
-        return f"person_{index:05d}"
+        return f"{self.stem}_{index:05d}"
 
     def files(self, name: str) -> dict[str, Path]:
         """The files of a body whose hashes are in its record."""
@@ -83,12 +81,12 @@ class PeopleFolder:
         """How a body was made; None if that is unknown."""
         return stored_record(self.root / "records" / f"{name}.json", _Record)
 
-    def write_person(self, name: str, person: Person) -> None:
+    def write_body(self, name: str, body: Body) -> None:
         """Write all files of a body; the record comes last, and without it the other files do not count."""
-        write_shape_files(self.root, name, person.body)
-        _write_barycentric(self.root / "barycentric" / f"{name}.npz", person.body.barycentric)
+        write_shape_files(self.root, name, body.meshed)
+        _write_barycentric(self.root / "barycentric" / f"{name}.npz", body.meshed.barycentric)
         hashes = {relative: sha256(path) for relative, path in self.files(name).items()}
-        write_json(self.root / "records" / f"{name}.json", {**_described(person), "sha256": hashes})
+        write_json(self.root / "records" / f"{name}.json", {**_described(body), "sha256": hashes})
 
     def has_template(self) -> bool:
         """Whether the template and its points are there."""
@@ -100,17 +98,16 @@ class PeopleFolder:
             _write_mesh(self.root / "template" / "template.off", rest)
             _write_barycentric(self.root / "template" / "points.npz", points)
 
-    def write_manifest(self, settings: PeopleSettings, names: Sequence[str]) -> None:
+    def write_manifest(self, kind: Kind, settings: BodySettings, names: Sequence[str]) -> None:
         """Write settings, licences, versions and a description of each body."""
-        write_json(self.root / MANIFEST, self._manifest(settings, names))
+        write_json(self.root / MANIFEST, self._manifest(kind, settings, names))
 
-    def _manifest(self, settings: PeopleSettings, names: Sequence[str]) -> dict[str, Any]:
-        licensed = [{**asset, "version": version_of(asset["package"])} for asset in ASSETS]
+    def _manifest(self, kind: Kind, settings: BodySettings, names: Sequence[str]) -> dict[str, Any]:
         return {
-            "what": "synthetic people with ground truth, made by homolog synth people",
-            "making": {"way": _MAKING, "anny": version_of("anny"), "seed": settings.seed, **asdict(settings.mesh)},
+            "what": f"synthetic {kind.name} with ground truth, made by homolog synth {kind.name}",
+            "making": {**kind.making, "seed": settings.seed, **asdict(settings.mesh)},
             "most_crossing": MOST_CROSSING,
-            "assets": licensed,
+            "assets": [_versioned(asset) for asset in kind.assets],
             "versions": versions(),
             "n": len(names),
             "bodies": {name: self.record(name) for name in names},
@@ -127,16 +124,22 @@ def write_shape_files(root: Path, name: str, body: MeshedBody) -> None:
             np.savetxt(temporary, body.at_points + 1, fmt="%d", newline="\n")
 
 
-def _described(person: Person) -> dict[str, Any]:
+def _versioned(asset: Mapping[str, str]) -> dict[str, str | None]:
+    """An asset with the version that it names, or that is installed."""
+    return {**asset, "version": asset.get("version") or version_of(asset["package"])}
+
+
+def _described(body: Body) -> dict[str, Any]:
+    character, meshed = body.character, body.meshed
     return {
-        "build": dict(person.character.build),
-        "family": person.character.family,
-        "pose_share": person.character.pose_share,
-        "angles": dict(person.character.angles),
-        "vertices": len(person.body.mesh.vertices),
-        "faces": len(person.body.mesh.faces),
-        "height": round(float(np.ptp(person.body.mesh.vertices[:, 1])), 4),
-        "crossing_share": round(person.body.self_intersection, 6),
+        "build": dict(character.build),
+        "family": character.family,
+        "pose_share": character.pose_share,
+        "angles": dict(character.angles),
+        "vertices": len(meshed.mesh.vertices),
+        "faces": len(meshed.mesh.faces),
+        "height": round(float(np.ptp(meshed.mesh.vertices[:, 1])), 4),
+        "crossing_share": round(meshed.self_intersection, 6),
     }
 
 

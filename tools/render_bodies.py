@@ -1,9 +1,11 @@
-"""Render synthetic people as one contact sheet, coloured by position on the common template.
+"""Render synthetic people or animals as one contact sheet, coloured by position on the common template.
 
 Run from the root of the checkout::
 
     homolog synth people -n 64 -o people
-    python tools/render_people.py people docs/images/people.png
+    python tools/render_bodies.py people docs/images/people.png
+    homolog synth animals -n 64 -o animals
+    python tools/render_bodies.py animals docs/images/animals.png --from-the-side
 """
 
 from __future__ import annotations
@@ -18,26 +20,28 @@ import pyvista
 from homolog.datasets import ShapeFolder
 from homolog.shapes import read_shape
 
-_WIDTH, _HEIGHT = 150, 200
-# Bodies are drawn at one scale, so that children are small.
+# From the front, bodies are drawn at one scale, so that children are small; from the side, each fills its picture.
+_FRONT, _SIDE = np.array([1.3, 0.6, 4.0]), np.array([4.0, 0.9, 1.8])
+_FRONT_SIZE, _SIDE_SIZE = (150, 200), (150, 128)
 _HALF_HEIGHT = 1.2
 
 
 def colours(folder: ShapeFolder, name: str) -> np.ndarray:
     """Red, green and blue of each vertex: its position on the template, so that the same colour is the same point."""
     rest = read_shape(folder.root / "template" / "template.off")
-    barycentric = np.load(folder.root / "places" / f"{name}.npz", allow_pickle=False)
+    barycentric = np.load(folder.root / "barycentric" / f"{name}.npz", allow_pickle=False)
     assert rest.faces is not None
     at = np.einsum("vck,vc->vk", rest.points[rest.faces[barycentric["triangles"]]], barycentric["weights"])
     low, high = rest.points.min(axis=0), rest.points.max(axis=0)
     return np.asarray((50 + 200 * (at - low) / (high - low)).astype(np.uint8))
 
 
-def render(folder: ShapeFolder, picture: Path, columns: int, count: int) -> None:
-    """Draw the first bodies in rows, a little from the side."""
+def render(folder: ShapeFolder, picture: Path, columns: int, count: int, *, from_the_side: bool) -> None:
+    """Draw the first bodies in rows."""
     names = folder.names[:count]
     rows = -(-len(names) // columns)
-    size = [columns * _WIDTH, rows * _HEIGHT]
+    width, height = _SIDE_SIZE if from_the_side else _FRONT_SIZE
+    size = [columns * width, rows * height]
     # pyvista's own annotations mislead the type checker here.
     plotter: Any = pyvista.Plotter(off_screen=True, shape=(rows, columns), window_size=size, border=False)
     for i, name in enumerate(names):
@@ -49,10 +53,12 @@ def render(folder: ShapeFolder, picture: Path, columns: int, count: int) -> None
         plotter.view_xy()
         middle = (shape.points.min(axis=0) + shape.points.max(axis=0)) / 2
         plotter.camera.focal_point = middle
-        plotter.camera.position = middle + np.array([1.3, 0.6, 4.0])
+        plotter.camera.position = middle + (_SIDE if from_the_side else _FRONT)
         plotter.camera.up = (0.0, 1.0, 0.0)
         plotter.enable_parallel_projection()
-        plotter.camera.parallel_scale = max(_HALF_HEIGHT, float(np.ptp(shape.points[:, 1])) / 2 * 1.05)
+        tall, deep = np.ptp(shape.points[:, 1]) / 2 * 1.05, np.ptp(shape.points[:, 2]) / 2 * 1.05
+        plotter.camera.parallel_scale = max(tall, deep * height / width) if from_the_side else max(tall, _HALF_HEIGHT)
+        plotter.reset_camera_clipping_range()
     plotter.set_background("white")
     plotter.screenshot(picture)
 
@@ -60,12 +66,14 @@ def render(folder: ShapeFolder, picture: Path, columns: int, count: int) -> None
 def main() -> None:
     """Read the arguments and render."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("people", type=Path, help="folder that homolog synth people wrote")
+    parser.add_argument("bodies", type=Path, help="folder that homolog synth people or homolog synth animals wrote")
     parser.add_argument("picture", type=Path, help="PNG to write")
     parser.add_argument("--columns", type=int, default=16)
     parser.add_argument("--count", type=int, default=64)
+    parser.add_argument("--from-the-side", action="store_true")
     arguments = parser.parse_args()
-    render(ShapeFolder.open(arguments.people), arguments.picture, arguments.columns, arguments.count)
+    folder = ShapeFolder.open(arguments.bodies)
+    render(folder, arguments.picture, arguments.columns, arguments.count, from_the_side=arguments.from_the_side)
 
 
 if __name__ == "__main__":
