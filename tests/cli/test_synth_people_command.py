@@ -13,8 +13,8 @@ def asked(monkeypatch):
     """What the command asks for, instead of its being done."""
     calls = []
 
-    def synthesize(output, n, settings, *, processes, progress):
-        calls.append((output, n, settings, processes))
+    def synthesize(output, n, settings, *, poses, processes, progress):
+        calls.append((output, n, settings, poses, processes))
         return BodyFolder(output, "person")
 
     monkeypatch.setattr(synthesis, "synthesize_people", synthesize)
@@ -24,11 +24,11 @@ def asked(monkeypatch):
 def test_options_are_passed_on(homolog, asked, tmp_path):
     ended = homolog(
         *("synth", "people", "-n", 7, "--seed", 5, "-o", tmp_path / "set"),
-        *("--vertices", 3000, "--stretch", 2.5, "--processes", 3),
+        *("--vertices", 3000, "--stretch", 2.5, "--processes", 3, "--poses", "wide"),
     )
     assert (ended.code, ended.out.strip(), ended.err) == (0, str(tmp_path / "set"), "")
-    ((out, n, settings, processes),) = asked
-    assert (out, n, processes) == (tmp_path / "set", 7, 3)
+    ((out, n, settings, poses, processes),) = asked
+    assert (out, n, poses, processes) == (tmp_path / "set", 7, "wide", 3)
     assert (settings.seed, settings.mesh.vertices, settings.mesh.stretch) == (5, 3000, 2.5)
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from homolog.synthesis.builds import PARAMETERS, draw_build, toward_mean
-from homolog.synthesis.joints import MIDDLE_RANGES, RANGES, SIDED_RANGES, within_ranges
-from homolog.synthesis.poses import FAMILIES, STANDING, draw_pose, scaled_pose
+from homolog.synthesis.joints import MIDDLE_RANGES, RANGES, SIDED_RANGES, WIDE_RANGES, within_ranges
+from homolog.synthesis.poses import FAMILIES, STANDING, WIDE_FAMILIES, draw_pose, scaled_pose
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -26,6 +26,23 @@ def test_poses_are_within_ranges_and_vary(family):
         assert angles == within_ranges(angles)
     assert all(np.ptp([angles[name] for angles in drawn]) > 0 for name in RANGES)
     assert max(abs(angles["heading"]) for angles in drawn) <= 15.0
+
+
+@pytest.mark.parametrize("family", WIDE_FAMILIES)
+def test_wide_poses_are_within_wider_ranges(family):
+    generator = np.random.default_rng(0)
+    drawn = [draw_pose(family, generator, "wide") for _ in range(60)]
+    assert all(angles == within_ranges(angles, WIDE_RANGES) for angles in drawn)
+    assert np.ptp([angles["trunk_bend"] for angles in drawn]) > 0
+
+
+def test_wide_poses_bend_farther_backward_and_forward():
+    generator = np.random.default_rng(0)
+    leans = [
+        [draw_pose(family, generator, poses)["lean"] for family in families for _ in range(30)]
+        for poses, families in (("natural", FAMILIES), ("wide", WIDE_FAMILIES))
+    ]
+    assert min(leans[1]) < -50 < -30 <= min(leans[0]) and max(leans[1]) > 90 > 80 >= max(leans[0])
 
 
 def test_left_and_right_take_turns():

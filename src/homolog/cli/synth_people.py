@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 import homolog
 from homolog.cli.options import ONE_PER_CORE, Processes, Quiet, Seed, Verbose
 from homolog.cli.synth_options import NBodies, Output, Stretch, Vertices, make_bodies
+from homolog.core.choices import Poses
 
 
 def people(
@@ -14,6 +19,9 @@ def people(
     n_bodies: NBodies = 500,
     vertices: Vertices = 5000,
     stretch: Stretch = 1.0,
+    poses: Annotated[
+        Poses, typer.Option(help="natural, or wide: of gymnasts, and of people who lie, crawl or fall.")
+    ] = "natural",
     seed: Seed = 0,
     processes: Processes = ONE_PER_CORE,
     quiet: Quiet = False,
@@ -30,10 +38,12 @@ def people(
 
       homolog synth people -n 500 -o stretched --stretch 3 --seed 1
 
+      homolog synth people -n 500 -o gymnasts --poses wide
+
       homolog train people -o run
     """
     make_bodies(
-        homolog.synthesis.synthesize_people,
+        partial(homolog.synthesis.synthesize_people, poses=poses),
         output,
         n_bodies,
         vertices=vertices,

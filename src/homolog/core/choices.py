@@ -16,6 +16,8 @@ Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
 """What the source and the target of an evaluation are used as."""
 Turn = Literal["none", "vertical", "any"]
 """Which rotations are drawn: none, about the vertical axis, or any, all of them as likely."""
+Poses = Literal["natural", "wide"]
+"""Which poses synthetic people have."""
 Split = Literal["train", "test", "all"]
 """Which shapes of a dataset."""
 System = Literal["LPS", "RAS"]

@@ -55,6 +55,13 @@ MIDDLE_RANGES = {
 SIDES = ("left", "right")
 RANGES = {f"{side}_{name}": limits for side in SIDES for name, limits in SIDED_RANGES.items()} | MIDDLE_RANGES
 
+WIDE_RANGES = RANGES | {
+    "trunk_flexion": (-45.0, 80.0),
+    "lean": (-80.0, 100.0),
+    **{f"{side}_hip_flexion": (-45.0, 125.0) for side in SIDES},
+}
+"""Ranges of gymnasts, in the same order."""
+
 # The largest elevation of the arm backwards.
 _BACKWARD_ELEVATION = 60.0
 # The shoulder blade contributes a third of an arm's elevation beyond 30 degrees, here in two bones (V. T. Inman et al.,
@@ -73,9 +80,9 @@ _X, _Y, _Z = np.eye(3)
 _MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
-def within_ranges(angles: Angles) -> dict[str, float]:
+def within_ranges(angles: Angles, ranges: Mapping[str, tuple[float, float]] = RANGES) -> dict[str, float]:
     """Clip angles to the joints' ranges of motion."""
-    allowed = {name: float(np.clip(angle, *RANGES[name])) for name, angle in angles.items()}
+    allowed = {name: float(np.clip(angle, *ranges[name])) for name, angle in angles.items()}
     for side in SIDES:
         # The largest elevation decreases linearly from sideways to backwards.
         behind = max(-allowed[f"{side}_shoulder_plane"], 0.0) / 90.0

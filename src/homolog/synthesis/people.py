@@ -8,13 +8,14 @@ from typing import Any, Protocol
 import numpy as np
 from jaxtyping import Float
 
+from homolog.core.choices import Poses
 from homolog.core.versions import version_of
 from homolog.geometry.surface import Surface
 from homolog.synthesis.bodies import POSE_SHARES, Character
 from homolog.synthesis.body_model import ASSETS
 from homolog.synthesis.builds import draw_build, toward_mean
 from homolog.synthesis.joints import Rotations, Skeleton, bone_rotations
-from homolog.synthesis.poses import FAMILIES, draw_pose, scaled_pose
+from homolog.synthesis.poses import POSE_SETS, draw_pose, scaled_pose
 from homolog.synthesis.template import Template
 
 # A version, increased whenever the same settings give other people.
@@ -44,19 +45,21 @@ class People:
 
     Args:
         model: of the human body.
+        poses: ``"natural"``, or ``"wide"`` for those of gymnasts and of people who lie, crawl or fall.
     """
 
     name = "people"
     stem = "person"
     assets = ASSETS
 
-    def __init__(self, model: PosedBodies) -> None:
-        self._model = model
+    def __init__(self, model: PosedBodies, poses: Poses = "natural") -> None:
+        self._model, self._poses = model, poses
 
     @property
     def making(self) -> Mapping[str, Any]:
-        """The version of the body model."""
-        return {"way": _MAKING, "anny": version_of("anny")}
+        """The version of the body model, and poses that are not the usual ones."""
+        poses = {} if self._poses == "natural" else {"poses": self._poses}
+        return {"way": _MAKING, "anny": version_of("anny"), **poses}
 
     @property
     def template(self) -> Template:
@@ -70,10 +73,11 @@ class People:
 
     def characters(self, seed: int, index: int, generator: np.random.Generator) -> Iterator[Character]:
         """Ever smaller poses of ever new samples, with a build that in the end moves towards the mean."""
-        build, family = draw_build(seed, index), tuple(FAMILIES)[(seed + index) % len(FAMILIES)]
+        families = tuple(POSE_SETS[self._poses].families)
+        build, family = draw_build(seed, index), families[(seed + index) % len(families)]
         draws = 0
         while True:
-            pose = draw_pose(family, generator)
+            pose = draw_pose(family, generator, self._poses)
             for share in POSE_SHARES:
                 yield Character(build, family, scaled_pose(pose, share), share)
             draws += 1

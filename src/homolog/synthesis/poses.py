@@ -3,10 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from homolog.synthesis.joints import MIDDLE_RANGES, RANGES, SIDED_RANGES, SIDES, Angles, mirrored, within_ranges
+from homolog.core.choices import Poses
+from homolog.synthesis.joints import (
+    MIDDLE_RANGES,
+    RANGES,
+    SIDED_RANGES,
+    SIDES,
+    WIDE_RANGES,
+    Angles,
+    mirrored,
+    within_ranges,
+)
 
 Interval = tuple[float, float]
 
@@ -202,21 +213,112 @@ FAMILIES: Mapping[str, Mapping[str, Interval]] = {
     },
 }
 
+# Of gymnasts, dancers and people who lie, crawl or fall.
+WIDE_FAMILIES: Mapping[str, Mapping[str, Interval]] = {
+    "arching": {
+        "lean": (-70.0, -15.0),
+        "trunk_flexion": (-45.0, -12.0),
+        "neck_flexion": (-45.0, 10.0),
+        "knee_flexion": (10.0, 90.0),
+        "shoulder_elevation": (30.0, 175.0),
+        "shoulder_plane": (-40.0, 110.0),
+        "hip_flexion": (-15.0, 15.0),
+        "elbow_flexion": (0.0, 90.0),
+    },
+    "extreme": {
+        **SIDED_RANGES,
+        **MIDDLE_RANGES,
+        "finger_curl": (0.0, 60.0),
+        "lean": (-40.0, 60.0),
+        "trunk_flexion": (-40.0, 75.0),
+        "heading": (-10.0, 10.0),
+    },
+    "arched chest": {
+        "trunk_flexion": (-45.0, -15.0),
+        "lean": (-20.0, 10.0),
+        "neck_flexion": (-45.0, 0.0),
+        "shoulder_elevation": (20.0, 170.0),
+        "shoulder_plane": (-60.0, 40.0),
+        "knee_flexion": (0.0, 60.0),
+    },
+    "curled": {
+        "hip_flexion": (60.0, 125.0),
+        "knee_flexion": (60.0, 135.0),
+        "trunk_flexion": (20.0, 80.0),
+        "neck_flexion": (0.0, 45.0),
+        "shoulder_elevation": (30.0, 90.0),
+        "shoulder_plane": (50.0, 105.0),
+        "elbow_flexion": (20.0, 130.0),
+        "lean": (-10.0, 40.0),
+    },
+    "crawling": {
+        "lean": (50.0, 95.0),
+        "hip_flexion": (-20.0, 40.0),
+        "knee_flexion": (50.0, 110.0),
+        "neck_flexion": (-45.0, 0.0),
+        "shoulder_elevation": (70.0, 120.0),
+        "shoulder_plane": (70.0, 110.0),
+        "elbow_flexion": (0.0, 40.0),
+    },
+    "kicking high": {
+        "left_hip_flexion": (80.0, 125.0),
+        "left_hip_abduction": (0.0, 40.0),
+        "left_knee_flexion": (0.0, 60.0),
+        "lean": (-40.0, 10.0),
+        "shoulder_elevation": (20.0, 150.0),
+        "shoulder_plane": (-40.0, 100.0),
+        "right_knee_flexion": (0.0, 60.0),
+        "trunk_flexion": (-25.0, 30.0),
+    },
+    "flying": {
+        "shoulder_elevation": (100.0, 178.0),
+        "shoulder_plane": (-10.0, 100.0),
+        "hip_flexion": (-40.0, 20.0),
+        "knee_flexion": (0.0, 120.0),
+        "trunk_flexion": (-40.0, 5.0),
+        "neck_flexion": (-40.0, 5.0),
+        "lean": (-20.0, 20.0),
+    },
+    "bowing": {
+        "lean": (40.0, 100.0),
+        "trunk_flexion": (20.0, 80.0),
+        "hip_flexion": (-10.0, 30.0),
+        "knee_flexion": (0.0, 60.0),
+        "shoulder_elevation": (0.0, 170.0),
+        "shoulder_plane": (-20.0, 110.0),
+    },
+}
+
 # The pose towards which others are scaled down: no limbs touch.
 _CALM = {"shoulder_elevation": 30.0, "elbow_flexion": 15.0, "hip_abduction": 6.0, "finger_curl": 5.0}
 STANDING: Angles = {name: _CALM.get(name.removeprefix("left_").removeprefix("right_"), 0.0) for name in RANGES}
 
 
-def draw_pose(family: str, generator: np.random.Generator) -> dict[str, float]:
+@dataclass(frozen=True)
+class PoseSet:
+    """Families of poses, and the ranges of the joints in them."""
+
+    families: Mapping[str, Mapping[str, Interval]]
+    ranges: Mapping[str, Interval]
+
+
+POSE_SETS: Mapping[Poses, PoseSet] = {
+    "natural": PoseSet(FAMILIES, RANGES),
+    "wide": PoseSet(WIDE_FAMILIES, WIDE_RANGES),
+}
+
+
+def draw_pose(family: str, generator: np.random.Generator, poses: Poses = "natural") -> dict[str, float]:
     """Sample a pose of a family: the angles of all joints, in degrees."""
-    intervals = {**both_sides(_BY_DEFAULT, RANGES), **both_sides(FAMILIES[family], RANGES)}
+    known = POSE_SETS[poses]
+    intervals = {**both_sides(_BY_DEFAULT, RANGES), **both_sides(known.families[family], RANGES)}
     angles = {name: float(generator.uniform(*intervals.get(name, (-4.0, 4.0)))) for name in RANGES}
     for side in SIDES:
         if f"{side}_ankle_dorsiflexion" not in intervals:
             flat = angles[f"{side}_knee_flexion"] - angles[f"{side}_hip_flexion"]
             angles[f"{side}_ankle_dorsiflexion"] += flat
         angles[f"{side}_hip_flexion"] += angles["lean"]
-    return within_ranges(mirrored(angles) if generator.random() < 0.5 else angles)
+    return within_ranges(mirrored(angles) if generator.random() < 0.5 else angles, known.ranges)
 
 
 def scaled_pose(angles: Angles, share: float, standing: Angles = STANDING) -> dict[str, float]:

@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
+from typing import get_args
 
-from homolog.core.arguments import check_count
+from homolog.core.arguments import check_choice, check_count
+from homolog.core.choices import Poses
 from homolog.core.progress import Progress, ignore
 from homolog.core.tasks import run_tasks
 from homolog.geometry.surface import BarycentricPoints
@@ -27,6 +29,7 @@ def synthesize_people(
     n: int,
     settings: BodySettings | None = None,
     *,
+    poses: Poses = "natural",
     processes: int = 1,
     progress: Progress = ignore,
 ) -> BodyFolder:
@@ -36,6 +39,7 @@ def synthesize_people(
         output: the folder; it may hold bodies made with the same settings, which are kept.
         n: number of bodies.
         settings: seed and meshing.
+        poses: ``"natural"``, or ``"wide"`` for those of gymnasts and of people who lie, crawl or fall.
         processes: number of worker processes; the bodies do not depend on it.
         progress: called with the number of finished bodies, their total and the current body's name.
 
@@ -49,7 +53,8 @@ def synthesize_people(
     Examples:
         >>> synthesize_people("people", 500, BodySettings(seed=1), processes=4)  # doctest: +SKIP
     """
-    return _synthesize(_people, output, n, settings, processes=processes, progress=progress)
+    check_choice("poses", poses, get_args(Poses))
+    return _synthesize(partial(_people, poses), output, n, settings, processes=processes, progress=progress)
 
 
 def synthesize_animals(
@@ -133,8 +138,8 @@ class _Making:
         self.folder.write_body(self.folder.name(index), body)
 
 
-def _people() -> People:
-    return People(_body_model())
+def _people(poses: Poses) -> People:
+    return People(_body_model(), poses)
 
 
 @cache
