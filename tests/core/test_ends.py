@@ -67,6 +67,22 @@ def test_signals_end_native_code_and_leave_nothing(stuck, number):
     assert list(folder.iterdir()) == []
 
 
+def test_what_was_called_off_ends_nothing():
+    """A process may run a command, and then hear signals of its own."""
+    program = """
+import os, signal, time
+from homolog.core.ends import bound_end
+descriptors = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 0
+for _ in range(3):
+    bound_end(0.1, os._exit)()
+signal.signal(signal.SIGINT, lambda *_: None)
+signal.raise_signal(signal.SIGINT)
+time.sleep(1)
+assert not descriptors or len(os.listdir("/proc/self/fd")) == descriptors
+"""
+    assert subprocess.run([sys.executable, "-c", program], check=False, timeout=100).returncode == 0
+
+
 def test_workers_in_native_code_end_with_a_command_that_is_killed(stuck):
     process, workers, folder = stuck
     process.kill()

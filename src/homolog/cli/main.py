@@ -52,9 +52,17 @@ def main() -> None:
         # What libraries tell programmers is noise to users; `python -W default -m homolog` shows it.
         warnings.simplefilter("ignore")
     _hear(_leave)
-    bound_end(_PATIENCE_SECONDS, _leave)
+    call_off = bound_end(_PATIENCE_SECONDS, _leave)
     tune_threads()
     _print_any_name()
+    try:
+        _run()
+    finally:
+        call_off()
+
+
+def _run() -> NoReturn:
+    """Run the command, and exit."""
     try:
         # Only now, as Ctrl-C must work while the commands are loaded, too.
         from homolog.cli.app import app

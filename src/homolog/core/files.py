@@ -189,7 +189,7 @@ def keeping(inputs: Iterable[str | Path]) -> Iterator[None]:
 def resuming(folder: str | Path) -> Iterator[None]:
     """Within ``keeping``, let a folder below an input folder be the writer's own, of an earlier run that goes on."""
     kept = _keeping.get() or _Kept(())
-    token = _keeping.set(replace(kept, own=expanded(folder).resolve()))
+    token = _keeping.set(replace(kept, own=resolved(folder)))
     try:
         yield
     finally:
@@ -215,7 +215,7 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
     kept = _keeping.get() or _Kept(())
     read = [path for path in (*map(expanded, inputs), *kept.inputs) if path.exists()]
     for output in map(expanded, outputs):
-        target = output.resolve()
+        target = resolved(output)
         if not output.exists() or target in kept.written:
             continue
         for given in read:
@@ -229,7 +229,7 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
 
 def _is_own(kept: _Kept, target: Path, given: Path) -> bool:
     own = kept.own
-    return own is not None and own in target.parents and given.resolve() in own.parents
+    return own is not None and own in target.parents and resolved(given) in own.parents
 
 
 def _lies_in(target: Path, folder: Path) -> bool:

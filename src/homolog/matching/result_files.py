@@ -24,6 +24,7 @@ from homolog.core.files import (
     made_folder,
     opened,
     ordinary,
+    resolved,
     sha256,
     write_json,
 )
@@ -110,7 +111,7 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
             "inputs": inputs,
             "method": match.method,
             "warnings": list(match.warnings),
-            "sha256": {path.name: sha256(landing[path.resolve()]) for path in paths[:-1]},
+            "sha256": {path.name: sha256(landing[resolved(path)]) for path in paths[:-1]},
         }
         if match.quality is not None:
             told["quality"] = match.quality.to_dict()
