@@ -12,6 +12,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
@@ -110,7 +111,8 @@ def _print_any_name() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             is_utf_8 = codecs.lookup(stream.encoding).name == "utf-8"
-            stream.reconfigure(errors="surrogateescape" if is_utf_8 else "backslashreplace")
+            with suppress(OSError):  # of a stream that another one has taken the place of
+                stream.reconfigure(errors="surrogateescape" if is_utf_8 else "backslashreplace")
 
 
 def _hear(handler: Callable[[int, FrameType | None], None]) -> None:
