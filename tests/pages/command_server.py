@@ -41,9 +41,9 @@ def read_short_recipe(recipe):
 def few(synthesize):
     """A few bodies, coarsely meshed, made in this process; people are stand-ins."""
 
-    def synthesize_few(output, number, settings, *, processes, progress):
+    def synthesize_few(output, number, settings, *, processes, **others):
         settings = replace(settings, mesh=replace(settings.mesh, vertices=min(settings.mesh.vertices, VERTICES)))
-        return synthesize(output, min(number, SHAPES), settings, processes=1, progress=progress)
+        return synthesize(output, min(number, SHAPES), settings, processes=1, **others)
 
     return synthesize_few
 
