@@ -55,6 +55,17 @@ def test_any_turn_keeps_lengths_and_hands_alone_and_all_are_as_likely() -> None:
         assert sum(found < angle for found in angles) / 2000 == pytest.approx(expected, abs=0.04)
 
 
+def test_the_vertical_leans_by_up_to_the_tilt_in_all_directions() -> None:
+    up = torch.tensor([[0.0, 1.0, 0.0]])
+    settings = AugmentationSettings(turn="vertical", degrees=90, tilt=20, **STILL)
+    generator = torch.Generator().manual_seed(0)
+    leaning = torch.cat([augmented(up, settings, generator) for _ in range(300)])
+    angles = torch.rad2deg(torch.acos(leaning[:, 1]))
+    assert 18 < angles.max() <= 20.01 and 8 < angles.mean() < 12
+    assert all(((leaning[:, axis] * sign) > 0.2).any() for axis in (0, 2) for sign in (1, -1))
+    torch.testing.assert_close(leaning.norm(dim=1), torch.ones(300))
+
+
 @pytest.mark.parametrize(("turn", "degrees"), [("vertical", 0), ("none", 90)])
 def test_without_an_angle_nothing_turns(turn: str, degrees: float) -> None:
     for turned in many(3, turn=turn, degrees=degrees, **STILL):

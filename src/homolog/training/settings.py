@@ -131,6 +131,7 @@ class AugmentationSettings(Settings):
     Args:
         turn: ``"none"``, about the ``"vertical"`` axis (y), or ``"any"`` rotation, all of them as likely.
         degrees: largest angle of a turn about the vertical, to either side.
+        tilt: largest angle, in degrees, by which the vertical leans, in any direction. An orienter knows it to some 10.
         least_scale: smallest factor per axis.
         most_scale: largest factor per axis.
         shift: standard deviation of a shift along each axis, in units of sqrt(area). For partial shapes, which seldom
@@ -141,6 +142,7 @@ class AugmentationSettings(Settings):
 
     turn: Turn = "vertical"
     degrees: NotNegative = 90.0
+    tilt: NotNegative = 0.0
     least_scale: Positive = 0.9
     most_scale: NotNegative = 1.1
     shift: NotNegative = 0.0
