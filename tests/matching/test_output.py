@@ -199,6 +199,16 @@ def test_reports_that_are_damaged_are_one_line(found, tmp_path, report):
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
 
 
+def test_no_shape_is_replaced_by_its_own_result(found, tmp_path):
+    """Whoever saves it, as the command refuses it."""
+    given = tmp_path / "source.ply"
+    given.write_text("precious")
+    read = replace(found, report={"inputs": {"source": {"file": str(given)}}})
+    with pytest.raises(ArgumentError, match=r"source\.ply is an input"):
+        read.save(tmp_path)
+    assert given.read_text() == "precious" and [path.name for path in tmp_path.iterdir()] == ["source.ply"]
+
+
 def test_a_report_may_tell_more_than_is_read(found, tmp_path):
     more = {"inputs": {"source": {"colour": None}}, "options": {"of_another_version": [1]}, "more": {"a": [None, 0.5]}}
     given = replace(found, report=more)

@@ -22,6 +22,7 @@ from homolog.cli.options import (
     check_picture_file,
 )
 from homolog.cli.progress import progress_bar
+from homolog.core.files import refuse_overwriting_inputs
 from homolog.core.progress import Timings
 
 if TYPE_CHECKING:
@@ -82,6 +83,7 @@ def view(
         check_file(page)
     check_picture_file(picture, lines, picture_width)
     found = homolog.Match.load(result)
+    refuse_overwriting_inputs(filter(None, (page, picture)), homolog.matching.given_files(found))
     scene = homolog.viewing.scene_of(found, _layers(found, truth, weights, quiet=quiet))
     if picture is not None:
         homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)

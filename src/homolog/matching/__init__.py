@@ -9,7 +9,7 @@ from homolog.matching.matcher import Matcher
 from homolog.matching.quality import MEASURES, MapQuality, Quality
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_point_map, checked_maps
-from homolog.matching.result_files import RESULT_FILES, matched_name, read_point_map, write_folder
+from homolog.matching.result_files import RESULT_FILES, given_files, matched_name, read_point_map, write_folder
 from homolog.matching.search import Hypothesis, orient, orientations
 from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, part_warnings, unit_warnings
 
@@ -27,6 +27,7 @@ __all__ = [
     "check_point_map",
     "checked_maps",
     "features_of_weights",
+    "given_files",
     "low_confidence_warnings",
     "match",
     "matched_colours",

@@ -24,6 +24,7 @@ from homolog.core.files import (
     made_folder,
     opened,
     ordinary,
+    refuse_overwriting_inputs,
     resolved,
     sha256,
     write_json,
@@ -79,6 +80,12 @@ class _Report(TypedDict):
     sha256: NotRequired[dict[str, str]]
 
 
+def given_files(match: Match) -> list[Path]:
+    """The files that the shapes of a match were read from, as far as its report names them."""
+    inputs = match.report.get("inputs", {})
+    return [Path(inputs[side]["file"]) for side in SIDES if "file" in inputs.get(side, {})]
+
+
 def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = None) -> list[Path]:
     """Write ``correspondence.npz``, ``source.ply``, ``target.ply`` and ``report.json`` into a folder, made if need be.
 
@@ -94,10 +101,11 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
         timings: what was done before; the report tells of these, and of the writing of the other files as one more.
 
     Raises:
-        ArgumentError: if the folder cannot be made or written to.
+        ArgumentError: if the folder cannot be made or written to, or a shape was read from one of those files.
     """
     folder = made_folder(folder)
     paths = [folder / name for name in RESULT_FILES]
+    refuse_overwriting_inputs(paths, given_files(match))
     with all_or_nothing() as moves:
         with (timings or Timings()).measure("write"):
             source_colours, target_colours = matched_colours(match)
