@@ -19,6 +19,7 @@ from homolog.features.orienter import (
     Orientation,
     Orienter,
     as_oriented,
+    orienter_frame,
 )
 from homolog.features.weights import load_weights, save_weights
 
@@ -44,6 +45,7 @@ __all__ = [
     "heat_decay",
     "load_weights",
     "on_device",
+    "orienter_frame",
     "pretrained_weights",
     "save_weights",
 ]

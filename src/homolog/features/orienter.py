@@ -108,6 +108,14 @@ class Orienter:
         return replace(self, network=copy.deepcopy(self.network).to(device).eval())
 
 
+def orienter_frame(basis: Basis) -> Similarity:
+    """What takes the positions of a shape about its centre, to the radius ``ORIENTER_RADIUS``; it turns nothing."""
+    shares = (basis.mass / basis.mass.sum())[:, None]
+    centre = (shares * basis.points).sum(dim=0)
+    scale = ORIENTER_RADIUS / float((shares * (basis.points - centre).square()).sum().sqrt())
+    return Similarity(torch.eye(3).to(centre), scale, -scale * centre)
+
+
 def as_oriented(basis: Basis) -> Basis:
     """The basis as an orienter gets it: about the shape's centre, of its radius, with tangent frames whose normals
     point away from the centre.
@@ -115,10 +123,8 @@ def as_oriented(basis: Basis) -> Basis:
     Normals of clouds have either sign, and some meshes are inside out. The network's gradients know the sign, which
     must not depend on how a shape was sampled or stands.
     """
-    shares = (basis.mass / basis.mass.sum())[:, None]
-    centred = basis.moved(-(shares * basis.points).sum(dim=0))
-    radius = (shares * centred.points.square()).sum().sqrt()
-    sized = centred.scaled(float(ORIENTER_RADIUS / radius))
+    frame = orienter_frame(basis)
+    sized = basis.scaled(frame.scale).moved(frame.shift)
     along = torch.einsum("njk,kc->njc", sized.gradients, sized.coefficients(sized.points))
     normals = torch.linalg.cross(along[:, 0], along[:, 1])
     inward = (normals * sized.points).sum(dim=1) < 0

@@ -56,7 +56,7 @@ def align_partial(pair: Pair) -> Pair:
     if not pair.is_partial or settings is None or extractor is None or not extractor.info.follows_pose:
         return pair
     full, partial = pair.x, pair.y
-    basis = partial.operators.basis
+    basis, given = partial.operators.basis, partial.operators.turned(partial.rotation.T).points
     found = best_alignment(
         basis,
         extractor,
@@ -64,28 +64,29 @@ def align_partial(pair: Pair) -> Pair:
         full.needed_features(),
         search=extractor.info.partial,
         settings=settings,
-        starts=tuple(_oriented_starts(full, partial, settings)),
+        starts=tuple(_oriented_starts(full, partial, given, settings)),
     )
     if found.points is basis.points:
         return pair
     operators = replace(partial.operators.scaled(found.scale), points=found.points)
     features = Preprocessor(extractor=extractor).features(operators)
-    alignment = best_similarity(partial.operators.turned(partial.rotation.T).points, found.points)
+    alignment = best_similarity(given, found.points)
     aligned = pair.with_y(replace(partial, operators=operators, features=features))
     return replace(aligned, alignment=alignment)
 
 
 def _oriented_starts(
-    full: PreprocessedShape, partial: PreprocessedShape, settings: AlignmentSettings
+    full: PreprocessedShape, partial: PreprocessedShape, given: Float[Tensor, "n 3"], settings: AlignmentSettings
 ) -> Iterator[Start]:
     """Where the features' orienter puts the partial shape on the full one, in the size that it finds, and as given."""
-    onto_full = full.orientations[0].upright if full.orientations else None
-    given = partial.operators.turned(partial.rotation.T).points
+    if not full.orientations or full.orientations[0].upright is None:
+        return
+    onto_full = full.orientations[0].upright.inverse()
     for orientation in partial.orientations[: settings.orientations]:
-        if onto_full is None or orientation.upright is None:
+        if orientation.upright is None:
             continue
-        points = onto_full.inverse()(orientation.upright(given)) @ full.rotation.to(given).T
-        scale = orientation.upright.scale / onto_full.scale
+        points = onto_full(orientation.upright(given)) @ full.rotation.to(given).T
+        scale = orientation.upright.scale * onto_full.scale
         yield points, scale
         centre = points.mean(dim=0)
         yield (points - centre) / scale + centre, 1.0

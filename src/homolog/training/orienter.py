@@ -15,11 +15,11 @@ from homolog.core.progress import Progress, ignore
 from homolog.features import (
     ORIENTER_EIGENPAIRS,
     ORIENTER_NETWORK,
-    ORIENTER_RADIUS,
     ORIENTER_SAMPLES,
     DiffusionNet,
     Orienter,
     as_oriented,
+    orienter_frame,
 )
 from homolog.geometry import Basis
 from homolog.maps import Similarity
@@ -135,16 +135,14 @@ def _upright(store: ShapeStore, name: str, partners: Mapping[str, str]) -> Simil
     ``ORIENTER_RADIUS`` about its centre. A partial shape that is not pre-aligned keeps its own centre.
     """
     full = partners.get(name, name)
-    basis = store.samples(full, MESH).bases[0]
-    shares = (basis.mass / basis.mass.sum())[:, None]
-    centre = (shares * basis.points).sum(dim=0)
-    size = ORIENTER_RADIUS / float((shares * (basis.points - centre).square()).sum().sqrt())
+    frame = orienter_frame(store.samples(full, MESH).bases[0])
     if full == name:
-        return Similarity(torch.eye(3).to(centre), size, -size * centre)
-    partial, offset = store.recipe.partial, torch.zeros_like(centre)
+        return frame
+    partial, shift = store.recipe.partial, torch.zeros_like(frame.shift)
     if partial is not None and partial.pre_aligned:
-        offset = torch.from_numpy(store.frame(full).to_unit(store.frame(name).centre)).to(centre) - centre
-    return Similarity(torch.eye(3).to(centre), size * store.frame(name).scale / store.frame(full).scale, size * offset)
+        place = torch.from_numpy(store.frame(full).to_unit(store.frame(name).centre)).to(shift)
+        shift = frame.scale * place + frame.shift
+    return replace(frame, scale=frame.scale * store.frame(name).scale / store.frame(full).scale, shift=shift)
 
 
 def _some(basis: Basis, random: np.random.Generator) -> Basis:
