@@ -75,6 +75,7 @@ FUNCTIONS = [
 # These take operators, see below; surfaces, which are numpy; lists; or are no functions.
 OTHERS = {
     "closest_point_rotations",
+    "registration_start",
     "coverage",
     "coverage_density",
     "dirichlet_energy",

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from homolog.maps import registered_positions
+from homolog.maps import (
+    RegistrationSettings,
+    Similarity,
+    registered_positions,
+    registration_start,
+    rotation_angle,
+)
 
 
 def skin(n: int, seed: int = 0) -> Tensor:
@@ -119,3 +126,62 @@ def test_few_points_are_drawn_too(n: int) -> None:
 def test_it_keeps_the_kind_of_number() -> None:
     on_y, on_x = registered_positions(skin(50).float(), skin(60).float())
     assert on_y.dtype == on_x.dtype == torch.float32
+
+
+def rotation_about_z(degrees: float) -> Tensor:
+    return torch.from_numpy(Rotation.from_euler("z", degrees, degrees=True).as_matrix())
+
+
+def test_points_that_are_doubled_change_nothing_if_they_share_their_area() -> None:
+    """By hand: twice the points in one half, each of half the area, pull as the points did once."""
+    x, y = skin(500), bent(skin(600, seed=1))
+    upper = y[:, 2] > 0
+    doubled, areas = (
+        torch.cat([y, y[upper]]),
+        torch.cat([torch.where(upper, 0.5, 1.0), torch.full((int(upper.sum()),), 0.5)]),
+    )
+    plain, _ = registered_positions(x, y, settings=RegistrationSettings(start_width=0))
+    shared, _ = registered_positions(x, doubled, areas_y=areas.double(), settings=RegistrationSettings(start_width=0))
+    alike, _ = registered_positions(x, doubled, settings=RegistrationSettings(start_width=0))
+    assert off(shared, plain) < 0.1 * off(alike, plain)
+
+
+def test_areas_make_up_for_unlike_sampling() -> None:
+    """A skin against itself, with four times as many points above as below."""
+    x, many = skin(800), skin(3000, seed=1)
+    kept = (many[:, 2] > 0) | (torch.arange(3000) % 4 == 0)
+    y, areas = many[kept], torch.where(many[kept][:, 2] > 0, 1.0, 4.0).double()
+    by_area = registered_positions(x, y, areas_y=areas)
+    alike = registered_positions(x, y)
+    assert off(by_area[0], x) < 0.5 * off(alike[0], x)
+    assert off(by_area[1], y) < 0.5 * off(alike[1], y)
+    # The two ways are one.
+    back = registered_positions(y, x, areas_x=areas)
+    torch.testing.assert_close(back[0], by_area[1])
+
+
+def lobed(points: Tensor) -> Tensor:
+    """With three lobes about the third axis."""
+    out = points / points.norm(dim=1, keepdim=True)
+    x, y, z = out.T
+    return out * (1 + 0.6 * (x**2 + y**2) * torch.cos(3 * torch.atan2(y, x)) + 0.3 * z)[:, None]
+
+
+def test_the_start_turns_a_distinct_form_back() -> None:
+    turn, y = rotation_about_z(12), 2 * lobed(skin(1700, seed=1)) + 5
+    start = registration_start(lobed(skin(1500)) @ turn.T, y)
+    assert rotation_angle(start.rotation @ turn) < 3
+    assert abs(start.scale - 2) < 0.05
+
+
+def test_the_start_leaves_a_form_that_is_smooth_all_round_as_it_stands() -> None:
+    """Two spheres: nothing tells a turn."""
+    x, y = (skin(1200, seed=seed) / torch.tensor([1, 1.4, 2]) for seed in (0, 1))
+    assert rotation_angle(registration_start(x, y).rotation) < 2
+
+
+def test_a_start_that_is_given_is_taken() -> None:
+    x, turn = bent(skin(700)), rotation_about_z(60)
+    start = Similarity(turn, 3.0, torch.ones(3).double())
+    on_y, on_x = registered_positions(x, start(x), start=start)
+    assert off(on_y, start(x)) < 0.15 and off(on_x, x) < 0.05

@@ -16,7 +16,7 @@ from homolog.maps.functional_map import (
 from homolog.maps.handedness import handedness
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
 from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flipped_triangles
-from homolog.maps.registration import RegistrationSettings, registered_positions
+from homolog.maps.registration import RegistrationSettings, registered_positions, registration_start
 from homolog.maps.rigid import Similarity, best_similarity, rigid_motion
 from homolog.maps.rotations import (
     best_rotation,
@@ -59,6 +59,7 @@ __all__ = [
     "overlap",
     "point_map_from_functional_map",
     "registered_positions",
+    "registration_start",
     "resolvent_mask",
     "rigid_motion",
     "rotation_angle",

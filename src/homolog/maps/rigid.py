@@ -46,6 +46,10 @@ class Similarity:
         """The way back."""
         return Similarity(self.rotation.T, 1 / self.scale, -self.shift @ self.rotation / self.scale)
 
+    def to(self, like: Tensor) -> Similarity:
+        """The same in the precision and on the device of a tensor."""
+        return Similarity(self.rotation.to(like), self.scale, self.shift.to(like))
+
 
 def best_similarity(
     points: Float[Tensor, "n 3"], targets: Float[Tensor, "n 3"], weights: Float[Tensor, " n"] | None = None

@@ -22,12 +22,15 @@ class Supports:
         partial: it can match a partial shape with its full one.
         needs_features: it compares the features of an extractor; otherwise none are computed.
         refinement: its maps are near-isometric, so that ZoomOut can refine them, guided by features if there are any.
+        small_turns: it finds by itself by which angle below 45 degrees one shape is turned against the other, so that
+            only larger turns are looked for.
     """
 
     clouds: bool = True
     partial: bool = True
     needs_features: bool = True
     refinement: bool = True
+    small_turns: bool = False
 
 
 @runtime_checkable
