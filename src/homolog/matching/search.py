@@ -198,7 +198,8 @@ class Samples:
         """The samples of a pair."""
         settings = pair.settings.orientation
         # Each has samples of its own, or shapes of one numbering would have exact counterparts at one way round alone.
-        x, y = (_sampled(shape, settings.samples, seed) for seed, shape in enumerate((pair.source, pair.target)))
+        draw = _sampled if pair.extractor is not None else _drawn_by_area
+        x, y = (draw(shape, settings.samples, seed) for seed, shape in enumerate((pair.source, pair.target)))
         weight = settings.handedness_upright if _has_orientations(pair) else settings.handedness
         refined = pair.near_isometric and pair.method.supports.refinement
         return cls(x, y, pair.extractor, refined, weight, settings)
@@ -249,3 +250,11 @@ def _sampled(shape: PreprocessedShape, count: int, seed: int) -> Basis:
     kept = some_points(shape.operators.n_points, count, seed=seed).to(shape.operators.points.device)
     basis = shape.operators.basis.sampled(kept)
     return basis.turned(shape.rotation.T.to(basis.points))
+
+
+def _drawn_by_area(shape: PreprocessedShape, count: int, seed: int) -> Basis:
+    """The same about its centre, at points drawn by their area: positions alone are compared, of unlike sampling."""
+    mass = shape.operators.mass.cpu().double()
+    drawn = torch.multinomial(mass, min(count, len(mass)), generator=torch.Generator().manual_seed(seed))
+    basis = shape.operators.basis.sampled(drawn.to(shape.operators.points.device))
+    return replace(basis, points=basis.points - basis.points.mean(dim=0)).turned(shape.rotation.T.to(basis.points))
