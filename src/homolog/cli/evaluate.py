@@ -307,6 +307,8 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
         count = f"{found['unmatched_points']}, counted as the diameter ({without:.2f} without them)"
         table.add_row("points without a match", count)
     table.add_row("method", found["method"])
+    if evaluation.choices:
+        table.add_row("matched by", ", ".join(f"{name} {count}" for name, count in evaluation.choices.items()))
     if evaluation.exchanges is not None:
         sides, over = (evaluation.exchanges[way] for way in ("left-right", "turned over"))
         known = sum(evaluation.exchanges.values())

@@ -17,7 +17,7 @@ from homolog.cli.lazy import OTHER
 from homolog.core.choices import PICTURE_WIDTHS, Device, Orient
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved, write_json
-from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
+from homolog.core.pretrained import AUTO_WEIGHTS, weights_file
 from homolog.methods import method_names
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ Weights = Annotated[
         "--weights",
         metavar="NAME|FILE",
         help="Trained weights: the name of pretrained ones, a .safetensors file, or a .pth that the paper's authors "
-        "released. Those for people know no other shapes.",
-        show_default=DEFAULT_WEIGHTS,
+        "released. auto: of people or of animals, whichever know the two shapes, or none where neither do.",
+        show_default=AUTO_WEIGHTS,
         rich_help_panel=METHOD,
     ),
 ]
@@ -190,7 +190,7 @@ def build_matcher(weights: str | None, method: str, device: Device, *, no_cache:
 
 def check_inputs(*shapes: Path, weights: str | None = None) -> None:
     """Refuse files that are not there, or that no shape is read from, before PyTorch is loaded."""
-    if weights is not None:
+    if weights not in (None, AUTO_WEIGHTS):
         weights_file(weights)
     for file in shapes:
         homolog.shapes.files_of_shape(file)

@@ -264,6 +264,7 @@ class _Run:
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
             exchanged=self._exchanged(pair, mapped),
+            chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
         )
 
     def _exchanged(self, pair: PairOfNames, mapped: Int[np.ndarray, " p"]) -> Exchange | None:

@@ -479,6 +479,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "method": match.method,
         "quality": None if match.quality is None else match.quality.to_dict(),
         "options": asdict(pair.options),
+        "choice": [asdict(candidate) for candidate in pair.choice],
         "orientation": _orientation(pair),
         "alignment": _alignment(pair),
         "features": info,

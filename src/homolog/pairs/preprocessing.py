@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
@@ -172,18 +172,33 @@ class Preprocessor:
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(_position("centre", centre))
-        orientations: tuple[Orientation, ...] = ()
-        rotation = torch.eye(3)
         with timings.measure(f"orientation of {label}"):
-            if orient == "auto" and features is None and centre is None:
-                orientations = self.orientations(operators, partial=partial)
-                rotation = orientations[0].rotation if orientations else rotation
-                operators = operators.turned(rotation)
+            is_known = orient == "given" or features is not None or centre is not None
+            orientations = () if is_known else self.orientations(operators, partial=partial)
+            rotation = _best_rotation(orientations)
+            operators = operators.turned(rotation)
         with timings.measure(f"features of {label}"):
             found = self.features(operators) if features is None else _of_points(features, shape, repaired, operators)
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
         return PreprocessedShape(shape, repaired, operators, found, up, orientations, rotation)
+
+    @torch.no_grad()
+    def again(self, shape: PreprocessedShape, *, orient: Orient = "auto", partial: bool = False) -> PreprocessedShape:
+        """A shape with the features of this preprocessor in place of another's, as their orienter finds it to stand.
+
+        Args:
+            shape: preprocessed with other features, by the same operators.
+            orient: as in ``__call__``.
+            partial: likewise.
+        """
+        upright = shape.operators.turned(shape.rotation.T)
+        orientations = () if orient == "given" else self.orientations(upright, partial=partial)
+        rotation = _best_rotation(orientations)
+        turned = upright.turned(rotation)
+        return replace(
+            shape, operators=turned, features=self.features(turned), orientations=orientations, rotation=rotation
+        )
 
     def operators(self, shape: Shape, *, as_cloud: bool = False, scale: float | None = None) -> Operators:
         """The operators of a clean shape, on the device."""
@@ -217,6 +232,10 @@ class Preprocessor:
         name = f"{self.extractor.info.name!r} of {function_name(self.extractor)}"
         found = checked_features(name, self.extractor(operators), operators.points, operators.n_points)
         return found * operators.in_main_component[:, None]
+
+
+def _best_rotation(orientations: Sequence[Orientation]) -> Float[Tensor, "3 3"]:
+    return orientations[0].rotation if orientations else torch.eye(3)
 
 
 def _kept_if_near(orientation: Orientation, degrees: float) -> Orientation:

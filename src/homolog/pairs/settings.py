@@ -152,6 +152,24 @@ class OrientationSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChoiceSettings(Settings):
+    """The choice among features of several kinds of shapes, and of none. New here; chosen on pairs of training shapes.
+
+    Features know a pair as well as their orienter knows the shape that it knows less well: by the misfit of the best
+    orientation, see ``homolog.features.Orientation``. Where no features know a pair, the maps that come into question
+    are made, and that of least ``homolog.matching.map_misfit`` is taken.
+
+    Args:
+        known: misfit up to which features know a pair: they are taken without a look at any map. People have 0.04 to
+            0.08 by the weights for people, animals 0.12 and more.
+        plausible: misfit up to which maps by features are made; that of bones is 0.4 and more.
+    """
+
+    known: NotNegative = 0.1
+    plausible: NotNegative = 0.35
+
+
+@dataclass(frozen=True, kw_only=True)
 class WarningSettings(Settings):
     """When a match is said to be doubtful.
 
@@ -178,6 +196,7 @@ class MatcherSettings(Settings):
         soft_map: the soft map between features.
         axiomatic: the method of that name.
         registration: the method of that name.
+        choice: among features of several kinds of shapes, and of none.
         orientation: the search for the way round of full shapes; ``PairOptions.orient`` says whether there is one.
         alignment: of a partial shape with the full one before matching; None for none.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
@@ -200,6 +219,7 @@ class MatcherSettings(Settings):
     soft_map: SoftMapSettings = field(default_factory=SoftMapSettings)
     axiomatic: AxiomaticSettings = field(default_factory=AxiomaticSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
+    choice: ChoiceSettings = field(default_factory=ChoiceSettings)
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
     alignment: Annotated[AlignmentSettings, "or None"] | None = field(default_factory=AlignmentSettings)
     refinement: Annotated[RefinementSettings, "or None"] | None = field(default_factory=RefinementSettings)
