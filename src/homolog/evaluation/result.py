@@ -150,7 +150,8 @@ class Evaluation:
 
     def rows(self) -> list[list[Any]]:
         """A table of pairs, its header first: names, points, errors, figures of quality, doubts, exchanges,
-        choices, metrics."""
+        choices, metrics.
+        """
         metrics = sorted({name for pair in self.pairs for name in pair.metrics})
         error = f"mean_{self.error_kind}_error"
         header = ["source", "target", "points", "unmatched", error, *MEASURES, "doubtful", "exchanged", "chosen"]
