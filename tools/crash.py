@@ -5,9 +5,9 @@ Run from the root of the checkout, on a system with ``fork``::
     python tools/crash.py crashes --kills 100 --seed 0
 
 Each command first runs twice. What both runs give alike, byte by byte, a killed and repeated run must give as well;
-what differs between these two is not compared, nor are seconds, which they may have alike by chance. No file may be there
-that theirs have not, no process may be left, and a result must be one of the two or be refused. Exits with 1 where
-anything is wrong.
+what differs between these two is not compared, nor are seconds, which they may have alike by chance. No file may be
+there that theirs have not, no process may be left, and a result must be one of the two or be refused. Exits with 1
+where anything is wrong.
 """
 
 from __future__ import annotations

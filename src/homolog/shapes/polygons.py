@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -116,8 +117,9 @@ def _ears(
     starts = np.cumsum(sizes) - sizes
     flat = _in_own_planes(rings, starts, sizes)
     kept, cut_off = _without_spikes(flat, starts, sizes)
-    ears = _clipped(flat, kept)
-    found = np.concatenate([ears, _flat_triangles(ears, kept), cut_off])
+    ears = [_clipped(flat, ring) for ring in kept]
+    lacking = [(found, ring) for found, ring in zip(ears, kept, strict=True) if len(found) < len(ring) - 2]
+    found = np.concatenate([*ears, cut_off, *([_flat_triangles(*zip(*lacking, strict=True))] if lacking else [])])
     # In the order of the polygons, of which those have all that have enough.
     of_polygon = np.searchsorted(starts, found[:, 0], side="right") - 1
     order = np.argsort(of_polygon, kind="stable")
@@ -189,38 +191,35 @@ def _turns_back(u: Any, v: Any, s: Any, t: Any) -> Any:
     return (along <= 0) & (cross**2 <= _ROUNDING * (u * u + v * v) * (s * s + t * t))
 
 
-def _clipped(flat: Float[np.ndarray, "c 2"], kept: list[Int[np.ndarray, " k"]]) -> Int[np.ndarray, "t 3"]:
-    """The ears of all polygons, of the corners that are kept of each."""
-    ends = np.array([[len(corners)] for corners in kept], dtype=np.uint32)
-    found = [
-        corners[mapbox_earcut.triangulate_float64(flat[corners], end)] for corners, end in zip(kept, ends, strict=True)
-    ]
-    return np.concatenate(found).reshape(-1, 3)
+def _clipped(flat: Float[np.ndarray, "c 2"], ring: Int[np.ndarray, " k"]) -> Int[np.ndarray, "t 3"]:
+    """The ears of one polygon, of the corners that are kept of it."""
+    ears = mapbox_earcut.triangulate_float64(flat[ring], np.array([len(ring)], dtype=np.uint32))
+    return ring[ears].reshape(-1, 3)
 
 
-def _flat_triangles(ears: Int[np.ndarray, "t 3"], kept: list[Int[np.ndarray, " k"]]) -> Int[np.ndarray, "f 3"]:
+def _flat_triangles(
+    ears: Sequence[Int[np.ndarray, "t 3"]], rings: Sequence[Int[np.ndarray, " k"]]
+) -> Int[np.ndarray, "f 3"]:
     """Triangles without area where ears have left out repeated corners, or ones on a line, so that no gap opens.
 
     The edges that have no partner among the ears and the polygons' outlines run round what is left out.
     """
-    corners = np.concatenate(kept)
-    lengths = np.array([len(ring) for ring in kept])
+    triangles, corners, lengths = np.concatenate(ears), np.concatenate(rings), np.array([len(ring) for ring in rings])
     ends = np.roll(corners, -1)
     ends[np.cumsum(lengths) - 1] = corners[np.cumsum(lengths) - lengths]
     # Outlines as they run, triangles the other way round: what lies on both sides cancels.
-    edges = np.concatenate([np.stack([corners, ends], axis=1), *(ears[:, [(i + 1) % 3, i]] for i in range(3))])
+    reversed_edges = [triangles[:, [(i + 1) % 3, i]] for i in range(3)]
+    edges = np.concatenate([np.stack([corners, ends], axis=1), *reversed_edges])
     undirected, of_edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
     net = np.bincount(of_edge.reshape(-1), np.where(edges[:, 0] < edges[:, 1], 1, -1), len(undirected))
     after: dict[int, list[int]] = {}
     for start, end in sorted([*undirected[net > 0].tolist(), *undirected[net < 0][:, ::-1].tolist()]):
         after.setdefault(start, []).append(end)
     found = list[tuple[int, int, int]]()
-    while after:
-        loop = [next(iter(after))]
-        while loop[-1] in after and (len(loop) == 1 or loop[-1] != loop[0]):
-            ends_here = after[loop[-1]]
-            loop.append(ends_here.pop())
-            if not ends_here:
-                del after[loop[-2]]
-        found += [(loop[0], b, c) for b, c in pairwise(loop[1:-1])]
+    for first in list(after):
+        while after[first]:
+            loop = [first]
+            while after.get(loop[-1]) and (len(loop) == 1 or loop[-1] != first):
+                loop.append(after[loop[-1]].pop())
+            found += [(first, b, c) for b, c in pairwise(loop[1:-1])]
     return np.array(found, dtype=np.int64).reshape(-1, 3)

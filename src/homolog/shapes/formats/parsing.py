@@ -16,7 +16,7 @@ Space = Literal["RAS", "LPS"]
 """Anatomical axes: x to the right, y to the front and z up, or x to the left, y to the back and z up."""
 
 # Polygons whose triangles are found at a time.
-_POLYGONS = 2**16
+_POLYGONS = 2**14
 # As 3D Slicer writes it into the comments and titles of meshes.
 _SPACE = re.compile(rb"SPACE=(RAS|LPS)\b")
 

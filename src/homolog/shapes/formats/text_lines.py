@@ -44,7 +44,7 @@ def text_blocks(path: Path, *, start: int = 0, padded: bool = False) -> Iterator
         text = TextIOWrapper(file, "utf-16" if utf_16 else "utf-8-sig", errors="replace")
         while block := text.read(_BLOCK):
             parts = [block, text.readline()]
-            while parts[-1].endswith("\\\n"):
+            while (parts[-2][-1:] + parts[-1]).endswith("\\\n"):  # also where a block ends between the two
                 parts.append(text.readline())
             whole = "".join(parts)
             if "\0" in whole and not (padded or utf_16):
