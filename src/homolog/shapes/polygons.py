@@ -142,7 +142,8 @@ def _in_own_planes(
         along = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
         axes = np.stack([along, np.cross(normal, along)], axis=1)
         axes /= np.linalg.norm(axes, axis=2, keepdims=True)
-        return np.einsum("cj,caj->ca", rings, np.repeat(axes, sizes, axis=0))
+        flat: np.ndarray = np.einsum("cj,caj->ca", rings, np.repeat(axes, sizes, axis=0))
+    return flat
 
 
 def _without_spikes(

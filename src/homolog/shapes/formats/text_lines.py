@@ -59,11 +59,10 @@ def text_lines(path: Path, *, start: int = 0, padded: bool = False) -> Iterator[
 
 def content_lines(text: str) -> list[str]:
     """The lines of a text without ``#`` comments, surrounding blanks and empty lines."""
+    lines: Iterable[str] = text.splitlines()
     if "#" in text:
-        stripped = (line.partition("#")[0].strip() for line in text.splitlines())
-    else:
-        stripped = map(str.strip, text.splitlines())
-    return list(filter(None, stripped))
+        lines = (line.partition("#")[0] for line in lines)
+    return list(filter(None, map(str.strip, lines)))
 
 
 def n_lines(lines: Iterable[str]) -> int:
