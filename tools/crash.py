@@ -51,7 +51,7 @@ orienter = {steps = 2}
 """
 N_SHAPES = 5
 # For the workers of a killed command to end.
-_SECONDS_TO_END = 20.0
+_SECONDS_TO_END = 120.0
 # TensorBoard names its files by time and process.
 _BY_TIME = "events.out"
 

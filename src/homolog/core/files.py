@@ -106,14 +106,14 @@ def ordinary(path: str | Path) -> Path:
     return Path(path)
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """The content of an ordinary file.
+def read_bytes(path: str | Path, *, first: int = -1) -> bytes:
+    """The content of an ordinary file, or the ``first`` bytes of it.
 
     Raises:
         OSError: as ``opened`` does.
     """
     with opened(path) as file:
-        return file.read()
+        return file.read(first)
 
 
 def read_text(path: str | Path, *, encoding: str = "utf-8", errors: str = "strict") -> str:

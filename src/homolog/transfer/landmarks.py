@@ -20,8 +20,9 @@ from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, expanded, parse_json, read_text
 from homolog.core.messages import shorten
 from homolog.core.records import check_plain
-from homolog.shapes.formats.parsing import UnreadableError, number_rows
+from homolog.shapes.formats.parsing import UnreadableError
 from homolog.shapes.formats.tables import read_table_lines
+from homolog.shapes.formats.text_lines import number_rows
 
 LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
 """The suffixes of the files that ``read_landmarks`` reads."""
@@ -174,14 +175,15 @@ def _fcsv_row(line: str, position: Float[np.ndarray, " 3"]) -> str:
 def _read_table(path: Path) -> Landmarks:
     # Slicer's own tables name their columns by the system.
     table = read_table_lines(path, other_axes=("lps", "ras"))
-    points = number_rows(table.lines, table.columns, delimiter=table.delimiter)
+    lines_of_rows = list(table.lines)
+    points = number_rows(lines_of_rows, table.columns, delimiter=table.delimiter)
     if not len(points):
         raise UnreadableError("it holds no landmarks")
     text = read_text(path, encoding="utf-8-sig", errors="replace")
 
     def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         rows = iter(points)
-        left = list(table.lines)
+        left = list(lines_of_rows)
         lines = list[str]()
         for line in text.splitlines():
             # Rows come in order; what lies between them are names, comments and empty lines.
