@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,10 +11,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from homolog.core.messages import shorten
+from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
     Arrays,
     UnreadableError,
+    left_out,
+    lines_left_out,
     number_rows,
     polygon_corners,
     read_text,
@@ -23,6 +27,8 @@ from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.polygons import triangulate
 from homolog.shapes.shape import Shape
 
+# Statements of curves and surfaces that are no polygons, those of older versions included.
+_FREE_FORMS = ("curv", "curv2", "surf", "bzp", "bsp", "cdc", "cdp", "res")
 # Statements whose words are names, in which a # is no comment.
 _NAMES = ("usemtl", "mtllib", "newmtl", "map_", "g", "o")
 
@@ -46,22 +52,31 @@ class ObjMesh(NamedTuple):
 def read(path: Path) -> Arrays:
     """Read points and faces of an OBJ file, in file order; no other file is opened."""
     text = read_text(path)
-    mesh = parse_obj(obj_statements(text))
+    statements = obj_statements(text)
+    mesh = parse_obj(statements)
     faces = mesh.corners[mesh.triangles] if len(mesh.sizes) else None
-    return Arrays(mesh.points, faces, space=space_of(text[:1000].encode()))
+    return Arrays(mesh.points, faces, _notes(statements), space_of(text[:1000].encode()))
+
+
+def _notes(statements: list[tuple[str, str]]) -> tuple[Finding, ...]:
+    keys = Counter(key for key, _ in statements)
+    n_free = sum(keys[key] for key in _FREE_FORMS)
+    free = left_out("free-form curves and surfaces", n_free, "export them as polygons if they are part of the shape")
+    return (*lines_left_out(keys["l"]), *((free,) if n_free else ()))
 
 
 def obj_statements(text: str) -> list[tuple[str, str]]:
     """The statements of an OBJ or MTL file: keywords in lower case, and what follows them.
 
-    Lines that end with a backslash go on, and comments are left out; a ``#`` within names is part of them.
+    Lines that end with a backslash go on, and comments are left out; a ``#`` within names is part of them. ``fo``, as
+    older programs write it, is ``f``.
     """
     found = list[tuple[str, str]]()
     for line in text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
         words = line.split(None, 1)
         if not words or words[0].startswith("#"):
             continue
-        key = words[0].lower()
+        key = "f" if words[0].lower() == "fo" else words[0].lower()
         rest = words[1] if len(words) > 1 else ""
         found.append((key, rest.strip() if key.startswith(_NAMES) else rest.partition("#")[0].strip()))
     return found
@@ -82,7 +97,14 @@ def parse_obj(statements: list[tuple[str, str]]) -> ObjMesh:
     if sizes.min() < 3:
         short = shorten("f " + polygons[int(sizes.argmin())])
         raise UnreadableError(f"the face {short!r} has fewer than three corners; {CUT_OFF}")
-    corners = _indices(polygon_corners(lines, sizes, 0), sizes, [key for key, _ in statements])
+    numbers = polygon_corners(lines, sizes, 0)
+    if not numbers.all():
+        face = int(np.searchsorted(np.cumsum(sizes), np.argmin(np.abs(numbers)), side="right"))
+        raise UnreadableError(
+            f"the face {shorten('f ' + polygons[face])!r} names point 0, but OBJ counts points from 1; "
+            "if all its faces count from 0, add 1 to their indices"
+        )
+    corners = _indices(numbers, sizes, [key for key, _ in statements])
     return ObjMesh(points, sizes, corners, triangulate(points, sizes, corners))
 
 

@@ -19,6 +19,7 @@ from homolog.shapes.formats.parsing import (
     polygon_faces,
     polygon_rows,
     read_text,
+    refuse_further_lines,
 )
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape
@@ -46,12 +47,15 @@ def read(path: Path) -> Arrays:
     if plain and len(lines) != n_points + n_faces:
         lines = _rows(lines, n_points, n_faces, 4 if four else 3)
     if len(lines) < n_points + n_faces:
-        raise UnreadableError(f"{n_points} points and {n_faces} faces are announced, but lines are missing; {CUT_OFF}")
+        raise UnreadableError(
+            f"its header announces {n_points} points and {n_faces} faces, but its lines do not hold these; {CUT_OFF}"
+        )
+    refuse_further_lines(len(lines) - n_points - n_faces, f"{n_points} points, {n_faces} faces")
     points = number_rows(lines[:n_points], range(4) if four else range(3))
     if four:
         with np.errstate(all="ignore"):
             points = points[:, :3] / points[:, 3:]
-    faces = lines[n_points : n_points + n_faces]
+    faces = lines[n_points:]
     return Arrays(points, polygon_faces(points, *polygon_rows(faces)) if faces else None)
 
 

@@ -23,9 +23,11 @@ from homolog.shapes.formats.parsing import (
     check_claim,
     content_lines,
     left_out,
+    lines_left_out,
     number_rows,
     polygon_faces,
     polygon_rows,
+    refuse_further_lines,
     space_of,
 )
 from homolog.shapes.shape import Shape
@@ -95,7 +97,8 @@ def read(path: Path) -> Arrays:
     if points is None:
         raise UnreadableError("it has no element vertex")
     faces = None if polygons is None else polygon_faces(points, *polygons)
-    return Arrays(points, faces, notes, space_of(file.header))
+    n_edges = sum(element.count for element in file.elements if element.name == "edge")
+    return Arrays(points, faces, (*notes, *lines_left_out(n_edges)), space_of(file.header))
 
 
 def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
@@ -169,10 +172,7 @@ def _read_text(file: _File, columns: tuple[str, ...]) -> _Parts:
             points = number_rows(rows, [element.text_column(element.position(name)) for name in columns])
         elif element.name == "face" and rows:
             polygons = polygon_rows(rows, element.text_column(element.index_list()))
-    if lines:
-        raise UnreadableError(
-            f"{len(lines)} lines follow the elements that its header announces; correct their counts, or add an element"
-        )
+    refuse_further_lines(len(lines), ", ".join(f"{element.count} {element.name}" for element in file.elements))
     return points, polygons, ()
 
 
