@@ -259,6 +259,13 @@ def check_files(*outputs: Path | None) -> None:
             check_file(output)
 
 
+def check_page_file(output: Path | None) -> None:
+    """Refuse a page that cannot be written, before any work."""
+    if output is not None:
+        check_file(output)
+        homolog.viewing.check_page(output)
+
+
 def check_picture_file(output: Path | None, lines: int, width: int) -> None:
     """Refuse a picture that cannot be written, or what says how to draw one that is not wanted, before any work."""
     if output is not None:

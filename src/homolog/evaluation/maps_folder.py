@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Int
 
 from homolog.core.errors import DataError
-from homolog.core.files import expanded
+from homolog.core.files import expanded, resolved
 from homolog.matching import read_point_map
 from homolog.shapes import Shape
 
@@ -39,7 +39,7 @@ class MapsFolder:
         self.folder, self.base = expanded(folder), base
         if not self.folder.is_dir():
             raise DataError(f"{folder} is not a folder; give one with a file per pair, such as SOURCE_TARGET.txt")
-        self.__name__ = self.folder.resolve().name  # what reports call the method
+        self.__name__ = resolved(self.folder).name  # what reports call the method
 
     def file(self, source: str, target: str) -> Path | None:
         """The file of a pair, by the names of its shapes; None if there is none."""
