@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from homolog.core.arguments import check_choice, check_count, check_kind, given_or_default
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.progress import Timings
+from homolog.core.unchanged import left_unchanged
 from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.matching.alignment import align_partial
@@ -222,8 +223,10 @@ class Matcher:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
         aligned = align_partial(orient(pair))
-        maps = checked_maps(aligned, aligned.method(aligned))
-        return Match.of(aligned, refine(aligned, maps))
+        lent = {f"{name} of {one.name}": t for one in (aligned.x, aligned.y) for name, t in one.tensors().items()}
+        with left_unchanged(f"method {aligned.method.name!r}", lent):
+            maps = aligned.method(aligned)
+        return Match.of(aligned, refine(aligned, checked_maps(aligned, maps)))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result and their units; see ``match``."""
