@@ -188,6 +188,11 @@ def build_matcher(weights: str | None, method: str, device: Device, *, no_cache:
     return Matcher(features_of_weights(weights, settings), settings=settings, device=device, operators=operators)
 
 
+def described(matcher: Matcher, *, warnings: str = "warnings") -> dict[str, Any]:
+    """What maps were made with, for reports; ``warnings`` names the entry of those that hold for every pair."""
+    return {warnings: list(matcher.warnings), **matcher.describe()}
+
+
 def check_inputs(*shapes: Path, weights: str | None = None) -> None:
     """Refuse files that are not there, or that no shape is read from, before PyTorch is loaded."""
     if weights is not None:

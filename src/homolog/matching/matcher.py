@@ -253,18 +253,18 @@ class Matcher:
         units = unit_warnings(pair)
         with timings[0].measure("map"), blaming(units):
             ways = orientations(pair, count)
-            best = self._checked(pair, self.find(ways[0]), units)
+            best = self._checked(ways[0], self.find(ways[0]), units)
         if pair.options.strict and best.warnings:
             raise ShapeError(f"{best.warnings[0]} (refused as strict)")
         others = []
         for way, own in zip(ways[1:], timings[1:], strict=False):
             with own.measure("map"):
-                others.append(self._checked(pair, self.find(way), units))
+                others.append(self._checked(way, self.find(way), units))
         return [best, *others]
 
     def _checked(self, pair: Pair, match: Match, units: tuple[str, ...]) -> Match:
-        """A match of a pair with all that there is to warn of."""
-        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair, match))
+        """A match of a pair, turned as it was matched, with all that there is to warn of."""
+        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
         doubts = low_confidence_warnings(match, self.settings.warnings, pair=pair)
         return replace(match, warnings=(*self.warnings, *units, *checks, *doubts))
 

@@ -68,6 +68,11 @@ class PreprocessedShape:
         """``"mesh"`` or ``"cloud"``."""
         return self.repaired.shape.modality
 
+    @property
+    def points_as_given(self) -> Float[Tensor, "n 3"]:
+        """The operators' positions before anything turned them (n, 3): those of the file, upright and normalised."""
+        return self.operators.turned(self.rotation.T).points
+
     def tensors(self) -> dict[str, Tensor]:
         """All tensors that methods are lent, by their names."""
         return {**self.operators.tensors(), **({} if self.features is None else {"features": self.features})}
