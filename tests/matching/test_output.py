@@ -13,6 +13,7 @@ import trimesh
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.progress import Timings
+from homolog.core.versions import versions
 from homolog.matching import Match, matched_colours, position_colours, read_point_map, write_folder
 from homolog.shapes import Shape, read_shape
 from homolog.shapes.formats import formats
@@ -21,6 +22,7 @@ NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
 GREY = [160, 160, 160]
 INPUTS = {"source": {"name": "sphere"}, "target": {"name": "cloud"}}
 REPORT = {"answer": 42, "inputs": INPUTS, "method": "nearest-features", "warnings": ["look!"]}
+WRITTEN = {**REPORT, "versions": versions()}
 
 
 @pytest.fixture
@@ -97,13 +99,13 @@ def test_the_four_files(shapes, found, tmp_path):
         if given.faces is not None:
             np.testing.assert_array_equal(written.faces, given.faces)
     hashes = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths[:3]}
-    assert json.loads(paths[3].read_text()) == {**REPORT, "sha256": hashes}
+    assert json.loads(paths[3].read_text()) == {**WRITTEN, "sha256": hashes}
 
 
 def test_a_result_is_read_back(shapes, found, tmp_path):
     assert found.save(tmp_path) == [tmp_path / name for name in NAMES]
     result = Match.load(tmp_path)
-    assert result.report == REPORT
+    assert result.report == WRITTEN
     assert (result.method, result.warnings) == ("nearest-features", ("look!",))
     for name in ("source_to_target", "target_to_source", "source_confidence", "target_confidence"):
         np.testing.assert_array_equal(getattr(result, name), getattr(found, name))
@@ -266,7 +268,8 @@ def test_a_report_may_tell_more_than_is_read(found, tmp_path):
     given.save(tmp_path)
     told = Match.load(tmp_path).report
     assert told.pop("inputs") == {"source": {"name": "sphere", "colour": None}, "target": {"name": "cloud"}}
-    assert told == {name: more[name] for name in ("options", "more")} | {"method": given.method, "warnings": ["look!"]}
+    ours = {"method": given.method, "warnings": ["look!"], "versions": versions()}
+    assert told == {name: more[name] for name in ("options", "more")} | ours
 
 
 @pytest.mark.parametrize(
@@ -418,7 +421,7 @@ def test_other_files_in_the_folder_stay(shapes, found, tmp_path):
     (tmp_path / "report.json").write_text("old")
     write_folder(tmp_path, found)
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert Match.load(tmp_path).report == REPORT
+    assert Match.load(tmp_path).report == WRITTEN
 
 
 def test_out_is_a_file(shapes, found, tmp_path):
@@ -511,5 +514,5 @@ def test_a_result_takes_the_place_of_an_earlier_one(shapes, found, tmp_path):
     with_former_result(tmp_path / "result", NAMES)
     write_folder(tmp_path / "result", found)
     assert sorted(path.name for path in (tmp_path / "result").iterdir()) == sorted(NAMES)
-    assert Match.load(tmp_path / "result").report == REPORT
+    assert Match.load(tmp_path / "result").report == WRITTEN
     assert colours_in(tmp_path / "result" / "source.ply").shape == (162, 3)

@@ -24,8 +24,9 @@ _KINDS: tuple[tuple[tuple[type[BaseException], ...], str], ...] = (
     ((IndexError,), "a number in it leads nowhere"),
     ((TypeError, AttributeError), "one of its entries is of another kind than it should be"),
 )
-# What NumPy says of text, and the same in words that name what is in the file; and what its rows lack to count from 1.
-_OF_TEXT: tuple[tuple[str, str, int], ...] = (
+# What libraries say, NumPy of text above all, and the same in words that name what is in the file; and what is to be
+# added to the number of a row, so that all count from 1.
+_SAID: tuple[tuple[str, str, int], ...] = (
     (
         r"could not convert string (?P<found>'.*') to \w+ at row (?P<row>\d+)",
         "row {row} holds {found}, which is no such number",
@@ -37,6 +38,9 @@ _OF_TEXT: tuple[tuple[str, str, int], ...] = (
         0,
     ),
     (r"input contained no data", "it holds no numbers", 0),
+    (r"PytorchStreamReader|Weights only load failed", "it is damaged, or PyTorch has not written it", 0),
+    (r"deserializing header", "its header is damaged, or it is no safetensors file", 0),
+    (r"Unknown mat file type", "it is damaged, or MATLAB has not written it", 0),
 )
 # pydantic's names of mistakes, and what is allowed instead; others are said in its own words.
 _ALLOWED = {
@@ -79,20 +83,24 @@ def _reason(error: BaseException) -> str:
         return f"it is no valid JSON at line {error.lineno}, column {error.colno}"
     if isinstance(error, OSError) and error.strerror:
         return error.strerror
-    if isinstance(error, KeyError) and error.args:
-        return f"it has no entry {error.args[0]!r}"
+    if isinstance(error, KeyError):
+        return (
+            f"it has no entry {shown(error.args[0])}"
+            if error.args and isinstance(error.args[0], str)
+            else "it is damaged"
+        )
     if type(error).__name__ == "ValidationError" and hasattr(error, "errors"):
         return _mistake(error.errors(include_url=False)[0])
     words = next((words for kinds, words in _KINDS if isinstance(error, kinds)), None)
-    return words or _of_text(str(error)) or type(error).__name__
+    return words or _in_our_words(str(error)) or type(error).__name__
 
 
-def _of_text(said: str) -> str:
-    """What was said, in our words where NumPy said it of a text."""
-    for pattern, words, missing in _OF_TEXT:
+def _in_our_words(said: str) -> str:
+    """What was said, in our words where a library is known to say it."""
+    for pattern, words, missing in _SAID:
         if found := re.search(pattern, said):
             parts = found.groupdict()
-            return words.format(found=parts.get("found"), row=int(parts.get("row", 0)) + missing)
+            return words.format(found=shorten(parts.get("found"), 40), row=int(parts.get("row", 0)) + missing)
     return said
 
 

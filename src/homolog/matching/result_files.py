@@ -34,6 +34,7 @@ from homolog.core.progress import Timings
 from homolog.core.reader_process import read_in_process
 from homolog.core.reasons import reason_of
 from homolog.core.records import read_record, record
+from homolog.core.versions import versions
 from homolog.matching.colours import matched_colours
 from homolog.matching.quality import MapQuality
 from homolog.pairs import SIDES, PairOptions, Side
@@ -152,7 +153,7 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
             told["quality"] = match.quality.to_dict()
         if timings is not None:
             told["timings"] = [asdict(timing) for timing in timings.finished]
-        write_json(paths[3], {**match.report, **told})
+        write_json(paths[3], {"versions": versions(), **match.report, **told})
     return paths
 
 
