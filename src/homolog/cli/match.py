@@ -27,9 +27,9 @@ from homolog.cli.options import (
     Verbose,
     Weights,
     build_matcher,
-    check_file,
     check_folder,
     check_inputs,
+    check_page_file,
     check_picture_file,
     set_verbosity,
 )
@@ -132,8 +132,7 @@ def match(
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
     check_folder(output, names=homolog.matching.RESULT_FILES)
-    if page is not None:
-        check_file(page)
+    check_page_file(page)
     check_picture_file(picture, lines, picture_width)
     for number in range(2, alternatives + 1):
         check_folder(output / f"alternative-{number}", names=homolog.matching.RESULT_FILES)

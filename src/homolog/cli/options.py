@@ -188,6 +188,11 @@ def build_matcher(weights: str | None, method: str, device: Device, *, no_cache:
     return Matcher(features_of_weights(weights, settings), settings=settings, device=device, operators=operators)
 
 
+def described(matcher: Matcher, *, warnings: str = "warnings") -> dict[str, Any]:
+    """What maps were made with, for reports; ``warnings`` names the entry of those that hold for every pair."""
+    return {warnings: list(matcher.warnings), **matcher.describe()}
+
+
 def check_inputs(*shapes: Path, weights: str | None = None) -> None:
     """Refuse files that are not there, or that no shape is read from, before PyTorch is loaded."""
     if weights not in (None, AUTO_WEIGHTS):
@@ -257,6 +262,13 @@ def check_files(*outputs: Path | None) -> None:
     for output in outputs:
         if output is not None:
             check_file(output)
+
+
+def check_page_file(output: Path | None) -> None:
+    """Refuse a page that cannot be written, before any work."""
+    if output is not None:
+        check_file(output)
+        homolog.viewing.check_page(output)
 
 
 def check_picture_file(output: Path | None, lines: int, width: int) -> None:

@@ -295,7 +295,8 @@ def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) ->
     """What a metric of one's own gives for a pair, as a number."""
     found: Any = metric(scored)
     try:
-        figure = float(found)
+        # To Python, True is a number; here it is mostly a comparison whose mean was forgotten.
+        figure = math.nan if np.asarray(found).dtype == bool else float(found)
     except (TypeError, ValueError, RuntimeError):
         figure = math.nan
     if not math.isfinite(figure):

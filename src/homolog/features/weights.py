@@ -15,8 +15,9 @@ from typing_extensions import NotRequired, TypedDict  # before Python 3.12 pydan
 from homolog.core.arguments import check_kind
 from homolog.core.errors import WeightsError
 from homolog.core.files import sha256
-from homolog.core.messages import shorten, shown
+from homolog.core.messages import shown
 from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
+from homolog.core.reasons import reason_of
 from homolog.core.records import checked_json, record
 from homolog.core.tensors import read_tensors, write_tensors
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
@@ -100,7 +101,7 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     except PermissionError as error:
         raise WeightsError(f"{path} cannot be read: {error.strerror}; change its permissions") from None
     except Exception as error:  # on damaged bytes the readers raise nearly anything
-        reason = shorten(error, 160) or type(error).__name__
+        reason = reason_of(error)
         raise WeightsError(f"{path} does not hold weights of this network ({reason}); check the file") from None
     networks = [network] if orienter is None else [network, orienter.network]
     if not all(torch.isfinite(tensor).all() for each in networks for tensor in each.state_dict().values()):

@@ -56,7 +56,7 @@ def align_partial(pair: Pair) -> Pair:
     if not pair.is_partial or settings is None or extractor is None or not extractor.info.follows_pose:
         return pair
     full, partial = pair.x, pair.y
-    basis, given = partial.operators.basis, partial.operators.turned(partial.rotation.T).points
+    basis, given = partial.operators.basis, partial.points_as_given
     found = best_alignment(
         basis,
         extractor,

@@ -15,6 +15,7 @@ from homolog.core.arguments import check_choice, check_count, check_kind, given_
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Timings
+from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, FeatureInfo, on_device
 from homolog.geometry import compute_operators
 from homolog.matching.alignment import align_partial
@@ -254,8 +255,10 @@ class Matcher:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
         aligned = align_partial(orient(pair))
-        maps = checked_maps(aligned, aligned.method(aligned))
-        return Match.of(aligned, refine(aligned, maps))
+        lent = {f"{name} of {one.name}": t for one in (aligned.x, aligned.y) for name, t in one.tensors().items()}
+        with left_unchanged(f"method {aligned.method.name!r}", lent):
+            maps = aligned.method(aligned)
+        return Match.of(aligned, refine(aligned, checked_maps(aligned, maps)))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result and their units; see ``match``."""
@@ -282,18 +285,18 @@ class Matcher:
         units = unit_warnings(pair)
         with timings[0].measure("map"), blaming(units):
             ways = orientations(pair, count)
-            best = self._checked(pair, self.find(ways[0]), units)
+            best = self._checked(ways[0], self.find(ways[0]), units)
         if pair.options.strict and best.warnings:
             raise ShapeError(f"{best.warnings[0]} (refused as strict)")
         others = []
         for way, own in zip(ways[1:], timings[1:], strict=False):
             with own.measure("map"):
-                others.append(self._checked(pair, self.find(way), units))
+                others.append(self._checked(way, self.find(way), units))
         return [best, *others]
 
     def _checked(self, pair: Pair, match: Match, units: tuple[str, ...]) -> Match:
-        """A match of a pair with all that there is to warn of."""
-        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair, match))
+        """A match of a pair, turned as it was matched, with all that there is to warn of."""
+        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
         doubts = low_confidence_warnings(match, self.settings.warnings, pair=pair)
         return replace(match, warnings=(*self.warnings, *units, *checks, *doubts))
 

@@ -17,6 +17,7 @@ from homolog.core.choices import Orient
 from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
+from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, Orientation, checked_features
 from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, unit_frame
 from homolog.maps import rotation_angle
@@ -66,6 +67,15 @@ class PreprocessedShape:
     def modality(self) -> Modality:
         """``"mesh"`` or ``"cloud"``."""
         return self.repaired.shape.modality
+
+    @property
+    def points_as_given(self) -> Float[Tensor, "n 3"]:
+        """The operators' positions before anything turned them (n, 3): those of the file, upright and normalised."""
+        return self.operators.turned(self.rotation.T).points
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All tensors that methods are lent, by their names."""
+        return {**self.operators.tensors(), **({} if self.features is None else {"features": self.features})}
 
     def needed_features(self) -> Float[Tensor, "n d"]:
         """The features, where a method cannot do without them.
@@ -230,7 +240,9 @@ class Preprocessor:
         if self.extractor is None:
             return None
         name = f"{self.extractor.info.name!r} of {function_name(self.extractor)}"
-        found = checked_features(name, self.extractor(operators), operators.points, operators.n_points)
+        with left_unchanged(f"what computes the features {name}", operators.tensors()):
+            values = self.extractor(operators)
+        found = checked_features(name, values, operators.points, operators.n_points)
         return found * operators.in_main_component[:, None]
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from homolog.core.arguments import check_choice, check_kind
 from homolog.core.errors import HomologError, ShapeError
 from homolog.core.files import expanded, sha256
-from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 from homolog.shapes.formats import formats, imports_of, readable_suffixes
 from homolog.shapes.formats.gltf import Pose
 from homolog.shapes.formats.parsing import Arrays, UnreadableError
@@ -161,8 +161,7 @@ def _reason(error: Exception) -> str:
         return error.strerror
     if isinstance(error, MemoryError):
         return "it does not fit into memory; reduce it first"
-    said = shorten(error, 100)
-    return f"it is damaged or not of this format ({type(error).__name__}{': ' if said else ''}{said})"
+    return f"it is damaged or not of this format ({reason_of(error, 100)})"
 
 
 def _check_content(shape: Shape) -> None:

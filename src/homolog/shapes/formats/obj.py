@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -12,11 +13,22 @@ from jaxtyping import Float, Int
 
 from homolog.core.files import read_bytes
 from homolog.core.messages import shorten
-from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, polygon_faces, space_of
+from homolog.shapes.finding import Finding
+from homolog.shapes.formats.parsing import (
+    CUT_OFF,
+    Arrays,
+    UnreadableError,
+    left_out,
+    lines_left_out,
+    polygon_faces,
+    space_of,
+)
 from homolog.shapes.formats.text_lines import GrowingArray, Polygons, batches, number_rows, polygon_corners, text_blocks
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape
 
+# Statements of curves and surfaces that are no polygons, those of older versions included.
+_FREE_FORMS = ("curv", "curv2", "surf", "bzp", "bsp", "cdc", "cdp", "res")
 # Statements whose words are names, in which a # is no comment.
 _NAMES = ("usemtl", "mtllib", "newmtl", "map_", "g", "o")
 
@@ -37,22 +49,36 @@ class ObjMesh(NamedTuple):
 
 def read(path: Path) -> Arrays:
     """Read points and faces of an OBJ file, in file order; no other file is opened."""
-    mesh = parse_obj(obj_statements(path))
+    keys = Counter[str]()
+    mesh = parse_obj(_counted(obj_statements(path), keys))
     faces = polygon_faces(*mesh) if len(mesh.sizes) else None
-    return Arrays(mesh.points, faces, space=space_of(read_bytes(path, first=1000)))
+    return Arrays(mesh.points, faces, _notes(keys), space_of(read_bytes(path, first=1000)))
+
+
+def _counted(statements: Iterable[tuple[str, str]], keys: Counter[str]) -> Iterator[tuple[str, str]]:
+    for statement in statements:
+        keys[statement[0]] += 1
+        yield statement
+
+
+def _notes(keys: Counter[str]) -> tuple[Finding, ...]:
+    n_free = sum(keys[key] for key in _FREE_FORMS)
+    free = left_out("free-form curves and surfaces", n_free, "export them as polygons if they are part of the shape")
+    return (*lines_left_out(keys["l"]), *((free,) if n_free else ()))
 
 
 def obj_statements(path: Path) -> Iterator[tuple[str, str]]:
     """The statements of an OBJ or MTL file: keywords in lower case, and what follows them.
 
-    Lines that end with a backslash go on, and comments are left out; a ``#`` within names is part of them.
+    Lines that end with a backslash go on, and comments are left out; a ``#`` within names is part of them. ``fo``, as
+    older programs write it, is ``f``.
     """
     for block in text_blocks(path):
         for line in block.replace("\\\n", " ").splitlines():
             words = line.split(None, 1)
             if not words or words[0].startswith("#"):
                 continue
-            key = words[0].lower()
+            key = "f" if words[0].lower() == "fo" else words[0].lower()
             rest = words[1] if len(words) > 1 else ""
             yield key, rest.strip() if key.startswith(_NAMES) else rest.partition("#")[0].strip()
 
@@ -80,7 +106,14 @@ def _polygons(polygons: list[str]) -> Polygons:
     if sizes.min() < 3:
         short = shorten("f " + polygons[int(sizes.argmin())])
         raise UnreadableError(f"the face {short!r} has fewer than three corners; {CUT_OFF}")
-    return sizes, polygon_corners(lines, sizes, 0)
+    numbers = polygon_corners(lines, sizes, 0)
+    if not numbers.all():
+        face = int(np.searchsorted(np.cumsum(sizes), np.argmin(np.abs(numbers)), side="right"))
+        raise UnreadableError(
+            f"the face {shorten('f ' + polygons[face])!r} names point 0, but OBJ counts points from 1; "
+            "if all its faces count from 0, add 1 to their indices"
+        )
+    return sizes, numbers
 
 
 def _indices(

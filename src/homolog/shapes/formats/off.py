@@ -11,7 +11,14 @@ import numpy as np
 
 from homolog.core.files import read_bytes
 from homolog.core.messages import shorten
-from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, polygon_faces
+from homolog.shapes.formats.parsing import (
+    CUT_OFF,
+    Arrays,
+    UnreadableError,
+    check_claim,
+    polygon_faces,
+    refuse_further_lines,
+)
 from homolog.shapes.formats.text_lines import n_lines, number_rows, polygon_rows, text_lines
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape
@@ -40,10 +47,13 @@ def read(path: Path) -> Arrays:
     size, width = path.stat().st_size, 4 if four else 3
     check_claim(n_points, "points", 6, size)
     check_claim(n_faces, "faces", 2, size)
-    n_found = n_lines(_behind(path, head))
-    free = plain and n_found != n_points + n_faces and _fits(path, head, n_points, n_faces, width)
-    if n_found < n_points + n_faces and not free:
-        raise UnreadableError(f"{n_points} points and {n_faces} faces are announced, but lines are missing; {CUT_OFF}")
+    n_over = n_lines(_behind(path, head)) - n_points - n_faces
+    free = bool(plain and n_over and _fits(path, head, n_points, n_faces, width))
+    if n_over < 0 and not free:
+        raise UnreadableError(
+            f"its header announces {n_points} points and {n_faces} faces, but its lines do not hold these; {CUT_OFF}"
+        )
+    refuse_further_lines(0 if free else n_over, f"{n_points} points, {n_faces} faces")
     lines = _behind(path, head)
     lines = _rows(_words(lines), n_points, n_faces, width) if free else lines
     points = number_rows(islice(lines, n_points), range(width))

@@ -42,6 +42,11 @@ def left_out(what: str, count: int, why: str) -> Finding:
     return Finding(what, count, "note", f"left out; {why}")
 
 
+def lines_left_out(count: int) -> tuple[Finding, ...]:
+    """A note on the lines of a file, if it has some."""
+    return (left_out("lines", count, "a shape has points and triangles"),) if count else ()
+
+
 def space_of(head: bytes) -> Space | None:
     """The anatomical axes that the comments of a file name, as 3D Slicer writes them."""
     found = _SPACE.search(head)
@@ -68,6 +73,20 @@ class UnreadableError(Exception):
 
 
 CUT_OFF = "the file is cut off or damaged; export it again"
+
+
+def refuse_further_lines(count: int, announced: str) -> None:
+    """Refuse a text that goes on after all that its header announces: what is more would be lost.
+
+    Args:
+        count: the lines that follow.
+        announced: what the header announces, such as ``"4 points, 2 faces"``.
+    """
+    if count > 0:
+        follow = "1 line follows" if count == 1 else f"{count} lines follow"
+        raise UnreadableError(
+            f"{follow} the elements that its header announces ({announced}); correct its counts, or remove those lines"
+        )
 
 
 def check_claim(count: int, what: str, smallest: int, available: int) -> None:

@@ -25,7 +25,9 @@ from homolog.shapes.formats.parsing import (
     UnreadableError,
     check_claim,
     left_out,
+    lines_left_out,
     polygon_faces,
+    refuse_further_lines,
     space_of,
 )
 from homolog.shapes.formats.text_lines import Polygons, n_lines, number_rows, polygon_rows, text_lines
@@ -100,7 +102,8 @@ def read(path: Path) -> Arrays:
     if points is None:
         raise UnreadableError("it has no element vertex")
     faces = None if polygons is None else polygon_faces(points, *polygons)
-    return Arrays(points, faces, notes, space_of(file.header))
+    n_edges = sum(element.count for element in file.elements if element.name == "edge")
+    return Arrays(points, faces, (*notes, *lines_left_out(n_edges)), space_of(file.header))
 
 
 def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
@@ -190,10 +193,7 @@ def _read_text(file: _File, columns: tuple[str, ...]) -> _Parts:
         elif element.name == "face" and count:
             polygons = polygon_rows(rows, element.text_column(element.index_list()))
         deque(rows, maxlen=0)  # of other elements
-    if left:
-        raise UnreadableError(
-            f"{left} lines follow the elements that its header announces; correct their counts, or add an element"
-        )
+    refuse_further_lines(left, ", ".join(f"{element.count} {element.name}" for element in file.elements))
     return points, polygons, ()
 
 

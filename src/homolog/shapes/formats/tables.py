@@ -128,8 +128,17 @@ def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLi
     names = names or _commented_names(text, lines[0])
     if not names and len(cells) > 3 and _starts_with_index(rows, repeated=has_elements):
         note = left_out("first column", 1, "it names or numbers the rows")
-        return TableLines(rows, [1, 2, 3], delimiter, notes=(note,))
-    return TableLines(rows, _xyz_columns(names), delimiter)
+        return TableLines(rows, [1, 2, 3], delimiter, notes=(note, *_other_columns(cells[1:], "the next three")))
+    columns = _xyz_columns(names)
+    notes = _other_columns(cells, ", ".join(names[column] for column in columns) if names else "the first three")
+    return TableLines(rows, columns, delimiter, notes=notes)
+
+
+def _other_columns(cells: list[str], taken: str) -> tuple[Finding, ...]:
+    """A note on the columns beside the coordinates, if there are some, which says what was taken instead."""
+    count = sum(map(bool, cells)) - 3
+    why = f"the coordinates are {taken}; if they are not, name their columns x, y and z in a first row"
+    return (left_out("other columns", count, why),) if count > 0 else ()
 
 
 def _without_count(text: str, lines: list[str], path: Path, skip: int) -> tuple[list[str], bool]:
