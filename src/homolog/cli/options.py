@@ -130,7 +130,7 @@ Page = Annotated[
     Path | None,
     typer.Option(
         "--html",
-        metavar="FILE",
+        metavar="FILE.html",
         help="Write one page that shows both shapes; it opens from disk, without network.",
         rich_help_panel=OUTPUT,
     ),

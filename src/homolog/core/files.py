@@ -36,7 +36,7 @@ _temporary_files: set[Path] = set()
 _TEMPORARY_NAME = re.compile(r"\.homolog-([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{12}(\..*)?", re.DOTALL)
 # The second in which a process began follows from the machine's clock, which may be set meanwhile.
 _CLOCK_SECONDS = 5
-PATH_NEEDED = "the path of a file or folder; the current folder is '.'"
+PATH_NEEDED = "a path to a file or folder; the current folder is '.'"
 """What to say of an empty path, which ``pathlib`` takes for the current folder."""
 # What begins so, spreadsheets take for a formula, and run it.
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")

@@ -42,7 +42,7 @@ _SAID: tuple[tuple[str, str, int], ...] = (
     (r"deserializing header", "its header is damaged, or it is no safetensors file", 0),
     (r"Unknown mat file type", "it is damaged, or MATLAB has not written it", 0),
 )
-# pydantic's names of mistakes, and what is allowed instead; others are said in its own words.
+# pydantic's names of mistakes, and what is allowed instead.
 _ALLOWED = {
     "string_type": "a text",
     "bool_type": "true or false",
@@ -112,7 +112,5 @@ def _mistake(details: ErrorDetails) -> str:
     context: dict[str, Any] = details.get("ctx", {})
     if details["type"] == "value_error":
         return f"its entry {entry} is not as it should be: {context['error']}"
-    allowed = _ALLOWED.get(details["type"])
-    if allowed is None:
-        return f"its entry {entry} is not as it should be: {details['msg']}"
+    allowed = _ALLOWED.get(details["type"], "of another kind")
     return f"its entry {entry} is {shown(details['input'])}, but must be {allowed.format(**context)}"
