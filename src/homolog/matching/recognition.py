@@ -7,6 +7,7 @@ made, and the one that contradicts itself least is believed.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,10 +18,12 @@ from homolog.matching.choice import extractor_for, method_between
 from homolog.matching.quality import MapQuality
 from homolog.matching.result import Match
 from homolog.methods import AUTO, as_method, find_method
-from homolog.pairs import Candidate, Pair, PreprocessedShape
+from homolog.pairs import Candidate, ChoiceSettings, Pair, PreprocessedShape
 
 # In the order in which they are believed where their maps are as good.
 _WITHOUT_FEATURES = ("axiomatic", "registration")
+# The energy of an isometry is 1; of a map to one point it is 0.
+_LEAST_ENERGY = 0.1
 
 Seen = Callable[[PreprocessedShape, FeatureExtractor | None], PreprocessedShape]
 """A shape with other features than it has, as they find it to stand."""
@@ -58,10 +61,24 @@ def choose(pair: Pair, extractors: Sequence[FeatureExtractor], seen: Seen, find:
     return replace(ways[0].pair, choice=tuple(way.candidate for way in ways))
 
 
-def map_misfit(quality: MapQuality) -> float:
-    """How much a map contradicts itself: where it tears, and where the way there and back does not end at its start."""
+def map_misfit(quality: MapQuality, settings: ChoiceSettings | None = None) -> float:
+    """How much a map contradicts itself: where it tears or turns over, and where there and back ends elsewhere.
+
+    A smooth map tears nowhere, and may be wrong all the same: where it is, triangles are turned over.
+
+    Examples:
+        >>> import homolog
+        >>> from homolog.matching import map_misfit
+        >>> source, target = homolog.demo_shapes()
+        >>> right = homolog.match(source, target, weights="people")
+        >>> wrong = homolog.match(source, target, method="registration")  # which is for shapes in one pose
+        >>> map_misfit(right.quality) < map_misfit(wrong.quality)
+        True
+    """
+    settings = settings or ChoiceSettings()
     figures = quality.mean
-    return figures.dirichlet_energy + 10 * figures.cycle_error - figures.coverage
+    torn = math.log(max(figures.dirichlet_energy, _LEAST_ENERGY))
+    return torn + settings.cycle * figures.cycle_error + settings.flipped * (figures.flipped_triangles or 0)
 
 
 def _misfit_of(way: _Way) -> float:
@@ -106,4 +123,4 @@ def _without_features(pair: Pair, seen: Seen) -> Iterator[_Way]:
 def _mapped(way: _Way, find: Callable[[Pair], Match]) -> _Way:
     quality = find(way.pair).quality
     assert quality is not None
-    return replace(way, candidate=replace(way.candidate, map_misfit=map_misfit(quality)))
+    return replace(way, candidate=replace(way.candidate, map_misfit=map_misfit(quality, way.pair.settings.choice)))

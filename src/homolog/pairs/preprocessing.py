@@ -71,7 +71,7 @@ class PreprocessedShape:
     @property
     def points_as_given(self) -> Float[Tensor, "n 3"]:
         """The operators' positions before anything turned them (n, 3): those of the file, upright and normalised."""
-        return self.operators.turned(self.rotation.T).points
+        return self.operators.points @ self.rotation.to(self.operators.points)
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors that methods are lent, by their names."""
