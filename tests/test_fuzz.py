@@ -19,7 +19,7 @@ def fuzz(out: Path, *options: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.skipif(sys.platform != "linux", reason="the memory of a worker is told on Linux")
 @pytest.mark.slow
 def test_a_thousand_mutants(tmp_path: Path) -> None:
-    done = fuzz(tmp_path, "--mutants", "1000", "--seed", "7")
+    done = fuzz(tmp_path, "--mutants", "1000", "--seed", "7", "--seconds", "120")
     assert "1000 files in" in done.stdout, done.stdout + done.stderr
     assert done.returncode == 0, done.stdout
 
@@ -34,11 +34,11 @@ def test_a_failure_is_printed_and_its_file_kept(tmp_path: Path) -> None:
         "import ctypes, os, time, fuzz, numpy as np\n"
         "def read(file):\n"
         "    kind = int(file.read_bytes()[:1])\n"
-        "    [lambda: ctypes.string_at(0), lambda: 1 / 0, lambda: time.sleep(60), lambda: np.ones(50_000_000),\n"
+        "    [lambda: ctypes.string_at(0), lambda: 1 / 0, lambda: time.sleep(600), lambda: np.ones(50_000_000),\n"
         "     lambda: os.write(1, b'noise'), lambda: None][kind]()\n"
         "fuzz.READERS['shape'] = read\n"
         f"options = ['--out', {str(tmp_path / 'out')!r}, '--files', {str(tmp_path / 'in')!r}]\n"
-        "sys.exit(fuzz.main(['--seconds', '15', *options]))\n"
+        "sys.exit(fuzz.main(['--seconds', '40', *options]))\n"
     )
     (tmp_path / "in").mkdir()
     for kind in range(6):

@@ -4,8 +4,8 @@ Run from the root of the checkout, on a system with ``fork``::
 
     python tools/crash.py crashes --kills 100 --seed 0
 
-Each command first runs twice. What both runs give alike, byte by byte, a killed and repeated run must give as well;
-what differs between these two is not compared, nor are seconds, which they may have alike by chance. No file may be there
+Each command first runs twice. What both give alike, byte by byte, a killed and repeated run must give as well; what
+differs between these two is not compared, nor are seconds, which they may have alike by chance. No file may be there
 that theirs have not, no process may be left, and a result must be one of the two or be refused. Exits with 1 where
 anything is wrong.
 """
@@ -51,7 +51,7 @@ orienter = {steps = 2}
 """
 N_SHAPES = 5
 # For the workers of a killed command to end.
-_SECONDS_TO_END = 20.0
+_SECONDS_TO_END = 120.0
 # TensorBoard names its files by time and process.
 _BY_TIME = "events.out"
 

@@ -6,8 +6,8 @@ Run from the root of the checkout; needs Linux and the extras of ``dev``::
     python tools/fuzz.py --files build/fuzz/failures/* --out build/again
 
 A reader may give a result or raise a ``HomologError`` of one line. A traceback, a crash, another message, printed
-lines, more than 10 s, or more memory than twice the file and 250 MB is a failure: it is printed, and the file is kept.
-The same seed makes the same mutants. Workers are ended with whatever they started.
+lines, more than 10 s of the processor, or more memory than twice the file and 250 MB is a failure: it is printed, and
+the file is kept. The same seed makes the same mutants. Workers are ended with whatever they started.
 """
 
 from __future__ import annotations
@@ -200,7 +200,7 @@ def _work(tasks: Sequence[Task], pipe: int, folder: Path) -> None:
 
 def _read(reader: str, file: Path) -> str:
     """What is wrong with how a file was read; nothing if all is well."""
-    began, before, said = time.monotonic(), _peak(anew=True), ""
+    began, before, said = sum(os.times()[:4]), _peak(anew=True), ""
     try:
         READERS[reader](file)
     except HomologError as error:
@@ -211,7 +211,7 @@ def _read(reader: str, file: Path) -> str:
     used = _peak() - before
     if not said and used > _allowed(file):
         said = f"memory: {used:.0f} MB"
-    seconds = time.monotonic() - began
+    seconds = sum(os.times()[:4]) - began  # of this process and of readers' own, whatever else the machine does
     return said or (f"slow: {seconds:.1f} s" if seconds > _SECONDS else "")
 
 

@@ -4,6 +4,7 @@ import hashlib
 import json
 import pickle
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -615,7 +616,7 @@ def test_an_input_that_changes_while_it_is_read_is_refused(homolog, files, tmp_p
 
     def meddling(file):
         shape = read_shape(file)
-        file.write_text("another")
+        Path(file).write_text("another")
         return shape
 
     monkeypatch.setattr(reading_module, "read_shape", meddling)

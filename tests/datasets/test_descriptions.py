@@ -113,7 +113,17 @@ def test_one_s_own_description(tmp_path):
     assert folder.up == "z" and ShapeFolder.open(tmp_path, found, up="x").up == "x"
 
 
+def test_ranges_are_bounded_together():
+    assert len(DatasetDescription(names=("a{1..60000}", "b{1..40000}")).expected_names) == 100_000
+    with pytest.raises(ArgumentError, match=r"names holds the range \{1\.\.40001\}, but .* at most 100000 names"):
+        DatasetDescription(names=("a{1..60000}", "b{1..40001}"))
+
+
 MISTAKES = {
+    'names = ["{1..1000000000}"]': r"names holds the range \{1\.\.1000000000\}, but all .* at most 100000 names",
+    'names = ["a{7..6}"]': r"names holds the range \{7\.\.6\}, but a range must begin with its least number",
+    'full_names = ["{1..%s}"]' % ("9" * 5000): r"full_names holds the range .*, but numbers .* at most 18 digits",
+    'full_names = ["{%s1..2}"]' % ("0" * 5000): r"full_names holds the range .*, but numbers .* at most 18 digits",
     'titel = "x"': r"has an unknown key 'titel'; did you mean 'title'\?",
     'up = "w"': "up is 'w', but must be one of x, y, z",
     'truth = "template-correspondances"': "truth is .*, but must be one of .*did you mean 'template-correspondence'",

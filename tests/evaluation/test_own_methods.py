@@ -169,6 +169,12 @@ def test_a_map_that_is_missing_is_named(folder, tmp_path):
     (tmp_path / "maps").mkdir()
     with pytest.raises(DataError, match="has no map of a and b; it must be called a_b"):
         evaluate(None, folder, ALL, match=MapsFolder(tmp_path / "maps"))
+    identical = Protocol(split="all", pairs_file=str(tmp_path / "pairs.csv"))
+    (tmp_path / "pairs.csv").write_text("a,a\n")
+    with pytest.raises(
+        DataError, match=r"no map of a and a; .*, --pairs FILE: without it each shape is matched with its"
+    ):
+        evaluate(None, folder, identical, match=MapsFolder(tmp_path / "maps"))
     with pytest.raises(DataError, match="nowhere is not a folder"):
         MapsFolder(tmp_path / "nowhere")
 
@@ -329,6 +335,10 @@ MATCHER = Matcher(settings=MatcherSettings(method="registration"), device="cpu")
                 ("much", "'much'"),
                 (np.zeros(2), r"array\(.*\)"),
                 (np.nan, "nan"),
+                (np.inf, "inf"),
+                (True, "True"),
+                (np.True_, r"(np\.)?True_?"),
+                (torch.tensor(False), r"tensor\(False\)"),
                 (1j, "1j"),
             )
         ),
@@ -340,7 +350,7 @@ def test_what_evaluate_cannot_use_is_one_line(folder, call, said):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("figure", [np.float32(2), torch.tensor(2.0), np.array(2), True])
+@pytest.mark.parametrize("figure", [np.float32(2), torch.tensor(2.0), np.array(2), np.int8(1)])
 def test_figures_may_be_numbers_of_any_kind(folder, figure):
     found = evaluate(None, folder, ALL, match=identity, metrics={"mine": lambda scored: figure})
     assert found.to_dict()["metrics"]["mine"] == float(figure)

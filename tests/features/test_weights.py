@@ -181,10 +181,37 @@ def test_headers_that_do_not_fit_are_refused(saved: Path) -> None:
         ({"settings": json.dumps({**settings, "width": 7})}, "its settings ask for"),
         ({"settings": json.dumps({**settings, "blocks": 3})}, "its settings say"),
         ({"settings": json.dumps({**settings, "gradient_product": "none"})}, "gradient_product"),
+        ({"settings": json.dumps({**settings, "width": "six"})}, "width"),
+        ({"settings": json.dumps({**settings, "width": -1})}, "width"),
+        ({"settings": json.dumps({**settings, "a\nb\x1b": 3})}, "unknown setting"),
+        ({"settings": "[" * 100_000}, None),
+        ({"settings": "9" * 5000}, None),
+        ({"orienter": json.dumps({**settings, "blocks": 10**30})}, None),
+        ({"orienter": "null"}, None),
         ({"info": "[]"}, None),
+        ({"info": '{"upright": 1}'}, "upright is 1"),
+        ({"info": '{"temperature": NaN}'}, "NaN"),
+        ({"info": '{"temperature": 1e999}'}, None),
+        ({"info": '{"input": "xzy"}'}, "input"),
     ):
         save_weights(saved, network_of(), INFO)
         refuses(rewritten(saved, **notes), words)
+
+
+@pytest.mark.parametrize("name", ["settings", "info"])
+def test_headers_that_lack_an_entry_are_refused(name: str, saved: Path) -> None:
+    with safe_open(saved, framework="pt") as file:
+        header = file.metadata()
+    del header[name]
+    save_file(load_file(saved), saved, metadata=header)
+    refuses(saved, f"{name}: Field required")
+
+
+def test_headers_may_say_more_of_features(saved: Path) -> None:
+    """What a newer homolog adds to them is passed over."""
+    info = {"name": "mine", "upright": False, "colour": "blue"}
+    found = load_weights(rewritten(saved, info=json.dumps(info))).info
+    assert (found.name, found.upright, found.sha256) == ("mine", False, sha256(saved))
 
 
 def test_tensors_that_do_not_fit_are_refused(saved: Path) -> None:

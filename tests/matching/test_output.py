@@ -13,7 +13,8 @@ import trimesh
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.progress import Timings
-from homolog.matching import Match, matched_colours, position_colours, write_folder
+from homolog.core.versions import versions
+from homolog.matching import Match, matched_colours, position_colours, read_point_map, write_folder
 from homolog.shapes import Shape, read_shape
 from homolog.shapes.formats import formats
 
@@ -21,6 +22,7 @@ NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
 GREY = [160, 160, 160]
 INPUTS = {"source": {"name": "sphere"}, "target": {"name": "cloud"}}
 REPORT = {"answer": 42, "inputs": INPUTS, "method": "nearest-features", "warnings": ["look!"]}
+WRITTEN = {**REPORT, "versions": versions()}
 
 
 @pytest.fixture
@@ -97,13 +99,13 @@ def test_the_four_files(shapes, found, tmp_path):
         if given.faces is not None:
             np.testing.assert_array_equal(written.faces, given.faces)
     hashes = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in paths[:3]}
-    assert json.loads(paths[3].read_text()) == {**REPORT, "sha256": hashes}
+    assert json.loads(paths[3].read_text()) == {**WRITTEN, "sha256": hashes}
 
 
 def test_a_result_is_read_back(shapes, found, tmp_path):
     assert found.save(tmp_path) == [tmp_path / name for name in NAMES]
     result = Match.load(tmp_path)
-    assert result.report == REPORT
+    assert result.report == WRITTEN
     assert (result.method, result.warnings) == ("nearest-features", ("look!",))
     for name in ("source_to_target", "target_to_source", "source_confidence", "target_confidence"):
         np.testing.assert_array_equal(getattr(result, name), getattr(found, name))
@@ -171,6 +173,18 @@ QUALITY = dict.fromkeys(("coverage", "cycle_error", "dirichlet_energy", "flipped
         {"inputs": {"source": {"sha256": 1}}},
         {"inputs": {"source": {"points_left_out": "many"}}},
         {"inputs": {"source": {"points_left_out": -1}}},
+        {"inputs": {"source": {"n_points": 7}}},
+        {"inputs": {"target": {"n_points": "all"}}},
+        {"inputs": {"target": {"points_left_out": 10**6}}},
+        {"inputs": {"target": {"space": "RSA"}}},
+        {"orientation": []},
+        {"orientation": {"source": {}}},
+        {"orientation": {"source": {"rotation": [[1, 0, 0], [0, 1, 0]]}}},
+        {"orientation": {"source": {"rotation": [[1, 0], [0, 1, 0], [0, 0, 1]]}}},
+        {"orientation": {"target": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}},
+        {"orientation": {"target": {"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 0.5]]}}},
+        {"alignment": {"rotation": [[0, 0, 0], [0, 0, 0], [0, 0, 0]]}},
+        {"alignment": {"rotation": "none"}},
         {"options": 7},
         {"options": {"source_up": ["y"]}},
         {"options": {"source_up": "up"}},
@@ -194,9 +208,48 @@ def test_reports_that_are_damaged_are_one_line(found, tmp_path, report):
     if isinstance(report, dict):
         report = json.dumps({**json.loads(path.read_text()), **report})
     path.write_bytes(report.encode() if isinstance(report, str) else report)
-    with pytest.raises(DataError, match=rf"^{path} (cannot be read|is damaged).*; match again$") as error:
+    with pytest.raises(DataError, match=rf"^{path} (cannot be (read|used)|is damaged).*; match again$") as error:
         Match.load(tmp_path)
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
+
+
+def test_rotations_that_are_some_are_read(found, tmp_path):
+    turn = {"rotation": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], "degrees": 90.0}
+    more = {"orientation": {"source": turn, "target": turn, "ambiguous": False}, "alignment": {**turn, "scale": 2.0}}
+    replace(found, report=more).save(tmp_path)
+    assert Match.load(tmp_path).report["orientation"]["source"] == turn
+
+
+@pytest.mark.parametrize(
+    ("versions", "writer"),
+    [({}, "an older version of homolog"), ({"homolog": "0.0.1"}, r"homolog 0\.0\.1, where this is .*,")],
+)
+def test_a_report_of_an_older_version_says_what_is_missing(found, tmp_path, versions, writer):
+    found.save(tmp_path)
+    path = tmp_path / "report.json"
+    report = {**json.loads(path.read_text()), "versions": versions}
+    del report["method"]
+    path.write_text(json.dumps(report))
+    said = rf"^{path} cannot be used \(it has no entry 'method'; {writer} may have written it\); match again$"
+    with pytest.raises(DataError, match=said):
+        Match.load(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".mat", ".txt", ".vts"])
+def test_a_file_of_maps_is_no_match_but_makes_one(found, tmp_path, suffix):
+    path = tmp_path / f"map{suffix}"
+    found.save(path)
+    with pytest.raises(DataError, match=r"map\.\w+ is a file of point maps, which holds no shapes; .*read_point_map"):
+        Match.load(path)
+    back = read_point_map(path)
+    found.save(path, direction="source_to_target")
+    forth = read_point_map(path, direction="source_to_target")
+    again = Match(found.source, found.target, forth, back)
+    np.testing.assert_array_equal(again.source_to_target, found.source_to_target)
+    np.testing.assert_array_equal(again.target_to_source, found.target_to_source)
+    (tmp_path / "notes.md").write_text("x")
+    with pytest.raises(DataError, match=r"notes\.md is a file; give a folder"):
+        Match.load(tmp_path / "notes.md")
 
 
 def test_no_shape_is_replaced_by_its_own_result(found, tmp_path):
@@ -215,7 +268,8 @@ def test_a_report_may_tell_more_than_is_read(found, tmp_path):
     given.save(tmp_path)
     told = Match.load(tmp_path).report
     assert told.pop("inputs") == {"source": {"name": "sphere", "colour": None}, "target": {"name": "cloud"}}
-    assert told == {name: more[name] for name in ("options", "more")} | {"method": given.method, "warnings": ["look!"]}
+    ours = {"method": given.method, "warnings": ["look!"], "versions": versions()}
+    assert told == {name: more[name] for name in ("options", "more")} | ours
 
 
 @pytest.mark.parametrize(
@@ -367,7 +421,7 @@ def test_other_files_in_the_folder_stay(shapes, found, tmp_path):
     (tmp_path / "report.json").write_text("old")
     write_folder(tmp_path, found)
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert Match.load(tmp_path).report == REPORT
+    assert Match.load(tmp_path).report == WRITTEN
 
 
 def test_out_is_a_file(shapes, found, tmp_path):
@@ -460,5 +514,5 @@ def test_a_result_takes_the_place_of_an_earlier_one(shapes, found, tmp_path):
     with_former_result(tmp_path / "result", NAMES)
     write_folder(tmp_path / "result", found)
     assert sorted(path.name for path in (tmp_path / "result").iterdir()) == sorted(NAMES)
-    assert Match.load(tmp_path / "result").report == REPORT
+    assert Match.load(tmp_path / "result").report == WRITTEN
     assert colours_in(tmp_path / "result" / "source.ply").shape == (162, 3)

@@ -81,6 +81,22 @@ def test_off_that_is_not_read_has_a_true_reason(tmp_path, content, reason):
 VERTEX = "property float x\nproperty float y\nproperty float z\n"
 
 
+@pytest.mark.parametrize("more", ["3 0 1 3\n", "3 0 1 3\n\n3 1 2 3\n", "rubbish\n"])
+@pytest.mark.parametrize("head", ["OFF\n", "COFF\n", ""])
+def test_off_with_more_lines_than_its_header_counts_is_refused(tmp_path, head, more):
+    text = f"{head}6 3 0\n{rows(POINTS)}{OFF_FACES}"
+    assert read_shape(put(tmp_path, "a.off", text + "\n \n# the end\n")).n_faces == 3
+    n_more = len(more.split("\n\n"))
+    with pytest.raises(ShapeError, match=rf"a\.off .*: {n_more} lines? follows? .* announces \(6 points, 3 faces\)"):
+        read_shape(put(tmp_path, "a.off", text + more))
+
+
+def test_off_with_more_numbers_than_its_header_counts_is_refused(tmp_path):
+    numbers = f"{rows(POINTS)}{OFF_FACES}3 0 1 3".replace("\n", " ")
+    with pytest.raises(ShapeError, match="announces 6 points and 3 faces, but its lines do not hold these"):
+        read_shape(put(tmp_path, "a.off", f"OFF\n6 3 0\n{numbers}\n"))
+
+
 def ply(order, elements, body, comment="comment x"):
     return f"ply\nformat {order} 1.0\n{comment}\n{elements}end_header\n".encode() + body
 
@@ -128,7 +144,7 @@ def test_ply_with_old_line_ends_and_capitals(tmp_path):
 
 def test_ply_lines_beyond_the_last_element_are_refused(tmp_path):
     text = ply("ascii", f"element vertex 6\n{VERTEX}", (rows(POINTS) + OFF_FACES).encode())
-    with pytest.raises(ShapeError, match="3 lines follow the elements that its header announces"):
+    with pytest.raises(ShapeError, match=r"3 lines follow the elements that its header announces \(6 vertex\)"):
         read_shape(put(tmp_path, "a.ply", text))
 
 
@@ -137,6 +153,22 @@ def test_ply_bytes_beyond_the_last_element_are_noted(tmp_path):
     assert notes(read_shape(put(tmp_path, "a.ply", content + b"\n"))) == {}
     shape = read_shape(put(tmp_path, "b.ply", content + bytes(7)))
     assert notes(shape)["bytes after the last element"][0] == 7
+
+
+def test_ply_edges_are_noted(tmp_path):
+    elements = f"element vertex 6\n{VERTEX}\nelement edge 2\nproperty int vertex1\nproperty int vertex2"
+    shape = read_shape(put(tmp_path, "a.ply", ply("ascii", elements, (rows(POINTS) + "0 1\n1 2\n").encode())))
+    assert notes(shape)["lines"][0] == 2
+
+
+def test_pcd_bytes_beyond_the_last_point_are_noted(tmp_path):
+    pytest.importorskip("pypcd4")
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 6\nHEIGHT 1\n"
+    head += "VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 6\nDATA binary\n"
+    content = head.encode() + POINTS.astype("<f4").tobytes()
+    assert is_cloud(read_shape(put(tmp_path, "a.pcd", content))) and notes(read_shape(tmp_path / "a.pcd")) == {}
+    shape = read_shape(put(tmp_path, "b.pcd", content + POINTS[:2].astype("<f4").tobytes()))
+    assert is_cloud(shape) and notes(shape)["bytes after the last point"][0] == 24
 
 
 STL_FACETS = np.zeros(3, [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
@@ -214,6 +246,28 @@ def test_tables_with_counts_and_indices(tmp_path, text, suffix):
 def test_a_column_that_is_left_out_is_noted(tmp_path):
     shape = read_shape(put(tmp_path, "a.xyz", NUMBERED["an index without names"]))
     assert "names or numbers the rows" in notes(shape)["first column"][1]
+
+
+@pytest.mark.parametrize(
+    ("head", "pattern", "count", "taken"),
+    [
+        ("", "{} 7", 1, "the first three"),
+        ("", "{} 0 0 1 0.5", 4, "the first three"),
+        ("x y z intensity\n", "{} 7", 1, "x, y, z"),
+        ("i pos_x pos_y pos_z\n", "0.5 {}", 1, "pos_x, pos_y, pos_z"),
+        ("", "name {} 8 9", 2, "the next three"),
+    ],
+)
+def test_columns_beside_the_coordinates_are_noted(tmp_path, head, pattern, count, taken):
+    shape = read_shape(put(tmp_path, "a.xyz", head + rows(POINTS, pattern)))
+    assert is_cloud(shape)
+    found, action = notes(shape)["other columns"]
+    assert found == count and f"the coordinates are {taken}; if they are not, name" in action
+
+
+def test_three_columns_leave_nothing_out(tmp_path):
+    assert notes(read_shape(put(tmp_path, "a.xyz", rows(POINTS)))) == {}
+    assert notes(read_shape(put(tmp_path, "a.csv", "x,y,z\n" + rows(POINTS).replace(" ", ",")))) == {}
 
 
 def test_tables_in_utf_16(tmp_path):
@@ -302,6 +356,22 @@ def test_axes_that_slicer_names(tmp_path, space):
 
 def test_obj_keeps_marks_out_of_its_numbers(tmp_path):
     text = rows(POINTS, "V {} # a point") + "usemtl Material #1\n" + rows(FACES + 1, "f {} # of the front")
+    np.testing.assert_array_equal(read_shape(put(tmp_path, "a.obj", text)).faces, FACES)
+
+
+def test_obj_lines_and_free_forms_are_noted(tmp_path):
+    text = rows(POINTS, "v {}") + rows(FACES + 1, "f {}")
+    assert notes(read_shape(put(tmp_path, "a.obj", text))) == {}
+    shape = read_shape(put(tmp_path, "a.obj", text + "l 1 2 3\nl 2 3\ncurv 0 1 1 2\nsurf 0 1 0 1 1 2 3 4\np 1\n"))
+    np.testing.assert_array_equal(shape.faces, FACES)
+    assert {rule: count for rule, (count, _) in notes(shape).items()} == {
+        "lines": 2,
+        "free-form curves and surfaces": 2,
+    }
+
+
+def test_obj_faces_of_older_programs(tmp_path):
+    text = rows(POINTS, "v {}") + rows(FACES + 1, "fo {}")
     np.testing.assert_array_equal(read_shape(put(tmp_path, "a.obj", text)).faces, FACES)
 
 

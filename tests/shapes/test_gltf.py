@@ -347,3 +347,51 @@ def test_what_viewers_do_not_show(tmp_path, file):
         "primitives without points": 1,
         "meshes outside the scene or hidden": 1,
     }
+
+
+@pytest.mark.parametrize("name", ["EXT_made_up", "MSFT_lod", "KHR_gaussian_splatting", "KHR_made_up_of_texturesque"])
+def test_extensions_that_are_required_and_unknown_are_refused(tmp_path, file, name):
+    file.primitive(POINTS, FACES)
+    is_plain(read_shape(file.put(tmp_path, extensionsUsed=[name])))
+    with pytest.raises(ShapeError, match=f"it needs the extension {name}, which is not read"):
+        read_shape(file.put(tmp_path, extensionsRequired=["KHR_materials_unlit", name]))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(
+            "KHR_materials_unlit",
+            "KHR_texture_basisu",
+            "EXT_texture_webp",
+            "KHR_texture_transform",
+            "KHR_lights_punctual",
+        ),
+        *("KHR_mesh_quantization", "KHR_node_visibility", "EXT_mesh_gpu_instancing", "KHR_animation_pointer"),
+        *("KHR_materials_pbrSpecularGlossiness", "MSFT_texture_dds", "KHR_xmp_json_ld", "EXT_lights_image_based"),
+    ],
+)
+def test_required_extensions_that_move_no_point_are_read(tmp_path, file, name):
+    file.primitive(POINTS, FACES)
+    is_plain(read_shape(file.put(tmp_path, extensionsRequired=[name])))
+
+
+@pytest.mark.parametrize(
+    ("asset", "reason"),
+    [
+        ({"version": "2.0", "minVersion": "2.1"}, r"needs at least glTF 2\.1 \(asset\.minVersion\), but 2\.0 is read"),
+        ({"version": "3.0"}, r"it is glTF 3\.0, but glTF 2 is needed"),
+        ({}, r"does not say its version of glTF, asset\.version"),
+        ([], r"does not say its version of glTF, asset\.version"),
+        ({"version": "2.1"}, ""),
+        ({"version": "2.0", "minVersion": "2.0"}, ""),
+    ],
+)
+def test_versions(tmp_path, file, asset, reason):
+    file.primitive(POINTS, FACES)
+    path = file.put(tmp_path, asset=asset)
+    if not reason:
+        is_plain(read_shape(path))
+        return
+    with pytest.raises(ShapeError, match=reason):
+        read_shape(path)

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from homolog.core.errors import ShapeError
 from homolog.shapes import read_shape
 
 POINTS = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]]  # the last one is in no face
@@ -77,9 +78,16 @@ def test_obj_backward_indices_count_from_their_own_line(tmp_path):
 
 
 def test_obj_invalid_indices_are_kept_as_out_of_range(tmp_path):
-    text = lines(POINTS, "v {}") + "f 1 2 3\nf 0 1 2\nf 1 2 99\nf -99 1 2\n"
+    text = lines(POINTS, "v {}") + "f 1 2 3\nf 1 2 99\nf -99 1 2\n"
     faces = read_shape(put(tmp_path, "a.obj", text)).faces
-    np.testing.assert_array_equal(faces, [[0, 1, 2], [-1, 0, 1], [0, 1, 98], [-1, 0, 1]])
+    np.testing.assert_array_equal(faces, [[0, 1, 2], [0, 1, 98], [-1, 0, 1]])
+
+
+@pytest.mark.parametrize("face", ["f 0 1 2", "f 3 2 0", "f 1/1 0/2 2/3", "f 1 2 3 0", "f -1 0 1"])
+def test_obj_that_counts_from_zero_is_refused(tmp_path, face):
+    text = lines(POINTS, "v {}") + f"f 1 2 3\n{face}\nf 1 2 3\n"
+    with pytest.raises(ShapeError, match=rf"a\.obj could not be read as OBJ: the face '{face}' names point 0, but OBJ"):
+        read_shape(put(tmp_path, "a.obj", text))
 
 
 def ply(kind, faces, *, body, n=6, m=2):

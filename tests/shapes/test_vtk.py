@@ -175,3 +175,45 @@ def test_blanks_at_the_end(tmp_path, make, n, mark):
     write_shape(tmp_path / "a.vtk", make.blob(1))
     (tmp_path / "b.vtk").write_bytes((tmp_path / "a.vtk").read_bytes() + n * mark)
     np.testing.assert_array_equal(read_shape(tmp_path / "b.vtk").faces, make.blob(1).faces)
+
+
+def piece(kind, counts, arrays):
+    """An XML file of one piece: its counts, and its arrays of text by section and name."""
+    names = " ".join(f'NumberOf{name}="{count}"' for name, count in counts.items())
+    sections = "".join(
+        f"<{section}>"
+        + "".join(
+            f'<DataArray type="Int32" {name} format="ascii">{values}</DataArray>' for name, values in held.items()
+        )
+        + f"</{section}>"
+        for section, held in arrays.items()
+    )
+    return f'<VTKFile type="{kind}" version="0.1"><{kind}><Piece {names}>{sections}</Piece></{kind}></VTKFile>'
+
+
+@pytest.mark.parametrize(("kind", "cells"), [("PolyData", "Polys"), ("UnstructuredGrid", "Cells")])
+@pytest.mark.parametrize(
+    ("n_points", "n_cells", "found"), [(4, 3, ""), (4, 2, "2 {}, but holds 3"), (3, 3, "3 points")]
+)
+def test_pieces_that_hold_more_than_they_count_are_refused(tmp_path, kind, cells, n_points, n_cells, found):
+    points = {'NumberOfComponents="3"': "0 0 0 1 0 0 0 1 0 0 0 1"}
+    held = {'Name="connectivity"': "0 1 2 0 1 3 0 2 3", 'Name="offsets"': "3 6 9"}
+    if kind == "UnstructuredGrid":
+        held['Name="types"'] = "5 5 5"
+    text = piece(kind, {"Points": n_points, cells: n_cells}, {"Points": points, cells: held})
+    path = tmp_path / "a.vtp"
+    path.write_text(text)
+    if not found:
+        assert read_shape(path).n_faces == 3
+        return
+    with pytest.raises(ShapeError, match=rf"a\.vtp .*a piece of it announces {found.format(cells.lower())}"):
+        read_shape(path)
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".vtp"])
+def test_lines_beside_triangles_are_noted(tmp_path, suffix):
+    data = pyvista.PolyData(CUBE, faces=[3, 0, 1, 2, 3, 1, 2, 3], lines=[2, 0, 1, 3, 4, 5, 6])
+    (data.cast_to_unstructured_grid() if suffix == ".vtu" else data).save(tmp_path / f"a{suffix}")
+    shape = read_shape(tmp_path / f"a{suffix}")
+    assert shape.n_faces == 2
+    assert [(note.rule, note.count) for note in shape.notes] == [("lines", 2)]

@@ -3,9 +3,12 @@
 import pytest
 import torch
 
+from homolog.core.errors import ArgumentError
 from homolog.maps import nearest_neighbour
+from homolog.matching import Matcher, match
 from homolog.methods import AUTO, FunctionMethod, Supports, method_names
 from homolog.pairs import PointMaps
+from homolog.shapes import demo_shapes
 from homolog.testing import check_method
 
 BY_POSITION = Supports(needs_features=False, refinement=False)
@@ -67,6 +70,19 @@ def changing(pair):
     return nearest_points(pair)
 
 
+def zeroing_mass(pair):
+    """Wipes the mass by an array that shares its memory, once it has its maps."""
+    maps = nearest_points(pair)
+    pair.x.operators.mass.numpy()[:] = 0
+    return maps
+
+
+def scaling_gradients(pair):
+    maps = nearest_points(pair)
+    pair.y.operators.gradient_x.values().mul_(2)
+    return maps
+
+
 def abstaining(pair):
     maps = nearest_points(pair)
     return PointMaps(torch.where(maps.x_to_y > 5, maps.x_to_y, -1), maps.y_to_x)
@@ -79,10 +95,12 @@ def abstaining(pair):
         (by_number, "order of points"),
         (at_random, "determinism"),
         (changing, "purity"),
+        (zeroing_mass, "purity, two meshes: it changed mass of the shape given to it"),
+        (scaling_gradients, "purity, two meshes: it changed gradient_x"),
         (abstaining, "holds -1 to"),
         (lambda pair: (1, 2), "gave a tuple, but must give homolog.pairs.PointMaps"),
     ],
-    ids=["indices of the files", "by number", "at random", "changing", "abstaining", "a tuple"],
+    ids=["indices of the files", "by number", "at random", "changing", "zeroing", "scaling", "abstaining", "a tuple"],
 )
 def test_broken_methods_are_caught(function, words):
     """Each by the promise that it breaks."""
@@ -104,3 +122,20 @@ def test_a_bare_function_passes_by_its_own_maps():
         return PointMaps(maps.x_to_y.numpy(), maps.y_to_x.tolist())
 
     check_method(bare)
+
+
+@pytest.mark.parametrize("function", [changing, zeroing_mass, scaling_gradients])
+def test_a_match_refuses_a_method_that_changes_what_it_is_given(function):
+    """Others would go on with it: refinement, confidences, the next pair of an evaluation."""
+    shapes = demo_shapes()
+    with pytest.raises(ArgumentError, match=r"method 'broken' changed \w+ of (amber|boris)\.off in place, .*on a copy"):
+        match(*shapes, method=FunctionMethod("broken", function, BY_POSITION))
+
+
+def test_a_match_refuses_features_that_change_what_they_are_given():
+    def features(operators):
+        operators.points.zero_()
+        return torch.ones(operators.n_points, 2)
+
+    with pytest.raises(ArgumentError, match=r"what computes the features .* changed points in place"):
+        Matcher(features).preprocess(demo_shapes()[0])

@@ -97,8 +97,12 @@ def test_a_mark_is_seen_on_both_shapes(opened, known):
     there = [(x, y), tuple(float(place[0]) for place in on_page(one.page, scene, "target", np.array([other]))[:2])]
     assert not any(magenta(one.page, *place) for place in there)
     one.page.mouse.click(x, y)
-    one.page.wait_for_timeout(200)
-    assert all(magenta(one.page, *place) for place in there)
+    assert comes(one.page, lambda: all(magenta(one.page, *place) for place in there))
+
+
+def comes(page, condition):
+    """Whether a condition comes to hold within a minute, as the page draws."""
+    return any(condition() or page.wait_for_timeout(100) for _ in range(600))
 
 
 def magenta(page, x, y):
@@ -121,12 +125,14 @@ def test_colours_and_sliders_of_the_page(opened, known):
     point, x, y = foremost(one.page, scene, "source")
     ramp = scene.layers[1].colours["source"][point].astype(float)
     one.page.select_option("#layer", "Confidence")
-    one.page.wait_for_timeout(200)
-    drawn = np.array(colour_at(one.page, x, y), dtype=float)
-    assert drawn @ ramp / np.linalg.norm(drawn) / np.linalg.norm(ramp) > 0.97  # the hue, whatever the light
+
+    def has_hue():  # whatever the light
+        drawn = np.array(colour_at(one.page, x, y), dtype=float)
+        return drawn @ ramp / np.linalg.norm(drawn) / np.linalg.norm(ramp) > 0.97
+
+    assert comes(one.page, has_hue)
     one.page.fill("#confidence", "1")
-    one.page.wait_for_timeout(200)
-    assert np.ptp(colour_at(one.page, x, y)) < 12
+    assert comes(one.page, lambda: np.ptp(colour_at(one.page, x, y)) < 12)
     one.page.select_option("#surface", "points")
     one.page.mouse.click(x, y)
     marked = one.page.evaluate("homolog.marked()")
@@ -166,9 +172,8 @@ def test_a_click_on_a_large_shape_tells_the_number_of_the_file(opened, known, mo
         other = counterpart(known, side, index[first])
         assert one.page.evaluate("homolog.marked()") == {"side": side, "point": index[first], "counterpart": other}
         opposite = "target" if side == "source" else "source"
-        one.page.wait_for_timeout(200)
         place = [float(at[0]) for at in on_page(one.page, scene, opposite, np.array([other]))[:2]]
-        assert magenta(one.page, *place)
+        assert comes(one.page, lambda place=place: magenta(one.page, *place))
 
 
 def test_a_point_without_a_counterpart(opened, known):

@@ -27,6 +27,7 @@ from homolog.cli.options import (
     build_matcher,
     check_folder,
     check_inputs,
+    described,
     set_verbosity,
 )
 from homolog.cli.progress import progress_bar, say
@@ -114,7 +115,7 @@ def collection(
     model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
     matcher = make_matcher()
-    report = {"command": ["homolog", *sys.argv[1:]], "warnings_of_all": list(matcher.warnings), **matcher.describe()}
+    report = {"command": ["homolog", *sys.argv[1:]], **described(matcher, warnings="warnings_of_all")}
     with progress_bar(quiet=quiet) as progress:
         built = models.build(
             template,

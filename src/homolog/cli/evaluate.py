@@ -30,6 +30,7 @@ from homolog.cli.options import (
     check_files,
     check_inputs,
     check_json,
+    described,
     on_stdout,
     set_verbosity,
     write_figures,
@@ -226,7 +227,7 @@ def evaluate(
             match_pair=None if matcher is None else _adapting(matcher, adapt),
             progress=progress,
         )
-    made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **_described(matcher)}
+    made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **described(matcher)}
     _write(evaluation, folder, csv, plot)
     figures = {**evaluation.to_dict(), **_setup(folder, protocol), **made_by}
     write_figures(json, figures)
@@ -257,10 +258,6 @@ def _tell(evaluation: Evaluation, figures: dict[str, Any], title: str, *, table:
         from rich.console import Console
 
         Console().print(_table(evaluation, figures, title))
-
-
-def _described(matcher: Matcher) -> dict[str, Any]:
-    return {"warnings": list(matcher.warnings), **matcher.describe()}
 
 
 def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:
@@ -307,6 +304,8 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
         count = f"{found['unmatched_points']}, counted as the diameter ({without:.2f} without them)"
         table.add_row("points without a match", count)
     table.add_row("method", found["method"])
+    if evaluation.choices:
+        table.add_row("matched by", ", ".join(f"{name} {count}" for name, count in evaluation.choices.items()))
     if evaluation.exchanges is not None:
         sides, over = (evaluation.exchanges[way] for way in ("left-right", "turned over"))
         known = sum(evaluation.exchanges.values())

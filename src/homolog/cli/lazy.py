@@ -12,8 +12,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from homolog.cli.wording import speak_of
-from homolog.core.errors import HomologError
-from homolog.core.files import keeping
+from homolog.core.errors import HomologError, bad_value
+from homolog.core.files import PATH_NEEDED, keeping
 
 OTHER = "Other"
 """The last group of options in a command's help."""
@@ -27,6 +27,21 @@ class Command(TyperCommand):
         params = _without_types_of_flags(super().get_params(ctx))
         params[-1].rich_help_panel = OTHER
         return params
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments.
+
+        Raises:
+            ArgumentError: if one that names a file or folder is empty, which would be taken for the current folder.
+        """
+        given = list(args)
+        left: list[str] = super().parse_args(ctx, args)
+        texts, _, _ = self.make_parser(ctx).parse_args(args=given)
+        for param in () if ctx.resilient_parsing else self.params:
+            empty = "" in _listed(texts.get(param.name))
+            if empty and any(_names_files(param, one) for one in _listed(ctx.params[param.name])):
+                raise bad_value(_called(param), "", PATH_NEEDED)
+        return left
 
     def invoke(self, ctx: Any) -> Any:
         """Run it."""
@@ -42,13 +57,25 @@ OUTPUTS = ("output", "page", "picture", "json", "csv", "plot")
 def inputs_of(params: list[Any], values: dict[str, Any]) -> Iterator[Path]:
     """The files and folders that a command reads, by its parameters; a name may be that of a file as well."""
     for param in params:
-        value = values.get(param.name)
-        for one in value if isinstance(value, list | tuple) else [value]:
-            if isinstance(one, Path) and param.name not in OUTPUTS:
-                yield one
-                yield from _beside(one)
-            elif isinstance(one, str) and "FILE" in (param.metavar or ""):
+        for one in _listed(values.get(param.name)):
+            if _names_files(param, one) and param.name not in OUTPUTS:
                 yield Path(one)
+                yield from _beside(one) if isinstance(one, Path) else ()
+
+
+def _listed(value: Any) -> list[Any]:
+    """The values of a parameter, which takes one or several."""
+    return list(value) if isinstance(value, list | tuple) else [value]
+
+
+def _names_files(param: Any, value: Any) -> bool:
+    """Whether a value of a parameter is the path of a file or folder, or may be one."""
+    return isinstance(value, Path) or (isinstance(value, str) and "FILE" in (param.metavar or ""))
+
+
+def _called(param: Any) -> str:
+    """How messages call a parameter."""
+    return str(param.opts[0] if param.opts[0].startswith("-") else param.metavar).rstrip(".")
 
 
 def _beside(path: Path) -> tuple[Path, ...]:

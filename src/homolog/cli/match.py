@@ -27,9 +27,9 @@ from homolog.cli.options import (
     Verbose,
     Weights,
     build_matcher,
-    check_file,
     check_folder,
     check_inputs,
+    check_page_file,
     check_picture_file,
     set_verbosity,
 )
@@ -132,8 +132,7 @@ def match(
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
     check_folder(output, names=homolog.matching.RESULT_FILES)
-    if page is not None:
-        check_file(page)
+    check_page_file(page)
     check_picture_file(picture, lines, picture_width)
     for number in range(2, alternatives + 1):
         check_folder(output / f"alternative-{number}", names=homolog.matching.RESULT_FILES)
@@ -241,9 +240,15 @@ def _summary(matches: list[Match], timings: Timings, paths: list[Path], *, verbo
             say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")
     seconds = sum(step.seconds for step in timings.finished)
     sides = "; ".join(f"{side} {_in_words(match.matched(side))}" for side in get_args(Side))
-    say(f"Matched by {match.method} in {seconds:.1f} s (from reading to writing): {sides}.")
+    say(f"Matched by {match.method}{_with_weights(match)} in {seconds:.1f} s (from reading to writing): {sides}.")
     for path in paths:
         typer.echo(path)
+
+
+def _with_weights(match: Match) -> str:
+    """The weights that were chosen, where there was a choice."""
+    chosen = next((candidate["name"] for candidate in match.report["choice"]), match.method)
+    return "" if chosen == match.method else f" with the weights {chosen}"
 
 
 def _in_words(matched: dict[str, int | float]) -> str:

@@ -17,7 +17,7 @@ from homolog.cli.lazy import OTHER
 from homolog.core.choices import PICTURE_WIDTHS, Device, Orient
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved, write_json
-from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
+from homolog.core.pretrained import AUTO_WEIGHTS, weights_file
 from homolog.methods import method_names
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ Weights = Annotated[
         "--weights",
         metavar="NAME|FILE",
         help="Trained weights: the name of pretrained ones, a .safetensors file, or a .pth that the paper's authors "
-        "released. Those for people know no other shapes.",
-        show_default=DEFAULT_WEIGHTS,
+        "released. auto: of people or of animals, whichever know the two shapes, or none where neither do.",
+        show_default=AUTO_WEIGHTS,
         rich_help_panel=METHOD,
     ),
 ]
@@ -130,7 +130,7 @@ Page = Annotated[
     Path | None,
     typer.Option(
         "--html",
-        metavar="FILE",
+        metavar="FILE.html",
         help="Write one page that shows both shapes; it opens from disk, without network.",
         rich_help_panel=OUTPUT,
     ),
@@ -188,9 +188,14 @@ def build_matcher(weights: str | None, method: str, device: Device, *, no_cache:
     return Matcher(features_of_weights(weights, settings), settings=settings, device=device, operators=operators)
 
 
+def described(matcher: Matcher, *, warnings: str = "warnings") -> dict[str, Any]:
+    """What maps were made with, for reports; ``warnings`` names the entry of those that hold for every pair."""
+    return {warnings: list(matcher.warnings), **matcher.describe()}
+
+
 def check_inputs(*shapes: Path, weights: str | None = None) -> None:
     """Refuse files that are not there, or that no shape is read from, before PyTorch is loaded."""
-    if weights is not None:
+    if weights not in (None, AUTO_WEIGHTS):
         weights_file(weights)
     for file in shapes:
         homolog.shapes.files_of_shape(file)
@@ -257,6 +262,13 @@ def check_files(*outputs: Path | None) -> None:
     for output in outputs:
         if output is not None:
             check_file(output)
+
+
+def check_page_file(output: Path | None) -> None:
+    """Refuse a page that cannot be written, before any work."""
+    if output is not None:
+        check_file(output)
+        homolog.viewing.check_page(output)
 
 
 def check_picture_file(output: Path | None, lines: int, width: int) -> None:

@@ -14,7 +14,7 @@ from homolog.cli.options import DeviceOption, MethodOption, Quiet, Weights, buil
 from homolog.cli.progress import say
 from homolog.core.errors import needs_extra
 from homolog.core.files import resolved
-from homolog.core.pretrained import DEFAULT_WEIGHTS, pretrained_weights
+from homolog.core.pretrained import AUTO_WEIGHTS, pretrained_weights
 
 _LIMITS = "Limits"
 _AT_ONCE = min(2, os.cpu_count() or 1)
@@ -93,7 +93,7 @@ def serve(
     )
     made_with = method
     if weights is not None or homolog.matching.needs_features(matcher.settings):
-        made_with = f"{method}, with the weights {Path(weights or DEFAULT_WEIGHTS).stem}"
+        made_with = f"{method}, with the weights {Path(weights or AUTO_WEIGHTS).stem}"
     server = MatchServer(command, limits, host=host, port=port, names=name or (), made_with=made_with)
     announce(server.address, open_browser=not no_open, quiet=quiet)
     with interrupt_ends(server.end):
@@ -105,5 +105,5 @@ def _options(weights: str | None, method: str, device: str) -> tuple[str, ...]:
     given = (f"--method={method}", f"--device={device}")
     if weights is None:
         return given
-    place = weights if weights in pretrained_weights() else str(resolved(weights))
+    place = weights if weights in (AUTO_WEIGHTS, *pretrained_weights()) else str(resolved(weights))
     return (*given, f"--weights={place}")

@@ -18,7 +18,7 @@ from homolog.cli.options import (
     Quiet,
     ResultFolder,
     build_matcher,
-    check_file,
+    check_page_file,
     check_picture_file,
 )
 from homolog.cli.progress import progress_bar
@@ -79,8 +79,7 @@ def view(
 
     On a remote machine: run it there, run `ssh -L 8080:127.0.0.1:8080 MACHINE` here, and open the address here.
     """
-    if page is not None:
-        check_file(page)
+    check_page_file(page)
     check_picture_file(picture, lines, picture_width)
     found = homolog.Match.load(result)
     refuse_overwriting_inputs(filter(None, (page, picture)), homolog.matching.given_files(found))

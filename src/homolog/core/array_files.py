@@ -18,6 +18,7 @@ from jaxtyping import Shaped
 from homolog.core.files import opened
 from homolog.core.memory import expansion_fault
 from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 
 _SUFFIX = ".npy"
 # As often an array is held at a time while it is checked.
@@ -104,7 +105,7 @@ def _damage(what: str) -> Iterator[None]:
         damaged = "it is no archive of arrays" if what == "archive" else f"its {what} is damaged"
         raise ArrayFileError(damaged) from None
     except (RuntimeError, ValueError, EOFError, zlib.error, lzma.LZMAError) as error:
-        raise ArrayFileError(f"its {what} is damaged ({shorten(error, 80)})") from None
+        raise ArrayFileError(f"its {what} is damaged ({reason_of(error, 80)})") from None
 
 
 def _array(stream: IO[bytes], available: int, what: str) -> Shaped[np.ndarray, ...]:
@@ -116,8 +117,8 @@ def _array(stream: IO[bytes], available: int, what: str) -> Shaped[np.ndarray, .
     try:
         shape, in_columns, dtype = _READ_HEADER.get(version, np.lib.format.read_array_header_2_0)(stream)
         lengths = [int(length) for length in shape]
-    except Exception as error:  # what NumPy's parser raises of damaged text is not told
-        raise ArrayFileError(f"{what} has a damaged header ({shorten(error, 60)})") from None
+    except Exception:  # what Python's parser says of damaged text helps nobody
+        raise ArrayFileError(f"{what} has a damaged header") from None
     if dtype.hasobject:
         raise ArrayFileError(f"{what} holds values of type object, but real numbers are needed")
     count = math.prod(lengths)
@@ -130,5 +131,5 @@ def _array(stream: IO[bytes], available: int, what: str) -> Shaped[np.ndarray, .
         raise ArrayFileError(f"{what} ends too early")
     try:
         return np.frombuffer(content, dtype, count).reshape(lengths, order="F" if in_columns else "C")
-    except ValueError as error:
-        raise ArrayFileError(f"{what} has a damaged header ({shorten(error, 60)})") from None
+    except ValueError:
+        raise ArrayFileError(f"{what} has a damaged header") from None

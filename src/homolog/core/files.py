@@ -36,6 +36,8 @@ _temporary_files: set[Path] = set()
 _TEMPORARY_NAME = re.compile(r"\.homolog-([0-9a-f]{8})-(\d+)-(\d+)-[0-9a-f]{12}(\..*)?", re.DOTALL)
 # The second in which a process began follows from the machine's clock, which may be set meanwhile.
 _CLOCK_SECONDS = 5
+PATH_NEEDED = "a path to a file or folder; the current folder is '.'"
+"""What to say of an empty path, which ``pathlib`` takes for the current folder."""
 # What begins so, spreadsheets take for a formula, and run it.
 _FORMULAS = ("=", "+", "-", "@", "\t", "\r", "\n")
 
@@ -46,7 +48,9 @@ def expanded(path: str | Path) -> Path:
     Raises:
         ArgumentError: if it is no path, or there is no such user.
     """
-    if path == "" or not isinstance(path, str | PathLike):
+    if path == "":
+        raise bad_value("path", path, PATH_NEEDED)
+    if not isinstance(path, str | PathLike):
         raise bad_value("path", path, "a path, that is a str or a pathlib.Path")
     given = Path(path)
     if given.parts[:1] and given.parts[0].startswith("~") and len(given.parts[0]) > 1 and is_there(given.parts[0]):
@@ -106,14 +110,14 @@ def ordinary(path: str | Path) -> Path:
     return Path(path)
 
 
-def read_bytes(path: str | Path) -> bytes:
-    """The content of an ordinary file.
+def read_bytes(path: str | Path, *, first: int = -1) -> bytes:
+    """The content of an ordinary file, or the ``first`` bytes of it.
 
     Raises:
         OSError: as ``opened`` does.
     """
     with opened(path) as file:
-        return file.read()
+        return file.read(first)
 
 
 def read_text(path: str | Path, *, encoding: str = "utf-8", errors: str = "strict") -> str:

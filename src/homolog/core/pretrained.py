@@ -8,7 +8,11 @@ from homolog.core.errors import WeightsError
 from homolog.core.files import expanded
 
 DEFAULT_WEIGHTS = "people"
-"""The name of the weights that are used where none are given."""
+"""The name of the weights that ``load_weights`` reads where none are given."""
+AUTO_WEIGHTS = "auto"
+"""In place of a name: the pretrained weights of all kinds, of which those are used that know a pair best."""
+KINDS = ("people", "animals")
+"""The names of the pretrained weights of these kinds, the usual ones first."""
 
 _FOLDER = Path(__file__).parents[1] / "features" / "pretrained"
 

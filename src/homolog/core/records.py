@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from homolog.core.errors import DataError
 from homolog.core.files import read_text
-from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
+from homolog.core.versions import version_of
 
 if TYPE_CHECKING:  # loaded once something is checked
     from pydantic import TypeAdapter
@@ -20,6 +21,10 @@ K = TypeVar("K", bound=type[Any])
 # No file of ours nests so deep, and what walks through its entries may do so by recursion.
 _DEEPEST = 50
 _TOO_LARGE = 2**63
+
+
+class MissingEntryError(ValueError):
+    """A file lacks an entry that files of this version have."""
 
 
 def record(kind: K) -> K:
@@ -46,9 +51,11 @@ def read_record(path: Path, kind: Any, *, instead: str) -> dict[str, Any]:
     try:
         text = read_text(path)
     except (OSError, ValueError) as error:
-        raise DataError(f"{path} cannot be read ({shorten(error, 160)}); {instead}") from None
+        raise DataError(f"{path} cannot be read ({reason_of(error)}); {instead}") from None
     try:
         return checked_json(text, kind)
+    except MissingEntryError as error:
+        raise DataError(f"{path} cannot be used ({error}); {instead}") from None
     except ValueError as error:
         raise DataError(f"{path} is damaged ({error}); {instead}") from None
 
@@ -57,7 +64,8 @@ def checked_json(text: str, kind: Any) -> dict[str, Any]:
     """As ``read_record``, of a text.
 
     Raises:
-        ValueError: with one line that says what is wrong.
+        MissingEntryError: if an entry is missing.
+        ValueError: with one line that says what else is wrong.
     """
     from pydantic import ValidationError
 
@@ -67,12 +75,20 @@ def checked_json(text: str, kind: Any) -> dict[str, Any]:
         # Names of files that are no UTF-8 stand in it as Python has them, and in no JSON that others read.
         _model(kind).validate_json(json.dumps(content, ensure_ascii=False).encode(errors="replace"))
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(map(str, first["loc"])) or "it"
-        raise ValueError(f"{key}: {shorten(first['msg'], 160)}") from None
+        if error.errors(include_url=False)[0]["type"] == "missing":
+            raise MissingEntryError(f"{reason_of(error)}; {_writer(content)} may have written it") from None
+        raise ValueError(reason_of(error)) from None
     except (ValueError, RecursionError) as error:
-        raise ValueError(shorten(error, 160)) from None
+        raise ValueError(reason_of(error)) from None
     return dict(content)
+
+
+def _writer(content: dict[str, Any]) -> str:
+    """What may have written a file that lacks an entry: an older version, by its number where the file tells it."""
+    told = content.get("versions")
+    version = told.get("homolog") if isinstance(told, dict) else None
+    ours = version_of("homolog")
+    return f"homolog {version}, where this is {ours}," if version not in (None, ours) else "an older version of homolog"
 
 
 def stored_record(path: Path, kind: Any) -> dict[str, Any] | None:

@@ -27,7 +27,8 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.files import read_text
-from homolog.core.messages import shorten, shown
+from homolog.core.messages import shown
+from homolog.core.reasons import reason_of
 from homolog.core.records import check_plain
 
 if TYPE_CHECKING:  # loaded once something is checked
@@ -102,11 +103,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         tables = tomllib.loads(read_text(path))
         check_plain(tables)
     except (OSError, UnicodeDecodeError) as error:
-        raise ArgumentError(f"{path} cannot be read ({error}); give a TOML file") from None
-    except RecursionError:
-        raise ArgumentError(f"{path} is not valid TOML: its values lie too deep in each other") from None
-    except ValueError as error:  # of tomllib, and of numbers that are too long
-        raise ArgumentError(f"{path} is not valid TOML: {shorten(error, 150)}") from None
+        raise ArgumentError(f"{path} cannot be read ({reason_of(error)}); give a TOML file") from None
+    except (ValueError, RecursionError) as error:  # of tomllib, and of numbers that are too long
+        raise ArgumentError(f"{path} is not valid TOML: {reason_of(error)}") from None
     return tables
 
 

@@ -65,6 +65,7 @@ def _results(functions: Sequence[Callable[[], T]], processes: int) -> Iterator[T
     if processes == 1:
         yield from (function() for function in functions)
         return
+    _start_trackers()
     backend = _Backend(initializer=_begin_worker, initargs=(os.getpid(), _at_rest()))
     # Joblib would map large arrays to files, and they could not be written to.
     parallel = Parallel(processes, backend=backend, return_as="generator", batch_size=1, max_nbytes=None)
@@ -105,16 +106,30 @@ def _at_rest() -> Semaphore:
     return count
 
 
+def _start_trackers() -> None:
+    """Start what tidies up after processes, before others begin: it would unblock signals that are blocked by then.
+
+    Where a command is ended, it finds something to tidy up, and would say so behind the command's last line.
+    """
+    if sys.platform == "win32":  # where there is another way
+        return
+    from multiprocessing import resource_tracker as another  # which Windows lacks, too
+
+    before = sys.warnoptions[:]
+    sys.warnoptions.append("ignore")
+    try:
+        for tracker in (resource_tracker, another):
+            tracker.ensure_running()
+    finally:
+        sys.warnoptions[:] = before
+
+
 @contextmanager
 def _unheard_interrupts() -> Iterator[None]:
     """Have processes that begin in this block hear nothing of Ctrl-C, which a terminal sends to all of them."""
     if sys.platform == "win32":  # which has no such thing
         yield
         return
-    from multiprocessing import resource_tracker as another  # which Windows lacks, too
-
-    for tracker in (resource_tracker, another):
-        tracker.ensure_running()  # else it would begin in this block, and unblock what is blocked here
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 from homolog.core.choices import Up
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded
+from homolog.core.messages import shorten
 from homolog.core.settings import read_settings, read_toml
 
 Holds = Literal["meshes", "clouds", "volumes"]
@@ -19,6 +20,8 @@ PairRule = Literal["found", "every", "same-class", "listed", "partial", "maps"]
 
 _BUILTIN = Path(__file__).parent / "descriptions"
 _RANGE = re.compile(r"\{(\d+)\.\.(\d+)\}")
+# The names that ranges stand for, of one description, and the digits of a number in them.
+_MOST_NAMES, _MOST_DIGITS = 100_000, 18
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ class DatasetDescription:
         pairs_file: two names a line.
         separator: between them.
         left_out: names that occur in no test pair.
-        names: of all shapes, or partial shapes, if known; ``{00..19}`` stands for a range of numbers.
+        names: of all shapes, or partial shapes, if known; ``{00..19}`` stands for a range of numbers. All of these
+            together are at most 100,000.
         full_names: of the full shapes, likewise.
         n_shapes: number of shapes or partial shapes.
         n_train: number of them for training.
@@ -129,6 +133,8 @@ class DatasetDescription:
             raise ArgumentError("full and pairs = 'partial' belong together; give both, or neither")
         if bool(self.clouds) != bool(self.cloud_truth):
             raise ArgumentError("clouds and cloud_truth belong together; give both, or neither")
+        for name in ("names", "full_names"):
+            _check_ranges(name, getattr(self, name))
 
     @property
     def expected_names(self) -> tuple[str, ...]:
@@ -171,6 +177,21 @@ _NEEDS: dict[tuple[str, Any], tuple[str, Any]] = {
 
 def _toml(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else repr(value)
+
+
+def _check_ranges(what: str, names: tuple[str, ...]) -> None:
+    """Refuse ranges of numbers that stand for too many names, before any of them is made."""
+    n_names = len(names)
+    for found in filter(None, map(_RANGE.search, names)):
+        first, last = found.groups()
+        shown = f"{what} holds the range {shorten(found[0], 60)}"
+        if max(len(first), len(last)) > _MOST_DIGITS:
+            raise ArgumentError(f"{shown}, but numbers in ranges must have at most {_MOST_DIGITS} digits")
+        if int(last) < int(first):
+            raise ArgumentError(f"{shown}, but a range must begin with its least number")
+        n_names += int(last) - int(first)
+        if n_names > _MOST_NAMES:
+            raise ArgumentError(f"{shown}, but all ranges together must stand for at most {_MOST_NAMES} names")
 
 
 def _expanded_names(names: tuple[str, ...]) -> tuple[str, ...]:

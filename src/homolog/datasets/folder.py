@@ -345,7 +345,7 @@ def partner(name: str, full: Iterable[str]) -> str:
 
 
 def demo_folder() -> ShapeFolder:
-    """The two demo bodies with their ground truth.
+    """The two demo bodies with their ground truth; commands take its path, ``demo_folder().root``.
 
     Examples:
         >>> from homolog.datasets import demo_folder

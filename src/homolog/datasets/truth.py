@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from homolog.core.array_files import open_npz
 from homolog.core.errors import DataError
 from homolog.core.files import expanded, opened
-from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 from homolog.datasets.description import DatasetDescription
 from homolog.shapes import Shape
 
@@ -264,7 +264,7 @@ def _read_cloud_map(path: Path) -> Int[np.ndarray, " n"]:
             f"{path} has no {_CLOUD_MAP}: its dataset was made of shapes without template correspondence"
         ) from None
     except Exception as error:  # whatever NumPy raises of a damaged file
-        raise DataError(f"{path} must hold {_CLOUD_MAP} ({shorten(error, 160)})") from None
+        raise DataError(f"{path} must hold {_CLOUD_MAP} ({reason_of(error)})") from None
     if found.ndim != 1 or found.dtype.kind != "i" or found.size == 0 or found.min() < -1:
         raise DataError(f"{path}: {_CLOUD_MAP} must hold a point's number for each point of the cloud, or -1")
     return found
@@ -291,7 +291,7 @@ def _read_numbers(path: Path, kind: type[Any], what: str, *, dimensions: Literal
                 rows: np.ndarray = np.loadtxt(file, dtype=kind, ndmin=dimensions)
             return rows
     except (OSError, ValueError, OverflowError, Warning) as error:
-        raise DataError(f"{path} must hold {what} ({shorten(error, 160)})") from None
+        raise DataError(f"{path} must hold {what} ({reason_of(error)})") from None
 
 
 def _check_vertices(path: Path, vertices: Int[np.ndarray, " p"], shape: Shape, way_out: str) -> None:

@@ -8,11 +8,12 @@ import numpy as np
 from jaxtyping import Int
 
 from homolog.core.errors import DataError
-from homolog.core.files import expanded
+from homolog.core.files import expanded, resolved
 from homolog.matching import read_point_map
 from homolog.shapes import Shape
 
 _SUFFIXES = (".txt", ".vts", ".map", ".mat", ".npz")
+_SELF_PAIR = ": without it each shape is matched with itself, too, as the published protocol has it"
 _JOINTS = ("_", "-", "__")
 
 
@@ -39,7 +40,7 @@ class MapsFolder:
         self.folder, self.base = expanded(folder), base
         if not self.folder.is_dir():
             raise DataError(f"{folder} is not a folder; give one with a file per pair, such as SOURCE_TARGET.txt")
-        self.__name__ = self.folder.resolve().name  # what reports call the method
+        self.__name__ = resolved(self.folder).name  # what reports call the method
 
     def file(self, source: str, target: str) -> Path | None:
         """The file of a pair, by the names of its shapes; None if there is none."""
@@ -57,6 +58,7 @@ class MapsFolder:
         if file is None:
             raise DataError(
                 f"{self.folder} has no map of {names[0]} and {names[1]}; it must be called "
-                f"{names[0]}_{names[1]} with one of the suffixes {', '.join(_SUFFIXES)}"
+                f"{names[0]}_{names[1]} with one of the suffixes {', '.join(_SUFFIXES)}; to score other pairs alone, "
+                f"list them as lines SOURCE,TARGET in a file, --pairs FILE{_SELF_PAIR if names[0] == names[1] else ''}"
             )
         return read_point_map(file, base=self.base, n_others=source.n_points)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from homolog.core.errors import bad_choice, needs_extra
-from homolog.core.files import atomic_path
+from homolog.core.files import atomic_path, expanded
 from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, pck_curve
 from homolog.evaluation.result import Evaluation
 
@@ -24,7 +24,7 @@ def plot_pck(path: str | Path, evaluations: Mapping[str, Evaluation]) -> None:
         ArgumentError: if there is no such format.
         MissingExtraError: if matplotlib is not installed.
     """
-    suffix = Path(path).suffix.lower()
+    suffix = expanded(path).suffix.lower()
     if suffix not in _SUFFIXES:
         raise bad_choice("--plot", suffix, _SUFFIXES)
     with needs_extra("a plot", "plot"):

@@ -35,6 +35,7 @@ class PairErrors:
         doubtful: whether the match had a warning of low confidence.
         metrics: figures of one's own.
         exchanged: what the map exchanges; None where that is not looked for.
+        chosen: the features, or the method without any, that were chosen among several; None where there was no choice.
     """
 
     pair: Pair
@@ -46,6 +47,7 @@ class PairErrors:
     doubtful: bool = False
     metrics: Mapping[str, float] = field(default_factory=dict)
     exchanged: Exchange | None = None
+    chosen: str | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,6 +86,11 @@ class Evaluation:
         """How many pairs are exchanged in which way, or not; None if that is not known of any."""
         known = Counter(pair.exchanged for pair in self.pairs if pair.exchanged is not None)
         return {way: known[way] for way in get_args(Exchange)} if known else None
+
+    @property
+    def choices(self) -> dict[str, int]:
+        """How many pairs were matched by which features or method; {} where there was no choice."""
+        return dict(Counter(pair.chosen for pair in self.pairs if pair.chosen is not None))
 
     @property
     def missing(self) -> Detection | None:
@@ -133,6 +140,7 @@ class Evaluation:
             **({"quality_rank_correlations": self.rank_correlations} if self.rank_correlations else {}),
             **({"metrics": metrics} if metrics else {}),
             "method": self.method,
+            **({"chosen": self.choices} if self.choices else {}),
             "unmatched_points": int((~matched).sum()),
             "doubtful_pairs": self.n_doubtful,
             **({} if self.exchanges is None else {"exchanged_pairs": self.exchanges}),
@@ -141,10 +149,12 @@ class Evaluation:
         }
 
     def rows(self) -> list[list[Any]]:
-        """A table of pairs, its header first: names, points, errors, figures of quality, doubts, exchanges, metrics."""
+        """A table of pairs, its header first: names, points, errors, figures of quality, doubts, exchanges,
+        choices, metrics.
+        """
         metrics = sorted({name for pair in self.pairs for name in pair.metrics})
         error = f"mean_{self.error_kind}_error"
-        header = ["source", "target", "points", "unmatched", error, *MEASURES, "doubtful", "exchanged"]
+        header = ["source", "target", "points", "unmatched", error, *MEASURES, "doubtful", "exchanged", "chosen"]
         return [[*header, *metrics], *([*self._row(pair), *map(pair.metrics.get, metrics)] for pair in self.pairs)]
 
     def _row(self, pair: PairErrors) -> list[Any]:
@@ -159,6 +169,7 @@ class Evaluation:
             *quality,
             pair.doubtful,
             pair.exchanged,
+            pair.chosen,
         ]
 
     def _curve(self, errors: Float[np.ndarray, " p"]) -> dict[str, Any]:
@@ -177,6 +188,7 @@ class Evaluation:
             f"mean_{self.error_kind}_error": self.shown(pair.errors.mean()) if len(pair.errors) else None,
             "doubtful": pair.doubtful,
             **({} if pair.exchanged is None else {"exchanged": pair.exchanged}),
+            **({} if pair.chosen is None else {"chosen": pair.chosen}),
             **({} if pair.missing is None else {"without_counterpart": pair.missing.to_dict()}),
             **({} if pair.quality is None else {"quality": pair.quality.to_dict()}),
             **({"metrics": dict(pair.metrics)} if pair.metrics else {}),

@@ -264,6 +264,7 @@ class _Run:
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
             exchanged=self._exchanged(pair, mapped),
+            chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
         )
 
     def _exchanged(self, pair: PairOfNames, mapped: Int[np.ndarray, " p"]) -> Exchange | None:
@@ -294,7 +295,8 @@ def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) ->
     """What a metric of one's own gives for a pair, as a number."""
     found: Any = metric(scored)
     try:
-        figure = float(found)
+        # To Python, True is a number; here it is mostly a comparison whose mean was forgotten.
+        figure = math.nan if np.asarray(found).dtype == bool else float(found)
     except (TypeError, ValueError, RuntimeError):
         figure = math.nan
     if not math.isfinite(figure):

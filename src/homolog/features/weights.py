@@ -7,16 +7,18 @@ from collections.abc import Mapping
 from dataclasses import asdict, fields
 from os import PathLike
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor
+from typing_extensions import NotRequired, TypedDict  # before Python 3.12 pydantic takes no other
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import WeightsError
-from homolog.core.files import parse_json, sha256
-from homolog.core.messages import shorten, shown
+from homolog.core.files import sha256
+from homolog.core.messages import shown
 from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
+from homolog.core.reasons import reason_of
+from homolog.core.records import checked_json, record
 from homolog.core.tensors import read_tensors, write_tensors
 from homolog.features.diffusion_net import DiffusionNet, NetworkSettings
 from homolog.features.extractor import NetworkFeatures
@@ -28,6 +30,15 @@ from homolog.features.published import read_published
 _FORMAT, _VERSION = "homolog-weights-", 1
 # What names of an orienter's tensors begin with.
 _ORIENTER = "orienter."
+
+
+@record
+class _Header(TypedDict):
+    """What is read of the header, whose entries are texts of JSON."""
+
+    settings: str
+    info: str
+    orienter: NotRequired[str]
 
 
 def save_weights(
@@ -90,7 +101,7 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     except PermissionError as error:
         raise WeightsError(f"{path} cannot be read: {error.strerror}; change its permissions") from None
     except Exception as error:  # on damaged bytes the readers raise nearly anything
-        reason = shorten(error, 160) or type(error).__name__
+        reason = reason_of(error)
         raise WeightsError(f"{path} does not hold weights of this network ({reason}); check the file") from None
     networks = [network] if orienter is None else [network, orienter.network]
     if not all(torch.isfinite(tensor).all() for each in networks for tensor in each.state_dict().values()):
@@ -128,16 +139,18 @@ def _read_own(path: Path) -> _Contents:
             f"{path} has version {version} of the weights' format, but this homolog reads up to {_VERSION}; "
             "install a newer homolog"
         )
-    settings = NetworkSettings(**_known(parse_json(described["settings"])))
-    orienter = NetworkSettings(**_known(parse_json(described["orienter"]))) if "orienter" in described else None
-    known = {f.name for f in fields(FeatureInfo)}
-    info = {name: value for name, value in parse_json(described["info"]).items() if name in known}
-    return settings, FeatureInfo(**{**info, "sha256": sha256(path)}), tensors, orienter
+    header = checked_json(json.dumps(described), _Header)
+    settings = _settings(header["settings"])
+    orienter = _settings(header["orienter"]) if "orienter" in header else None
+    given, known = checked_json(header["info"], FeatureInfo), {f.name for f in fields(FeatureInfo)}
+    info = FeatureInfo(**{name: value for name, value in given.items() if name in known} | {"sha256": sha256(path)})
+    return settings, info, tensors, orienter
 
 
-def _known(given: Mapping[str, Any]) -> dict[str, Any]:
+def _settings(text: str) -> NetworkSettings:
     """Settings of a network, none of which can be left out of account, unlike what an info may hold more."""
-    unknown = sorted(set(given) - {f.name for f in fields(NetworkSettings)})
+    given = checked_json(text, NetworkSettings)
+    unknown = sorted(given.keys() - {f.name for f in fields(NetworkSettings)})
     if unknown:
-        raise ValueError(f"its header has an unknown setting {unknown[0]!r}; it may need a newer homolog")
-    return dict(given)
+        raise ValueError(f"its header has an unknown setting {shown(unknown[0])}; it may need a newer homolog")
+    return NetworkSettings(**given)

@@ -9,6 +9,8 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
+from homolog.geometry.tangent import turned_scatter
+
 # Keeps the pseudo-inverse bounded where samples cannot tell two eigenvectors apart.
 _RIDGE = 1e-4
 
@@ -26,6 +28,8 @@ class Basis:
         eigenvectors: takes coefficients to a function (n, k).
         gradients: takes coefficients to the two components of the gradient, in each point's tangent frame (n, 2, k).
         pseudo_inverse: takes a function's values to its coefficients (k, n).
+        scatter: of a cloud, how each point's neighbours spread around it (n, 3, 3), float64; None of a mesh. See
+            ``turned_scatter``.
 
     Examples:
         >>> import torch, trimesh
@@ -43,6 +47,7 @@ class Basis:
     eigenvectors: Float[Tensor, "n k"]
     gradients: Float[Tensor, "n 2 k"]
     pseudo_inverse: Float[Tensor, "k n"]
+    scatter: Float[Tensor, "n 3 3"] | None = None
 
     def __repr__(self) -> str:
         """Sizes alone."""
@@ -70,7 +75,8 @@ class Basis:
         mass = torch.zeros_like(self.mass[kept]).index_add_(0, owner, self.mass)
         eigenvectors, gradients = self.eigenvectors[kept], self.gradients[kept]
         pseudo_inverse = _least_squares(eigenvectors, mass)
-        return Basis(self.points[kept], mass, self.eigenvalues, eigenvectors, gradients, pseudo_inverse)
+        scatter = None if self.scatter is None else self.scatter[kept]
+        return Basis(self.points[kept], mass, self.eigenvalues, eigenvectors, gradients, pseudo_inverse, scatter)
 
     def truncated(self, n_eigenpairs: int) -> Basis:
         """The same basis with only the lowest eigenpairs."""
@@ -88,7 +94,13 @@ class Basis:
 
     def turned(self, rotation: Float[Tensor, "3 3"]) -> Basis:
         """The basis of the same shape, rotated about the origin."""
-        return replace(self, points=self.points @ rotation.T)
+        turned = replace(self, points=self.points @ rotation.T)
+        if self.scatter is None:
+            return turned
+        scatter, signs = turned_signs(self.scatter, rotation)
+        gradients = self.gradients.clone()
+        gradients[:, 0] *= signs.to(gradients)[:, None]
+        return replace(turned, gradients=gradients, scatter=scatter)
 
     def scaled(self, factor: float) -> Basis:
         """The basis of the same shape with all lengths multiplied by a factor."""
@@ -100,6 +112,7 @@ class Basis:
             self.eigenvectors / factor,
             self.gradients / factor**2,
             self.pseudo_inverse * factor,
+            self.scatter,
         )
 
     def moved(self, away: Float[Tensor, " 3"]) -> Basis:
@@ -110,8 +123,10 @@ class Basis:
         """The same basis with eigenvectors, gradients and pseudo-inverse in another precision; the rest stays."""
         if self.eigenvectors.dtype == dtype:
             return self
-        functions = self.eigenvectors.to(dtype), self.gradients.to(dtype), self.pseudo_inverse.to(dtype)
-        return Basis(self.points, self.mass, self.eigenvalues, *functions)
+        eigenvectors, gradients, pseudo_inverse = (
+            functions.to(dtype) for functions in (self.eigenvectors, self.gradients, self.pseudo_inverse)
+        )
+        return replace(self, eigenvectors=eigenvectors, gradients=gradients, pseudo_inverse=pseudo_inverse)
 
     @torch.inference_mode(False)
     def to(self, device: torch.device | str) -> Basis:
@@ -123,7 +138,16 @@ class Basis:
             self.eigenvectors.to(device),
             self.gradients.to(device),
             self.pseudo_inverse.to(device),
+            None if self.scatter is None else self.scatter.to(device),
         )
+
+
+def turned_signs(
+    scatter: Float[Tensor, "n 3 3"], rotation: Float[Tensor, "3 3"]
+) -> tuple[Float[Tensor, "n 3 3"], Float[Tensor, " n"]]:
+    """``turned_scatter`` of tensors."""
+    there, signs = turned_scatter(scatter.cpu().numpy(), rotation.detach().double().cpu().numpy())
+    return torch.from_numpy(there).to(scatter), torch.from_numpy(signs).to(scatter)
 
 
 def some_points(n_points: int, count: int, *, seed: int = 0) -> Int[Tensor, " s"]:

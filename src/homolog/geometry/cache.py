@@ -27,7 +27,7 @@ from homolog.shapes import Shape
 _log = logging.getLogger(__name__)
 
 # Part of every key: raise it when operators of the same shape and settings change.
-_VERSION = 3
+_VERSION = 4
 _DENSE = ("points", "mass", "eigenvalues", "eigenvectors", "centre")
 
 EigenvectorPrecision = Literal["float32", "float16"]
@@ -146,6 +146,8 @@ def _tensors(operators: Operators) -> dict[str, Tensor]:
         tensors[f"{name}.columns"] = matrix.col_indices()
     for name in ("laplacian", "gradient_x", "gradient_y"):
         tensors[f"{name}.values"] = getattr(operators, name).values()
+    if operators.scatter is not None:
+        tensors["scatter"] = operators.scatter.cpu().contiguous()
     return tensors
 
 
@@ -162,6 +164,7 @@ def _operators(tensors: dict[str, Tensor], *, scale: float, method: str) -> Oper
         gradient_y=matrix("gradient", "gradient_y"),
         scale=scale,
         method=method,
+        scatter=tensors.get("scatter"),
     )
 
 

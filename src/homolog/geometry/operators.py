@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import scipy.sparse as sparse
@@ -19,7 +19,7 @@ from torch import Tensor
 from homolog.core.arguments import given_or_default
 from homolog.core.errors import ShapeError
 from homolog.core.settings import Count, Settings
-from homolog.geometry.basis import Basis
+from homolog.geometry.basis import Basis, turned_signs
 from homolog.geometry.components import main_component, main_points, require_usable
 from homolog.geometry.laplacian import (
     CLOUD_NEIGHBOURS,
@@ -31,11 +31,12 @@ from homolog.geometry.laplacian import (
 from homolog.geometry.scale import Frame, frame_of
 from homolog.geometry.spectrum import lowest_eigenpairs
 from homolog.geometry.tangent import (
-    cloud_normals,
     gradient_matrices,
     mesh_edges,
     mesh_normals,
     nearest_neighbours,
+    normals_of,
+    scatter_of,
     tangent_frames,
 )
 from homolog.shapes import Shape
@@ -65,6 +66,8 @@ class Operators:
         centre: origin of the normalised coordinates in the file's (3,), float64.
         scale: one normalised unit in the file's units.
         method: how the eigenpairs were found.
+        scatter: of a cloud, how each point's neighbours spread around it (n, 3, 3), float64; None of a mesh. It tells
+            the signs of its normals, and so the gradients, in another pose.
 
     Examples:
         >>> import trimesh
@@ -91,6 +94,7 @@ class Operators:
     centre: Float[Tensor, " 3"]
     scale: float
     method: str
+    scatter: Float[Tensor, "n 3 3"] | None = None
 
     def __repr__(self) -> str:
         """Sizes, scale, and how the eigenpairs were found."""
@@ -122,12 +126,18 @@ class Operators:
                 self.eigenvectors.clone(),
                 torch.stack(gradients, dim=1),
                 (self.mass[:, None] * self.eigenvectors).T.contiguous(),
+                None if self.scatter is None else self.scatter.clone(),
             )
 
     def to(self, device: torch.device | str) -> Operators:
         """The same operators on another device."""
-        tensors = {f.name: getattr(self, f.name) for f in fields(self) if isinstance(getattr(self, f.name), Tensor)}
-        return replace(self, **{name: tensor.to(device) for name, tensor in tensors.items()})
+        moved: dict[str, Any] = {name: tensor.to(device) for name, tensor in self.tensors().items()}
+        return replace(self, **moved)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All tensors by their names."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: value for name, value in values.items() if isinstance(value, Tensor)}
 
     def truncated(self, n_eigenpairs: int) -> Operators:
         """The same operators with only the lowest eigenpairs."""
@@ -153,7 +163,11 @@ class Operators:
 
     def turned(self, rotation: Float[Tensor, "3 3"]) -> Operators:
         """The operators of the same shape, rotated about the origin of its normalised coordinates."""
-        return replace(self, points=self.points @ rotation.to(self.points).T)
+        turned = replace(self, points=self.points @ rotation.to(self.points).T)
+        if self.scatter is None:
+            return turned
+        scatter, signs = turned_signs(self.scatter, rotation)
+        return replace(turned, gradient_x=_rows_multiplied(self.gradient_x, signs), scatter=scatter)
 
     def around(self, centre: Float[Tensor, " 3"]) -> Operators:
         """The same operators with positions around another point of the file, such as the centre of a full shape."""
@@ -258,10 +272,12 @@ def _operators(
         laplacian, mass = cloud_laplacian(points, n_neighbours=settings.n_neighbours)
         if neighbours is None:
             neighbours = nearest_neighbours(points, settings.n_neighbours)
-        frames = tangent_frames(cloud_normals(points, neighbours))
+        scatter = scatter_of(points, neighbours)
+        frames = tangent_frames(normals_of(scatter))
         starts = np.repeat(np.arange(len(points)), neighbours.shape[1])
         gradient = gradient_matrices(points, frames, starts, neighbours.ravel())
     else:
+        scatter = None
         laplacian, mass = mesh_laplacian(points, shape.faces, kind=settings.laplacian)
         frames = tangent_frames(mesh_normals(points, shape.faces))
         gradient = gradient_matrices(points, frames, *mesh_edges(shape.faces))
@@ -277,6 +293,7 @@ def _operators(
         centre=torch.from_numpy(frame.centre),
         scale=frame.scale,
         method=spectrum.method,
+        scatter=None if scatter is None else torch.from_numpy(scatter),
     )
 
 
@@ -288,6 +305,9 @@ def _with_small_components(
     mass[main] = operators.mass
     eigenvectors = torch.zeros(len(main), operators.n_eigenpairs)
     eigenvectors[main] = operators.eigenvectors
+    scatter = operators.scatter
+    if scatter is not None:
+        scatter = torch.zeros(len(main), 3, 3, dtype=scatter.dtype).index_copy_(0, torch.nonzero(main)[:, 0], scatter)
     return replace(
         operators,
         points=_single(points),
@@ -296,6 +316,7 @@ def _with_small_components(
         laplacian=_spread(operators.laplacian, main),
         gradient_x=_spread(operators.gradient_x, main),
         gradient_y=_spread(operators.gradient_y, main),
+        scatter=scatter,
     )
 
 
@@ -304,6 +325,12 @@ def _spread(matrix: SparseMatrix, main: Bool[Tensor, " n"]) -> SparseMatrix:
     rows = matrix.crow_indices()[torch.cat([torch.zeros(1, dtype=torch.long), main.cumsum(0)])]
     columns = torch.nonzero(main)[:, 0].to(rows)[matrix.col_indices()]
     return compressed_rows(rows, columns, matrix.values())
+
+
+def _rows_multiplied(matrix: SparseMatrix, factors: Float[Tensor, " n"]) -> SparseMatrix:
+    """A sparse matrix with each of its rows multiplied by a factor."""
+    rows, values = matrix.crow_indices(), matrix.values()
+    return compressed_rows(rows, matrix.col_indices(), values * factors.to(values).repeat_interleave(rows.diff()))
 
 
 def _single(array: np.ndarray) -> Tensor:

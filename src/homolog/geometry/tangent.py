@@ -25,9 +25,36 @@ def mesh_normals(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 
 def cloud_normals(points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]) -> Float[np.ndarray, "n 3"]:
     """Unit normal per point, of either sign: the direction in which its neighbours spread least around it."""
+    return normals_of(scatter_of(points, neighbours))
+
+
+def scatter_of(points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]) -> Float[np.ndarray, "n 3 3"]:
+    """How each point's neighbours spread around it: the sum of the outer products of the edges to them."""
     edges = points.take(neighbours, axis=0) - points[:, None]
-    _, directions = np.linalg.eigh(edges.transpose(0, 2, 1) @ edges)
+    scatter: np.ndarray = edges.transpose(0, 2, 1) @ edges
+    return scatter
+
+
+def normals_of(scatter: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
+    """Unit normals of a cloud from the scatter of its points' neighbours; their signs are those that LAPACK gives."""
+    _, directions = np.linalg.eigh(scatter)
     return directions[:, :, 0]
+
+
+def turned_scatter(
+    scatter: Float[np.ndarray, "n 3 3"], rotation: Float[np.ndarray, "3 3"]
+) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, " n"]]:
+    """The scatter of a cloud in another pose, and which of its normals are then of the other sign.
+
+    A cloud does not tell out from in, so that the sign of a normal follows from its direction. Networks learn what it
+    is on upright shapes: on a shape that is turned upright, it has to be what it would be there.
+
+    Returns:
+        The scatter (n, 3, 3), and for each point -1 if its normal is turned round, or 1 (n,).
+    """
+    there = rotation @ scatter @ rotation.T
+    agreement = np.einsum("nj,nj->n", normals_of(scatter) @ rotation.T, normals_of(there))
+    return there, np.where(agreement < 0, -1.0, 1.0)
 
 
 def nearest_neighbours(points: Float[np.ndarray, "n 3"], n_neighbours: int) -> Int[np.ndarray, "n j"]:

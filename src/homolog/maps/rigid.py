@@ -71,11 +71,9 @@ def best_similarity(
         3.0
     """
     weights = torch.ones_like(points[:, 0]) if weights is None else weights.to(points)
-    shares = (weights / weights.sum())[:, None]
-    rotation: Tensor = best_rotation(points, targets, weights)
-    middle, target = (shares * points).sum(dim=0), (shares * targets).sum(dim=0)
-    turned = (points - middle) @ rotation.T
-    scale = (shares * turned * (targets - target)).sum() / (shares * turned.square()).sum()
+    rotation, middle, target = _least_squares(points, targets, weights)
+    turned, wanted = (points - middle) @ rotation.T, targets - target
+    scale = (weights @ (turned * wanted)).sum() / (weights @ turned.square()).sum()
     return Similarity(rotation, float(scale), target - scale * rotation @ middle)
 
 
@@ -111,16 +109,16 @@ def rigid_motion(
     start, end = points.double(), targets.double()
     weights = torch.ones_like(start[:, 0])
     for _ in range(rounds):
-        rotation, shift = _least_squares(start, end, weights)
-        residuals = (start @ rotation.T + shift - end).norm(dim=1)
+        rotation, middle, target = _least_squares(start, end, weights)
+        residuals = ((start - middle) @ rotation.T + target - end).norm(dim=1)
         weights = 1 / (1 + (residuals / residuals.median().clamp(min=_LEAST_RESIDUAL)) ** 2)
-    rotation, shift = _least_squares(start, end, weights)
-    return rotation.to(points), shift.to(points)
+    rotation, middle, target = _least_squares(start, end, weights)
+    return rotation.to(points), (target - rotation @ middle).to(points)
 
 
 def _least_squares(
     points: Float[Tensor, "n 3"], targets: Float[Tensor, "n 3"], weights: Float[Tensor, " n"]
-) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
+) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"], Float[Tensor, " 3"]]:
+    """The best rotation about the centres of both, and these centres."""
     shares = weights / weights.sum()
-    rotation: Tensor = best_rotation(points, targets, weights)
-    return rotation, shares @ targets - rotation @ (shares @ points)
+    return best_rotation(points, targets, weights), shares @ points, shares @ targets

@@ -8,6 +8,8 @@ from functools import cache
 import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -189,7 +191,7 @@ def joint_rotations(
         progress(done, len(pairs), "aligning shapes")
     medoid = central[misfits[:, central].sum(axis=0).argmin()]
     found = {medoid: (torch.eye(3).to(points[0]), 0.0)}
-    for child, parent in _spanning_tree(misfits, medoid):
+    for child, parent in _spanning_tree(misfits, pairs, medoid):
         found[child] = found[parent][0] @ turns[child, parent], float(misfits[child, parent])
     return [found[number] for number in range(len(points))]
 
@@ -202,16 +204,15 @@ def _landmarks(count: int) -> list[int]:
     return drawn
 
 
-def _spanning_tree(distances: Float[np.ndarray, "n n"], root: int) -> Iterable[tuple[int, int]]:
-    """Edges (child, parent) of the minimum spanning tree, from the root on (Prim, 1957)."""
-    nearest, parents = distances[root].copy(), np.full(len(distances), root)
-    outside = set(range(len(distances))) - {root}
-    while outside:
-        child = min(outside, key=lambda number: (nearest[number], number))
-        outside.remove(child)
-        yield child, int(parents[child])
-        closer = distances[child] < nearest
-        nearest[closer], parents[closer] = distances[child][closer], child
+def _spanning_tree(
+    misfits: Float[np.ndarray, "n n"], pairs: Sequence[tuple[int, int]], root: int
+) -> Iterable[tuple[int, int]]:
+    """Edges (child, parent) of the minimum spanning tree over the pairs that were compared, from the root on."""
+    rows, columns = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    # To SciPy an edge of length zero is none; one more for every edge leaves the tree as it is.
+    graph = csr_matrix((1 + misfits[rows, columns], (rows, columns)), shape=misfits.shape)
+    order, parents = breadth_first_order(minimum_spanning_tree(graph), root, directed=False)
+    return ((int(child), int(parents[child])) for child in order[1:])
 
 
 def _iterated(

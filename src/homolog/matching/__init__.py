@@ -7,6 +7,7 @@ from homolog.matching.in_one_call import match
 from homolog.matching.inputs import with_inputs
 from homolog.matching.matcher import Matcher
 from homolog.matching.quality import MEASURES, MapQuality, Quality
+from homolog.matching.recognition import choose, map_misfit
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_point_map, checked_maps
 from homolog.matching.result_files import RESULT_FILES, given_files, matched_name, read_point_map, write_folder
@@ -26,9 +27,11 @@ __all__ = [
     "best_alignment",
     "check_point_map",
     "checked_maps",
+    "choose",
     "features_of_weights",
     "given_files",
     "low_confidence_warnings",
+    "map_misfit",
     "match",
     "matched_colours",
     "matched_name",

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from homolog.features import FeatureExtractor
 from homolog.geometry import Basis, some_points
-from homolog.maps import best_similarity, most_similar, normalised, rigid_motion
+from homolog.maps import best_rotation, best_similarity, most_similar, normalised, rigid_motion
 from homolog.pairs import AlignmentSettings, Pair, PreprocessedShape, Preprocessor
 from homolog.shapes import rotation_about
 
@@ -56,7 +56,7 @@ def align_partial(pair: Pair) -> Pair:
     if not pair.is_partial or settings is None or extractor is None or not extractor.info.follows_pose:
         return pair
     full, partial = pair.x, pair.y
-    basis, given = partial.operators.basis, partial.operators.turned(partial.rotation.T).points
+    basis, given = partial.operators.basis, partial.points_as_given
     found = best_alignment(
         basis,
         extractor,
@@ -68,7 +68,8 @@ def align_partial(pair: Pair) -> Pair:
     )
     if found.points is basis.points:
         return pair
-    operators = replace(partial.operators.scaled(found.scale), points=found.points)
+    turned = partial.operators.scaled(found.scale).turned(best_rotation(basis.points, found.points))
+    operators = replace(turned, points=found.points)
     features = Preprocessor(extractor=extractor).features(operators)
     alignment = best_similarity(given, found.points)
     aligned = pair.with_y(replace(partial, operators=operators, features=features))
@@ -187,7 +188,8 @@ class _Search:
 
     def _step(self, points: Float[Tensor, "n 3"], scale: float) -> _Step:
         some = points[self._some]
-        features = self._extractor(replace(self._basis.scaled(scale), points=some))
+        turned = self._basis.scaled(scale).turned(best_rotation(self._basis.points, some))
+        features = self._extractor(replace(turned, points=some))
         found = most_similar(normalised(features), self._candidates)
         alignment = Alignment(points, scale, float(found.value.mean()))
         return _Step(alignment, *rigid_motion(some, self._positions[found.index]))

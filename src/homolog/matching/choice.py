@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from homolog.core.errors import ArgumentError
-from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, load_weights, on_device
+from homolog.core.pretrained import AUTO_WEIGHTS, KINDS, pretrained_weights
+from homolog.features import FeatureExtractor, FeatureInfo, as_extractor, load_weights, on_device
+from homolog.geometry import OperatorSettings
 from homolog.methods import AUTO, as_method, find_method
 from homolog.pairs import MatcherSettings, Method
 from homolog.shapes import Modality
@@ -23,6 +26,42 @@ def chosen_method(settings: MatcherSettings, extractor: FeatureExtractor | None)
 
 def _named(method: Any) -> Method:
     return as_method(find_method(method) if isinstance(method, str) else method)
+
+
+def extractors_of(features: Any, info: FeatureInfo | None) -> tuple[FeatureExtractor, ...]:
+    """What computes the features that were given: one extractor, several to choose from, or none.
+
+    Raises:
+        ArgumentError: if something given computes none, or one of several has no orienter, which tells what it knows.
+    """
+    if features is None:
+        return ()
+    several = tuple(features) if isinstance(features, list | tuple) else (features,)
+    found = tuple(as_extractor(each, info) for each in several)
+    for extractor in found if len(found) > 1 else ():
+        if getattr(extractor, "orienter", None) is None:
+            raise ArgumentError(
+                f"the features {extractor.info.name!r} have no orienter, which tells whether they know a shape; "
+                "give them alone, or weights of homolog train with orienter steps"
+            )
+    return found
+
+
+def operators_expected(extractors: Iterable[FeatureExtractor | None]) -> OperatorSettings:
+    """The operators that features were trained with; without any, the usual ones.
+
+    Raises:
+        ArgumentError: if they were trained with different ones.
+    """
+    infos = {extractor.info.name: extractor.info for extractor in extractors if extractor is not None}
+    expected = {
+        name: OperatorSettings(info.n_eigenpairs, info.laplacian, info.n_neighbours) for name, info in infos.items()
+    }
+    if len(set(expected.values())) > 1:
+        raise ArgumentError(
+            f"the features {', '.join(map(repr, expected))} expect different operators; give them alone"
+        )
+    return next(iter(expected.values()), OperatorSettings())
 
 
 def extractor_for(
@@ -56,11 +95,15 @@ def _compares_given_features(method: Method) -> bool:
     return method.supports.needs_features and getattr(method, "features", None) is None
 
 
-def features_of_weights(weights: str | Path | None, settings: MatcherSettings) -> FeatureExtractor | None:
-    """The features of the weights that were given; by default of those for people, where the method needs any."""
+def features_of_weights(
+    weights: str | Path | None, settings: MatcherSettings
+) -> FeatureExtractor | tuple[FeatureExtractor, ...] | None:
+    """The features of the weights that were given; by default of all kinds of shapes, where the method needs any."""
     if weights is None and not needs_features(settings):
         return None
-    return load_weights(DEFAULT_WEIGHTS if weights is None else weights)
+    if weights is None or str(weights) == AUTO_WEIGHTS:
+        return tuple(load_weights(kind) for kind in KINDS if kind in pretrained_weights())
+    return load_weights(weights)
 
 
 def method_between(

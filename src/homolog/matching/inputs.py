@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from os import PathLike
-from pathlib import Path
+from os import PathLike, fspath
 from typing import Any
 
 import numpy as np
@@ -59,7 +58,7 @@ def read_inputs(source: Any, target: Any, timings: Timings) -> tuple[tuple[Shape
     for side, shape in given.items():
         if isinstance(shape, str | PathLike):
             with timings.measure(f"read {side}"):
-                shape, digest = read_hashed_shape(Path(shape))
+                shape, digest = read_hashed_shape(fspath(shape))
             files[side] = {"file": str(given[side]), "sha256": digest}
         shapes.append(_shape(side, shape))
     return (shapes[0], shapes[1]), files

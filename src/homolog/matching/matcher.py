@@ -6,19 +6,31 @@ from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
+from weakref import WeakKeyDictionary
 
 import torch
 from numpy.typing import ArrayLike
 
 from homolog.core.arguments import check_choice, check_count, check_kind, given_or_default
 from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Timings
-from homolog.features import DEFAULT_WEIGHTS, FeatureExtractor, FeatureInfo, as_extractor, load_weights
-from homolog.geometry import OperatorSettings, compute_operators
+from homolog.core.unchanged import left_unchanged
+from homolog.features import FeatureExtractor, FeatureInfo, on_device
+from homolog.geometry import compute_operators
 from homolog.matching.alignment import align_partial
-from homolog.matching.choice import chosen_method, extractor_for, left_aside_warnings, method_between
+from homolog.matching.choice import (
+    chosen_method,
+    extractor_for,
+    extractors_of,
+    features_of_weights,
+    left_aside_warnings,
+    method_between,
+    operators_expected,
+)
 from homolog.matching.inputs import check_two_arrays, options_of, read_inputs, with_inputs
 from homolog.matching.mirror import mirror_warnings
+from homolog.matching.recognition import choose
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, checked_maps
 from homolog.matching.search import orient, orientations
@@ -54,7 +66,7 @@ class Matcher:
     Args:
         features: what computes features: what ``load_weights`` gives, a network, a function of operators (see
             ``as_extractor``), or a ``FeatureInfo`` where features are given with each pair. None for methods that need
-            none.
+            none. Of several extractors, those are used that know a pair best; see ``homolog.pairs.ChoiceSettings``.
         settings: how maps are made.
         device: where features and maps are computed.
         operators: where operators come from; pass an ``OperatorCache``'s ``operators`` to keep them on disk.
@@ -89,12 +101,14 @@ class Matcher:
             )
         self.settings = given_or_default("settings", settings, MatcherSettings)
         self.device = choose_device(device)
-        given = None if features is None else as_extractor(features, info)
-        self._method = chosen_method(self.settings, given)
-        self.warnings = left_aside_warnings(self._method, given)
-        self.extractor = extractor_for(self._method, given, self.settings, self.device)
-        expected = FeatureInfo() if self.extractor is None else self.extractor.info
-        of_features = OperatorSettings(expected.n_eigenpairs, expected.laplacian, expected.n_neighbours)
+        given = extractors_of(features, info)
+        first = next(iter(given), None)
+        self._method = chosen_method(self.settings, first)
+        self.warnings = left_aside_warnings(self._method, first)
+        self.extractor = extractor_for(self._method, first, self.settings, self.device)
+        self._others = () if self.warnings else tuple(on_device(other, self.device) for other in given[1:])
+        self._seen = WeakKeyDictionary[PreprocessedShape, dict[FeatureExtractor | None, PreprocessedShape]]()
+        of_features = operators_expected([self.extractor, *self._others])
         self.preprocess = Preprocessor(
             extractor=self.extractor,
             orientation=self.settings.orientation,
@@ -111,7 +125,7 @@ class Matcher:
     @classmethod
     def from_weights(
         cls,
-        weights: str | Path = DEFAULT_WEIGHTS,
+        weights: str | Path = AUTO_WEIGHTS,
         *,
         settings: MatcherSettings | None = None,
         device: Device | torch.device = "auto",
@@ -119,11 +133,14 @@ class Matcher:
     ) -> Matcher:
         """A matcher with pretrained weights, by their name, or with weights from a file.
 
+        By default each pair is matched by the pretrained weights that know it best, or without any.
+
         Raises:
             ArgumentError: if something given is of another kind.
             WeightsError: if there are no such weights, or the file does not hold any.
         """
-        return cls(load_weights(weights), settings=settings, device=device, operators=operators)
+        settings = given_or_default("settings", settings, MatcherSettings)
+        return cls(features_of_weights(weights, settings), settings=settings, device=device, operators=operators)
 
     def with_extractor(self, extractor: FeatureExtractor) -> Matcher:
         """A matcher that differs in its features alone."""
@@ -137,8 +154,9 @@ class Matcher:
 
     def describe(self) -> dict[str, Any]:
         """Features, settings and device, for reports."""
-        info = None if self.extractor is None else asdict(self.extractor.info)
-        return {"features": info, "settings": self._resolved.to_dict(), "device": str(self.device)}
+        infos = [asdict(extractor.info) for extractor in (self.extractor, *self._others) if extractor is not None]
+        features = infos if self._others else next(iter(infos), None)
+        return {"features": features, "settings": self._resolved.to_dict(), "device": str(self.device)}
 
     def match(
         self,
@@ -196,7 +214,8 @@ class Matcher:
             features=features,
             timings=timings,
         )
-        return pair, files
+        with timings.measure("choice of features"):
+            return self._chosen(pair), files
 
     @torch.no_grad()
     def paired(self, source: PreprocessedShape, target: PreprocessedShape, options: PairOptions | None = None) -> Pair:
@@ -215,15 +234,31 @@ class Matcher:
         if options.orient == "given" or options.pre_aligned:
             source, target = (shape.as_given(self.extractor) for shape in (source, target))
         method = self.method_of(source.modality, target.modality)
-        return Pair(source, target, options, self._resolved, method, self.extractor)
+        return self._chosen(Pair(source, target, options, self._resolved, method, self.extractor))
+
+    def _chosen(self, pair: Pair) -> Pair:
+        """The pair with the features that know it best."""
+        extractors = () if self.extractor is None else (self.extractor, *self._others)
+
+        def seen(shape: PreprocessedShape, extractor: FeatureExtractor | None) -> PreprocessedShape:
+            known = self._seen.setdefault(shape, {})
+            if extractor not in known:
+                partial = pair.is_partial and shape is pair.y
+                preprocess = replace(self.preprocess, extractor=extractor)
+                known[extractor] = preprocess.again(shape, orient=pair.options.orient, partial=partial)
+            return known[extractor]
+
+        return choose(pair, extractors, seen, self.find)
 
     @torch.no_grad()
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
         aligned = align_partial(orient(pair))
-        maps = checked_maps(aligned, aligned.method(aligned))
-        return Match.of(aligned, refine(aligned, maps))
+        lent = {f"{name} of {one.name}": t for one in (aligned.x, aligned.y) for name, t in one.tensors().items()}
+        with left_unchanged(f"method {aligned.method.name!r}", lent):
+            maps = aligned.method(aligned)
+        return Match.of(aligned, refine(aligned, checked_maps(aligned, maps)))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result and their units; see ``match``."""
@@ -250,18 +285,18 @@ class Matcher:
         units = unit_warnings(pair)
         with timings[0].measure("map"), blaming(units):
             ways = orientations(pair, count)
-            best = self._checked(pair, self.find(ways[0]), units)
+            best = self._checked(ways[0], self.find(ways[0]), units)
         if pair.options.strict and best.warnings:
             raise ShapeError(f"{best.warnings[0]} (refused as strict)")
         others = []
         for way, own in zip(ways[1:], timings[1:], strict=False):
             with own.measure("map"):
-                others.append(self._checked(pair, self.find(way), units))
+                others.append(self._checked(way, self.find(way), units))
         return [best, *others]
 
     def _checked(self, pair: Pair, match: Match, units: tuple[str, ...]) -> Match:
-        """A match of a pair with all that there is to warn of."""
-        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair, match))
+        """A match of a pair, turned as it was matched, with all that there is to warn of."""
+        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
         doubts = low_confidence_warnings(match, self.settings.warnings, pair=pair)
         return replace(match, warnings=(*self.warnings, *units, *checks, *doubts))
 

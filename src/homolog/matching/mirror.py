@@ -8,8 +8,7 @@ from torch import Tensor
 
 from homolog.geometry import some_points
 from homolog.maps import closest_point_rotations
-from homolog.matching.result import Match
-from homolog.pairs import SIDES, Pair, PreprocessedShape, Side
+from homolog.pairs import Pair
 
 _FEW, _MANY = 500, 2000
 # Samples of one surface, drawn apart, have about these mean squared distances: twice the square of half a spacing.
@@ -19,19 +18,18 @@ _CLEARLY_BETTER = 0.25
 
 
 @torch.no_grad()
-def mirror_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
+def mirror_warnings(pair: Pair) -> tuple[str, ...]:
     """Say if two shapes are one and the same, but for a reflection.
 
     Args:
-        pair: two full shapes.
-        match: of them, whose report says how they were turned.
+        pair: two full shapes, turned as they were matched.
 
     Returns:
         At most one line.
     """
     if pair.is_partial or pair.options.mirror is not None:
         return ()
-    x, y = (_turned(shape, match, side) for side, shape in zip(SIDES, (pair.source, pair.target), strict=True))
+    x, y = pair.source.operators.points, pair.target.operators.points
     reflected = x * x.new_tensor([-1.0, 1, 1])
     # Upright shapes are reflected in their own plane of symmetry; of others, any rotation may follow.
     starts = torch.eye(3).to(x)[None] if pair.source.orientations else None
@@ -42,13 +40,6 @@ def mirror_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
     if misfit > _CLEARLY_BETTER * _misfit(x, y, rotation):
         return ()
     return ("the source seems to be the mirror image of the target; reflect one of them, by mirror='source'",)
-
-
-def _turned(shape: PreprocessedShape, match: Match, side: Side) -> Float[Tensor, "n 3"]:
-    """Positions as they were matched."""
-    told = match.report.get("orientation")
-    rotation = shape.rotation if told is None else torch.tensor(told[side]["rotation"])
-    return shape.operators.turned(rotation @ shape.rotation.T).points
 
 
 def _misfit(x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], start: Float[Tensor, "3 3"]) -> float:

@@ -279,13 +279,15 @@ class Match:
     def load(cls, folder: str | Path) -> Match:
         """Read a match from a folder that ``save`` or ``homolog match`` wrote.
 
+        A single file that ``save`` wrote holds maps, but neither shapes nor report: ``homolog.matching.read_point_map``
+        reads a map of it, and ``Match(source, target, source_to_target, target_to_source)`` makes a match of two.
+
         Raises:
             DataError: if there is no such folder, or one of its files is missing, damaged, or does not fit the others.
             ShapeError: if a shape cannot be read.
         """
         if not expanded(folder).is_dir():
-            found = f"{folder} is a file" if expanded(folder).exists() else f"there is no folder {folder}"
-            raise DataError(f"{found}; give a folder that homolog match or Match.save wrote")
+            raise DataError(_no_folder(folder))
         stored = result_files.read_folder(folder)
         try:
             return cls(**stored)
@@ -334,6 +336,19 @@ class Match:
         doubt = f", {len(self.warnings)} warnings" if self.warnings else ""
         trust = f"confidence {self.source_confidence.mean():.2f} and {self.target_confidence.mean():.2f}"
         return f"Match({self.source.name!r} -> {self.target.name!r} by {self.method}, {trust}{doubt})"
+
+
+def _no_folder(path: str | Path) -> str:
+    """What to say of a path that is no result folder."""
+    instead = "give a folder that homolog match or Match.save wrote"
+    if not expanded(path).exists():
+        return f"there is no folder {path}; {instead}"
+    if expanded(path).suffix.lower() in result_files.MAP_SUFFIXES:
+        return (
+            f"{path} is a file of point maps, which holds no shapes; read its maps with "
+            f"homolog.matching.read_point_map, or {instead}"
+        )
+    return f"{path} is a file; {instead}"
 
 
 def check_point_map(name: str, indices: Any, *, n_points: int, n_others: int) -> Int[np.ndarray, " n"]:
@@ -479,6 +494,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "method": match.method,
         "quality": None if match.quality is None else match.quality.to_dict(),
         "options": asdict(pair.options),
+        "choice": [asdict(candidate) for candidate in pair.choice],
         "orientation": _orientation(pair),
         "alignment": _alignment(pair),
         "features": info,

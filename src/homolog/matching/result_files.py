@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -32,7 +32,9 @@ from homolog.core.files import (
 from homolog.core.messages import shorten
 from homolog.core.progress import Timings
 from homolog.core.reader_process import read_in_process
+from homolog.core.reasons import reason_of
 from homolog.core.records import read_record, record
+from homolog.core.versions import versions
 from homolog.matching.colours import matched_colours
 from homolog.matching.quality import MapQuality
 from homolog.pairs import SIDES, PairOptions, Side
@@ -49,18 +51,42 @@ _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_
 _DIRECTIONS = ("target_to_source", "source_to_target")
 # The first index of each format, as other programs write it.
 _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
+MAP_SUFFIXES = (*_BASES, ".map")
+"""The suffixes of files that point maps are read from."""
 _MATLAB = Path(__file__).with_name("mat_process.py")
 # No shape has so many points, and below it floating-point numbers are exact.
 _TOO_LARGE = 2**53
+# Of the entries of a rotation, which single precision computes.
+_TURN_TOLERANCE = 1e-3
 # No coordinate whose square is no number can be matched.
 _FARTHEST = 1e150
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """A rotation of a shape, by which it was turned."""
+
+    rotation: list[list[float]]
+
+    def __post_init__(self) -> None:
+        found = np.array(self.rotation) if {*map(len, self.rotation)} == {3} else np.zeros((0, 3))
+        orthogonal = found.shape == (3, 3) and np.allclose(found @ found.T, np.eye(3), atol=_TURN_TOLERANCE)
+        if not orthogonal or np.linalg.det(found) < 0:
+            raise ValueError("rotation is no rotation matrix (3, 3)")
+
+
+class _Orientation(TypedDict, total=False):
+    source: _Turn
+    target: _Turn
 
 
 class _Input(TypedDict, total=False):
     name: str
     file: str
     sha256: str
+    n_points: Annotated[int, Ge(0)]
     points_left_out: Annotated[int, Ge(0)]
+    space: Literal["RAS", "LPS"] | None
 
 
 class _Inputs(TypedDict, total=False):
@@ -76,6 +102,8 @@ class _Report(TypedDict):
     warnings: NotRequired[list[str]]
     inputs: NotRequired[_Inputs]
     options: NotRequired[PairOptions]
+    orientation: NotRequired[_Orientation | None]
+    alignment: NotRequired[_Turn | None]
     quality: NotRequired[MapQuality | None]
     sha256: NotRequired[dict[str, str]]
 
@@ -125,7 +153,7 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
             told["quality"] = match.quality.to_dict()
         if timings is not None:
             told["timings"] = [asdict(timing) for timing in timings.finished]
-        write_json(paths[3], {**match.report, **told})
+        write_json(paths[3], {"versions": versions(), **match.report, **told})
     return paths
 
 
@@ -161,6 +189,13 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
 def _read_shape(root: Path, report: dict[str, Any], side: Side) -> Shape:
     """One of the shapes, by the name of the file that was matched where the report tells it."""
     shape = read_shape(root / f"{side}.ply")
+    told = report.get("inputs", {}).get(side, {})
+    for entry, least in (("n_points", shape.n_points), ("points_left_out", 0)):
+        if not least <= told.get(entry, least) <= shape.n_points:
+            raise DataError(
+                f"{root / REPORT} is damaged (its entry inputs.{side}.{entry} is {told[entry]}, but {shape.name} has "
+                f"{shape.n_points} points); match again"
+            )
     if not (np.abs(shape.points) < _FARTHEST).all():
         raise DataError(f"{root / shape.name} has points that no match writes, infinite or beyond; match again")
     return replace(shape, name=matched_name(report, side, otherwise=shape.name))
@@ -178,8 +213,7 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
             missing = [name for name in _ARRAYS if name not in stored.names]
             arrays = {name: stored[name] for name in _ARRAYS if name not in missing}
     except Exception as error:  # whatever NumPy raises of a damaged file
-        said = shorten(error, 160)
-        raise DataError(f"{path} cannot be read as the arrays of a match ({said}); match again") from None
+        raise DataError(f"{path} cannot be read as the arrays of a match ({reason_of(error)}); match again") from None
     if missing:
         raise DataError(f"{path} has no array {missing[0]!r}; it must be what homolog match wrote")
     for name, array in arrays.items():
@@ -262,7 +296,7 @@ def read_point_map(
     except HomologError:
         raise
     except Exception as error:  # whatever NumPy and SciPy raise of a damaged file
-        raise DataError(f"{path} cannot be read as a point map ({shorten(error, 160)})") from None
+        raise DataError(f"{path} cannot be read as a point map ({reason_of(error)})") from None
     values = _whole_numbers(path, values)
     if first is None:
         first = _BASES.get(suffix, 1)
@@ -319,7 +353,7 @@ def _whole_numbers(path: str | Path, given: Any) -> Int[np.ndarray, " n"]:
 
 def _checked_suffix(path: str | Path, *, reading: bool = False) -> str:
     suffix = PurePath(path).suffix.lower()
-    known = [*_BASES, ".map"] if reading else [*_BASES]
+    known = MAP_SUFFIXES if reading else (*_BASES,)
     if suffix not in known:
         folder = "" if reading else "; without a suffix it is a result folder"
         found = f"the suffix {suffix!r}" if suffix else "no suffix"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from typing import ClassVar
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -18,13 +21,12 @@ from homolog.pairs import AxiomaticSettings, Pair, PointMaps
 _LEAST_VARIATION = 1e-4
 
 
+@dataclass(frozen=True)
 class AxiomaticFeatures:
     """Wave kernel signatures, and the smoothed position, which tells left from right where two shapes stand alike."""
 
-    info = FeatureInfo(name="axiomatic", licence="none", input="xyz", upright=False)
-
-    def __init__(self, settings: AxiomaticSettings | None = None) -> None:
-        self.settings = settings or AxiomaticSettings()
+    settings: AxiomaticSettings = field(default_factory=AxiomaticSettings)
+    info: ClassVar[FeatureInfo] = FeatureInfo(name="axiomatic", licence="none", input="xyz", upright=False)
 
     def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
         """Descriptors of all points (n, d)."""

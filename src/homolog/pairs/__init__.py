@@ -11,11 +11,12 @@ if TYPE_CHECKING:
     from homolog.core.choices import AsCloud, Device, Side
     from homolog.pairs.method import Method, Supports, check_supported
     from homolog.pairs.options import SIDES, PairOptions
-    from homolog.pairs.pair import Pair, PairOrientation, PointMaps
+    from homolog.pairs.pair import Candidate, Pair, PairOrientation, PointMaps
     from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
     from homolog.pairs.settings import (
         AlignmentSettings,
         AxiomaticSettings,
+        ChoiceSettings,
         FunctionalMapSettings,
         MatcherSettings,
         OrientationSettings,
@@ -29,6 +30,8 @@ __all__ = [
     "AlignmentSettings",
     "AsCloud",
     "AxiomaticSettings",
+    "Candidate",
+    "ChoiceSettings",
     "Device",
     "FunctionalMapSettings",
     "MatcherSettings",
@@ -54,6 +57,8 @@ _MODULES = {
     "AlignmentSettings": "settings",
     "AsCloud": "options",
     "AxiomaticSettings": "settings",
+    "Candidate": "pair",
+    "ChoiceSettings": "settings",
     "Device": "settings",
     "FunctionalMapSettings": "settings",
     "MatcherSettings": "settings",

@@ -59,6 +59,21 @@ class PairOrientation:
     ambiguous: bool = False
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """Features that may suit a pair, or a method without any.
+
+    Args:
+        name: of the features, or of the method.
+        misfit: how little the features know the pair, see ``ChoiceSettings``; None of a method.
+        map_misfit: how much the map that they lead to contradicts itself; None where the choice needed no map.
+    """
+
+    name: str
+    misfit: float | None = None
+    map_misfit: float | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Two preprocessed shapes, with all that was decided about them.
@@ -72,6 +87,7 @@ class Pair:
         settings: how maps are made.
         method: what finds them, chosen by what the two shapes are.
         extractor: what computed their features; None where nothing did.
+        choice: among which features and methods these were chosen, the chosen one first; empty where it was given.
         orientation: which way round they were found to be; None where nothing was looked for.
         alignment: what took the partial shape as it was given onto the full one, in normalised coordinates; None where
             it stays.
@@ -87,6 +103,7 @@ class Pair:
     settings: MatcherSettings
     method: Method
     extractor: FeatureExtractor | None = None
+    choice: tuple[Candidate, ...] = ()
     orientation: PairOrientation | None = None
     alignment: Similarity | None = None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
@@ -17,6 +17,7 @@ from homolog.core.choices import Orient
 from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
+from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, Orientation, checked_features
 from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, unit_frame
 from homolog.maps import rotation_angle
@@ -66,6 +67,15 @@ class PreprocessedShape:
     def modality(self) -> Modality:
         """``"mesh"`` or ``"cloud"``."""
         return self.repaired.shape.modality
+
+    @property
+    def points_as_given(self) -> Float[Tensor, "n 3"]:
+        """The operators' positions before anything turned them (n, 3): those of the file, upright and normalised."""
+        return self.operators.points @ self.rotation.to(self.operators.points)
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All tensors that methods are lent, by their names."""
+        return {**self.operators.tensors(), **({} if self.features is None else {"features": self.features})}
 
     def needed_features(self) -> Float[Tensor, "n d"]:
         """The features, where a method cannot do without them.
@@ -172,18 +182,33 @@ class Preprocessor:
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(_position("centre", centre))
-        orientations: tuple[Orientation, ...] = ()
-        rotation = torch.eye(3)
         with timings.measure(f"orientation of {label}"):
-            if orient == "auto" and features is None and centre is None:
-                orientations = self.orientations(operators, partial=partial)
-                rotation = orientations[0].rotation if orientations else rotation
-                operators = operators.turned(rotation)
+            is_known = orient == "given" or features is not None or centre is not None
+            orientations = () if is_known else self.orientations(operators, partial=partial)
+            rotation = _best_rotation(orientations)
+            operators = operators.turned(rotation)
         with timings.measure(f"features of {label}"):
             found = self.features(operators) if features is None else _of_points(features, shape, repaired, operators)
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
         return PreprocessedShape(shape, repaired, operators, found, up, orientations, rotation)
+
+    @torch.no_grad()
+    def again(self, shape: PreprocessedShape, *, orient: Orient = "auto", partial: bool = False) -> PreprocessedShape:
+        """A shape with the features of this preprocessor in place of another's, as their orienter finds it to stand.
+
+        Args:
+            shape: preprocessed with other features, by the same operators.
+            orient: as in ``__call__``.
+            partial: likewise.
+        """
+        upright = shape.operators.turned(shape.rotation.T)
+        orientations = () if orient == "given" else self.orientations(upright, partial=partial)
+        rotation = _best_rotation(orientations)
+        turned = upright.turned(rotation)
+        return replace(
+            shape, operators=turned, features=self.features(turned), orientations=orientations, rotation=rotation
+        )
 
     def operators(self, shape: Shape, *, as_cloud: bool = False, scale: float | None = None) -> Operators:
         """The operators of a clean shape, on the device."""
@@ -215,8 +240,14 @@ class Preprocessor:
         if self.extractor is None:
             return None
         name = f"{self.extractor.info.name!r} of {function_name(self.extractor)}"
-        found = checked_features(name, self.extractor(operators), operators.points, operators.n_points)
+        with left_unchanged(f"what computes the features {name}", operators.tensors()):
+            values = self.extractor(operators)
+        found = checked_features(name, values, operators.points, operators.n_points)
         return found * operators.in_main_component[:, None]
+
+
+def _best_rotation(orientations: Sequence[Orientation]) -> Float[Tensor, "3 3"]:
+    return orientations[0].rotation if orientations else torch.eye(3)
 
 
 def _kept_if_near(orientation: Orientation, degrees: float) -> Orientation:

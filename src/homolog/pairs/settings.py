@@ -155,6 +155,28 @@ class OrientationSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ChoiceSettings(Settings):
+    """The choice among features of several kinds of shapes, and of none. New here; chosen on pairs of training shapes.
+
+    Features know a pair as well as their orienter knows the shape that it knows less well: by the misfit of the best
+    orientation, see ``homolog.features.Orientation``. Where no features know a pair, the maps that come into question
+    are made, and that of least ``homolog.matching.map_misfit`` is taken.
+
+    Args:
+        known: misfit up to which features know a pair: they are taken without a look at any map. People have 0.04 to
+            0.08 by the weights for people, animals 0.12 and more.
+        plausible: misfit up to which maps by features are made; that of bones is some 0.4.
+        cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
+        flipped: weight of the share of triangles that it turns over.
+    """
+
+    known: NotNegative = 0.1
+    plausible: NotNegative = 0.3
+    cycle: NotNegative = 50.0
+    flipped: NotNegative = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class WarningSettings(Settings):
     """When a match is said to be doubtful.
 
@@ -181,6 +203,7 @@ class MatcherSettings(Settings):
         soft_map: the soft map between features.
         axiomatic: the method of that name.
         registration: the method of that name.
+        choice: among features of several kinds of shapes, and of none.
         orientation: the search for the way round of full shapes; ``PairOptions.orient`` says whether there is one.
         alignment: of a partial shape with the full one before matching; None for none.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
@@ -203,6 +226,7 @@ class MatcherSettings(Settings):
     soft_map: SoftMapSettings = field(default_factory=SoftMapSettings)
     axiomatic: AxiomaticSettings = field(default_factory=AxiomaticSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
+    choice: ChoiceSettings = field(default_factory=ChoiceSettings)
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
     alignment: Annotated[AlignmentSettings, "or None"] | None = field(default_factory=AlignmentSettings)
     refinement: Annotated[RefinementSettings, "or None"] | None = field(default_factory=RefinementSettings)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homolog.core.files import atomic_path, made_folder, write_csv, write_npy
+from homolog.core.files import atomic_path, made_folder, resolved, write_csv, write_npy
 from homolog.shape_models.curves import Curves
 from homolog.shape_models.registered_shapes import RegisteredShapes
 from homolog.shape_models.scalismo import write_scalismo
@@ -59,7 +59,7 @@ def _scene(shapes: RegisteredShapes, model: ShapeModel, curves: Curves) -> Modes
     held = 100 * curves.compactness[shown - 1]
     offsets = model.modes[:shown] * model.deviations[:shown, None, None]
     return ModesScene(
-        title=f"Modes of {shapes.folder.root.resolve().name}",
+        title=f"Modes of {resolved(shapes.folder.root).name}",
         summary=f"{len(shapes.names):,} shapes vary in {len(model.variances):,} modes; those below hold {held:.3g} % "
         "of the variance.",
         mean=stand_upright(Shape(model.mean), up).points,

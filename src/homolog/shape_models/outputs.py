@@ -11,7 +11,7 @@ from typing import Any
 from typing_extensions import TypedDict
 
 from homolog.core.errors import DataError, needs_extra
-from homolog.core.files import all_or_nothing, write_json, write_npy
+from homolog.core.files import all_or_nothing, resolved, write_json, write_npy
 from homolog.core.records import record, stored_record
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.model_files import MODEL_FOLDERS, write_model
@@ -121,5 +121,5 @@ class _Report(TypedDict):
 def _earlier_files(root: Path) -> set[str]:
     """The files of an earlier call, by its report; only those at our own paths, as a report may be anybody's."""
     names = (stored_record(root / REPORT, _Report) or {"files": []})["files"]
-    ours = tuple((root / name).resolve() for name in OUTPUT_NAMES)
-    return {name for name in names if any((root / name).resolve().is_relative_to(path) for path in ours)}
+    ours = tuple(resolved(root / name) for name in OUTPUT_NAMES)
+    return {name for name in names if any(resolved(root / name).is_relative_to(path) for path in ours)}

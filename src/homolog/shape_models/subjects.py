@@ -35,7 +35,7 @@ def subjects_of(files: Sequence[str | Path]) -> list[Subject]:
     """
     if not files:
         raise ArgumentError("no shapes are given; give at least one file beside the template")
-    subjects = [Subject(Path(file).stem, expanded(file)) for file in files]
+    subjects = [Subject(expanded(file).stem, expanded(file)) for file in files]
     known: dict[str, Subject] = {}
     for subject in subjects:
         # Some file systems do not distinguish upper from lower case.

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from os import PathLike
-from pathlib import Path
+from os import PathLike, fspath
 from typing import Any
 
 import numpy as np
@@ -54,7 +53,7 @@ def as_shape(found: Any, *, name: str | None = None) -> Shape:
     if isinstance(found, Shape):
         return found if name is None else replace(found, name=name)
     if isinstance(found, str | PathLike):
-        shape = read_shape(Path(found))
+        shape = read_shape(fspath(found))
         return shape if name is None else replace(shape, name=name)
     for has, taken in _KINDS:
         if has(found):

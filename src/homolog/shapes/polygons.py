@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import mapbox_earcut
 import numpy as np
@@ -39,17 +41,21 @@ def triangulate(
     first_triangle, first_corner = np.cumsum(n_triangles) - n_triangles, np.cumsum(sizes) - sizes
     polygon = np.repeat(np.arange(len(sizes)), n_triangles)
     folded = _folded(points, corners[triangles], polygon, sizes)
-    # Nearly all are quadrilaterals, which the other diagonal splits as well as ears do, many at once.
+    # Nearly all are quadrilaterals, which the other diagonal splits as well as ears do.
     quads = folded[sizes[folded] == 4]
     split = first_corner[quads][:, None, None] + _OTHER_DIAGONAL
     triangles[first_triangle[quads][:, None] + [0, 1]] = split
     of_quad = np.repeat(np.arange(len(quads)), 2)
     still = quads[_folded(points, corners[split.reshape(-1, 3)], of_quad, sizes[quads])]
-    for one in np.concatenate([folded[sizes[folded] != 4], still]).tolist():
-        first, size = first_corner[one], sizes[one]
-        ears = _ears(points[corners[first : first + size]])
-        triangles[first_triangle[one] : first_triangle[one] + size - 2] = first + ears
+    left = np.concatenate([folded[sizes[folded] != 4], still])
+    at = _ranges(first_corner[left], sizes[left])
+    triangles[_ranges(first_triangle[left], n_triangles[left])] = at[_ears(points, corners[at], sizes[left])]
     return triangles
+
+
+def _ranges(starts: Int[np.ndarray, " m"], sizes: Int[np.ndarray, " m"]) -> Int[np.ndarray, " c"]:
+    """The numbers from each start on, so many each, one range after the other."""
+    return np.repeat(starts - (np.cumsum(sizes) - sizes), sizes) + np.arange(sizes.sum())
 
 
 def fans(sizes: Int[np.ndarray, " m"]) -> Int[np.ndarray, "t 3"]:
@@ -97,72 +103,124 @@ def _folded(
     return np.unique(np.concatenate(folded))
 
 
-def _ears(ring: Float[np.ndarray, "k 3"]) -> Int[np.ndarray, "k-2 3"]:
-    """The triangles of one polygon, as positions in it; the fan around its first corner where ears fail."""
-    flat = _in_own_plane(ring)
-    corners, cut_off = _without_spikes(flat)
-    found = mapbox_earcut.triangulate_float64(flat[corners], np.array([len(corners)], dtype=np.uint32))
-    triangles = np.asarray(found, dtype=np.int64).reshape(-1, 3)
-    triangles = corners[np.concatenate([triangles, _flat_triangles(triangles, len(corners))])]
-    triangles = np.concatenate([triangles, cut_off])
-    return triangles if len(triangles) == len(ring) - 2 else fans(np.array([len(ring)]))
+def _ears(
+    points: Float[np.ndarray, "n 3"], corners: Int[np.ndarray, " c"], sizes: Int[np.ndarray, " m"]
+) -> Int[np.ndarray, "t 3"]:
+    """The triangles of polygons by ears, as positions in ``corners``; fans around first corners where ears fail.
+
+    What is not the clipping itself is done for all polygons at once.
+    """
+    triangles = fans(sizes)
+    if not len(sizes):
+        return triangles
+    rings = points[np.clip(corners, 0, len(points) - 1)]
+    starts = np.cumsum(sizes) - sizes
+    flat = _in_own_planes(rings, starts, sizes)
+    kept, cut_off = _without_spikes(flat, starts, sizes)
+    ears = [_clipped(flat, ring) for ring in kept]
+    lacking = [(found, ring) for found, ring in zip(ears, kept, strict=True) if len(found) < len(ring) - 2]
+    found = np.concatenate([*ears, cut_off, *([_flat_triangles(*zip(*lacking, strict=True))] if lacking else [])])
+    # In the order of the polygons, of which those have all that have enough.
+    of_polygon = np.searchsorted(starts, found[:, 0], side="right") - 1
+    order = np.argsort(of_polygon, kind="stable")
+    all_found = np.bincount(of_polygon, minlength=len(sizes)) == sizes - 2
+    all_found &= np.logical_and.reduceat((corners >= 0) & (corners < len(points)), starts)
+    triangles[np.repeat(all_found, sizes - 2)] = found[order[all_found[of_polygon[order]]]]
+    return triangles
 
 
-def _without_spikes(ring: Float[np.ndarray, "k 2"]) -> tuple[Int[np.ndarray, " c"], Int[np.ndarray, "s 3"]]:
-    """The corners without those at which the outline turns back on itself, and the triangles without area cut off so.
+def _in_own_planes(
+    rings: Float[np.ndarray, "c 3"], starts: Int[np.ndarray, " m"], sizes: Int[np.ndarray, " m"]
+) -> Float[np.ndarray, "c 2"]:
+    """Polygons seen from the side from which they run counterclockwise, about one unit wide."""
+    after = np.arange(1, len(rings) + 1)
+    after[starts + sizes - 1] = starts
+    with np.errstate(all="ignore"):
+        rings = rings - np.repeat(rings[starts], sizes, axis=0)
+        rings /= np.repeat(np.maximum.reduceat(np.abs(rings).max(axis=1), starts), sizes)[:, None]
+        normal = np.add.reduceat(np.cross(rings, rings[after]), starts)
+        along = np.cross(normal, np.eye(3)[np.abs(normal).argmin(axis=1)])
+        axes = np.stack([along, np.cross(normal, along)], axis=1)
+        axes /= np.linalg.norm(axes, axis=2, keepdims=True)
+        flat: np.ndarray = np.einsum("cj,caj->ca", rings, np.repeat(axes, sizes, axis=0))
+    return flat
+
+
+def _without_spikes(
+    flat: Float[np.ndarray, "c 2"], starts: Int[np.ndarray, " m"], sizes: Int[np.ndarray, " m"]
+) -> tuple[list[Int[np.ndarray, " k"]], Int[np.ndarray, "s 3"]]:
+    """The corners of each polygon without those at which its outline turns back, and the triangles cut off so.
 
     Corners that repeat the one before are among them. Ears know nothing of either.
     """
-    kept, cut_off = list[int](), list[tuple[int, int, int]]()
-    for corner in range(len(ring)):
-        while len(kept) > 1 and _turns_back(ring, kept[-2], kept[-1], corner):
+    everything, cut_off = np.arange(len(flat)), list[tuple[int, int, int]]()
+    after, before = everything + 1, everything - 1
+    after[starts + sizes - 1], before[starts] = starts, starts + sizes - 1
+    back = _turns_back(*(flat - flat[before]).T, *(flat[after] - flat).T)
+    spiky = np.logical_or.reduceat(back, starts).tolist()
+    kept = list[Int[np.ndarray, " k"]]()
+    for start, end, is_spiky in zip(starts.tolist(), (starts + sizes).tolist(), spiky, strict=True):
+        kept.append(_without_own_spikes(flat, range(start, end), cut_off) if is_spiky else everything[start:end])
+    return kept, np.array(cut_off, dtype=np.int64).reshape(-1, 3)
+
+
+def _without_own_spikes(
+    flat: Float[np.ndarray, "c 2"], ring: range, cut_off: list[tuple[int, int, int]]
+) -> Int[np.ndarray, " k"]:
+    """The corners of one polygon without spikes; what is cut off is appended."""
+    places, kept = flat[ring.start : ring.stop].tolist(), list[int]()
+
+    def back(*corners: int) -> bool:
+        (u, v), (s, t), (x, y) = (places[corner - ring.start] for corner in corners)
+        return bool(_turns_back(s - u, t - v, x - s, y - t))
+
+    for corner in ring:
+        while len(kept) > 1 and back(kept[-2], kept[-1], corner):
             cut_off.append((kept[-2], kept.pop(), corner))
         kept.append(corner)
     # The ends of the list are neighbours as well.
-    while len(kept) > 3 and _turns_back(ring, kept[-2], kept[-1], kept[0]):
+    while len(kept) > 3 and back(kept[-2], kept[-1], kept[0]):
         cut_off.append((kept[-2], kept.pop(), kept[0]))
-    while len(kept) > 3 and _turns_back(ring, kept[-1], kept[0], kept[1]):
+    while len(kept) > 3 and back(kept[-1], kept[0], kept[1]):
         cut_off.append((kept[-1], kept.pop(0), kept[0]))
-    return np.array(kept), np.array(cut_off, dtype=np.int64).reshape(-1, 3)
+    return np.array(kept)
 
 
-def _turns_back(ring: Float[np.ndarray, "k 2"], a: int, b: int, c: int) -> bool:
-    (u, v), (s, t) = (ring[b] - ring[a]).tolist(), (ring[c] - ring[b]).tolist()
+def _turns_back(u: Any, v: Any, s: Any, t: Any) -> Any:
+    """Whether an outline that runs along (u, v) goes on the other way round, along (s, t); of numbers or arrays."""
     cross, along = u * t - v * s, u * s + v * t
-    return bool(along <= 0 and cross**2 <= _ROUNDING * (u * u + v * v) * (s * s + t * t))
+    return (along <= 0) & (cross**2 <= _ROUNDING * (u * u + v * v) * (s * s + t * t))
 
 
-def _in_own_plane(ring: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "k 2"]:
-    """A polygon seen from the side from which it runs counterclockwise, about one unit wide."""
-    ring = (ring - ring[0]) / np.abs(ring - ring[0]).max()
-    normal = np.cross(ring, np.roll(ring, -1, axis=0)).sum(axis=0)
-    along = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    axes = np.stack([along, np.cross(normal, along)], axis=1)
-    return np.ascontiguousarray(ring @ (axes / np.linalg.norm(axes, axis=0)))
+def _clipped(flat: Float[np.ndarray, "c 2"], ring: Int[np.ndarray, " k"]) -> Int[np.ndarray, "t 3"]:
+    """The ears of one polygon, of the corners that are kept of it."""
+    ears = mapbox_earcut.triangulate_float64(flat[ring], np.array([len(ring)], dtype=np.uint32))
+    return ring[ears].reshape(-1, 3)
 
 
-def _flat_triangles(triangles: Int[np.ndarray, "t 3"], n_corners: int) -> Int[np.ndarray, "f 3"]:
+def _flat_triangles(
+    ears: Sequence[Int[np.ndarray, "t 3"]], rings: Sequence[Int[np.ndarray, " k"]]
+) -> Int[np.ndarray, "f 3"]:
     """Triangles without area where ears have left out repeated corners, or ones on a line, so that no gap opens.
 
-    The edges that have no partner among the ears and the polygon's outline run round what is left out.
+    The edges that have no partner among the ears and the polygons' outlines run round what is left out.
     """
-    edges = {(i, (i + 1) % n_corners) for i in range(n_corners)}
-    for a, b, c in triangles.tolist():
-        for start, end in ((a, b), (b, c), (c, a)):
-            if (start, end) in edges:
-                edges.remove((start, end))
-            else:
-                edges.add((end, start))
+    triangles, corners, lengths = np.concatenate(ears), np.concatenate(rings), np.array([len(ring) for ring in rings])
+    ends = np.roll(corners, -1)
+    ends[np.cumsum(lengths) - 1] = corners[np.cumsum(lengths) - lengths]
+    # Outlines as they run, triangles the other way round: what lies on both sides cancels.
+    reversed_edges = [triangles[:, [(i + 1) % 3, i]] for i in range(3)]
+    edges = np.concatenate([np.stack([corners, ends], axis=1), *reversed_edges])
+    undirected, of_edge = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    net = np.bincount(of_edge.reshape(-1), np.where(edges[:, 0] < edges[:, 1], 1, -1), len(undirected))
     after: dict[int, list[int]] = {}
-    for start, end in sorted(edges):
+    for start, end in sorted([*undirected[net > 0].tolist(), *undirected[net < 0][:, ::-1].tolist()]):
         after.setdefault(start, []).append(end)
     found = list[tuple[int, int, int]]()
-    while after:
-        loop = [next(iter(after))]
-        while loop[-1] in after and (len(loop) == 1 or loop[-1] != loop[0]):
-            ends = after[loop[-1]]
-            loop.append(ends.pop())
-            if not ends:
-                del after[loop[-2]]
-        found += [(loop[0], b, c) for b, c in pairwise(loop[1:-1])]
+    for first in list(after):
+        while after[first]:
+            loop = [first]
+            while after.get(loop[-1]) and (len(loop) == 1 or loop[-1] != first):
+                loop.append(after[loop[-1]].pop())
+            found += [(first, b, c) for b, c in pairwise(loop[1:-1])]
     return np.array(found, dtype=np.int64).reshape(-1, 3)

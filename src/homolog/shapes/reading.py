@@ -19,11 +19,11 @@ import numpy as np
 from homolog.core.arguments import check_choice, check_kind
 from homolog.core.errors import HomologError, ShapeError
 from homolog.core.files import expanded, sha256
-from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 from homolog.shapes.formats import formats, imports_of, readable_suffixes
 from homolog.shapes.formats.gltf import Pose
 from homolog.shapes.formats.parsing import Arrays, UnreadableError
-from homolog.shapes.shape import FEWEST_POINTS, Shape, counts_from_one
+from homolog.shapes.shape import FEWEST_POINTS, Owned, Shape, counts_from_one
 
 VOLUMES: tuple[str, ...] = (".mhd", ".mha", ".nii", ".nii.gz", ".nrrd", ".nhdr")
 """The suffixes of volumes, which are no shapes as yet; ``homolog.volumes`` makes surfaces of them."""
@@ -62,18 +62,19 @@ def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
     read = form.read_rest if pose == "rest" and form.read_rest is not None else form.read
     with _in_one_line(path), warnings.catch_warnings(), imports_of(form):
         warnings.simplefilter("ignore")
-        arrays = _arrays(read(file), file.name)
-        _check_content(arrays)
-        return Shape(
-            arrays.points, arrays.faces, name=file.name, notes=arrays.notes, space=arrays.space, allow_broken=True
-        )
+        shape = _shape(read(file), file.name)
+        _check_content(shape)
+        return shape
 
 
-def _arrays(found: Any, name: str) -> Arrays:
-    """What a reader gave, be it of a format of one's own: points alone, or points and faces."""
-    points, faces, *rest = found if isinstance(found, tuple) else (found, None)
-    shape = Shape(points, faces, name=name, allow_broken=True)
-    return Arrays(shape.points, shape.faces, *rest)
+def _shape(found: Any, name: str) -> Shape:
+    """A shape of what a reader gave, be it of a format of one's own: points alone, or points and faces."""
+    arrays = Arrays(*found) if isinstance(found, tuple) else Arrays(found)
+    points: Any = arrays.points
+    faces: Any = arrays.faces
+    if isinstance(found, Arrays):  # of Homolog's own readers, which keep nothing
+        points, faces = Owned(points), None if faces is None else Owned(faces)
+    return Shape(points, faces, name=name, notes=arrays.notes, space=arrays.space, allow_broken=True)
 
 
 def check_suffix(path: str | Path) -> None:
@@ -160,17 +161,17 @@ def _reason(error: Exception) -> str:
         return error.strerror
     if isinstance(error, MemoryError):
         return "it does not fit into memory; reduce it first"
-    said = shorten(error, 100)
-    return f"it is damaged or not of this format ({type(error).__name__}{': ' if said else ''}{said})"
+    return f"it is damaged or not of this format ({reason_of(error, 100)})"
 
 
-def _check_content(arrays: Arrays) -> None:
+def _check_content(shape: Shape) -> None:
     """Refuse what no repair can make a shape of."""
-    points, faces = arrays.points, arrays.faces
-    finite = points[np.isfinite(points).all(axis=1)]
-    if len(finite) < FEWEST_POINTS:
-        raise UnreadableError(f"it has {len(finite)} usable points, but at least {FEWEST_POINTS} are needed")
-    if np.all(finite == finite[0]):
+    points, faces = shape.points, shape.faces
+    finite = np.isfinite(points).all(axis=1)
+    if np.count_nonzero(finite) < FEWEST_POINTS:
+        found = np.count_nonzero(finite)
+        raise UnreadableError(f"it has {found} usable points, but at least {FEWEST_POINTS} are needed")
+    if np.all((points == points[finite.argmax()]).all(axis=1) | ~finite):
         raise UnreadableError("all its points are equal; export it again")
     if faces is not None and not np.any(np.all((faces >= 0) & (faces < len(points)), axis=1)):
         raise UnreadableError("none of its faces refers to its points; export it again")

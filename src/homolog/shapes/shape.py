@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -86,6 +86,12 @@ class Shape:
         return f"Shape({self.name!r}: {self.modality}, {self.n_points} points{faces})"
 
 
+class Owned(NamedTuple):
+    """An array that nobody else holds, which a shape may keep instead of a copy."""
+
+    array: np.ndarray
+
+
 def counts_from_one(faces: Int[np.ndarray, "m 3"], n_points: int) -> bool:
     """Whether indices of points run from 1 to the number of points, as MATLAB and OBJ count."""
     return bool(faces.size and faces.min() == 1 and faces.max() == n_points)
@@ -118,11 +124,12 @@ def _whole(values: object, what: str) -> Int[np.ndarray, "m 3"]:
 
 
 def _columns(values: Any, what: str) -> np.ndarray:
-    """A copy, checked to be real numbers in three columns."""
+    """A copy, checked to be real numbers in three columns; an ``Owned`` array itself."""
     try:
         # A tensor may be part of a computation, or lie on a GPU.
         is_tensor = hasattr(values, "detach") and hasattr(values, "cpu")
-        array = np.array(values.detach().cpu().numpy() if is_tensor else values)
+        values = values.detach().cpu().numpy() if is_tensor else values
+        array = values.array if isinstance(values, Owned) else np.array(values)
         array = array.astype(np.float64) if array.dtype.kind == "O" else array
     except (TypeError, ValueError, OverflowError):
         raise ShapeError(f"{what} must be an array of numbers with shape (n, 3)") from None

@@ -12,7 +12,7 @@ from jaxtyping import UInt8
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError, ShapeError
-from homolog.core.files import atomic_path
+from homolog.core.files import atomic_path, expanded
 from homolog.shapes.formats import Format, formats, imports_of, writable_suffixes
 from homolog.shapes.shape import Shape
 
@@ -50,7 +50,7 @@ def write_shape(path: str | Path, shape: Shape, *, colours: Colours | None = Non
     """
     check_kind("path", path, PathLike, str)
     check_kind("shape", shape, Shape)
-    suffix = Path(path).suffix.lower()
+    suffix = expanded(path).suffix.lower()
     form = formats().get(suffix)
     if form is None or form.write is None:
         allowed = ", ".join(writable_suffixes())

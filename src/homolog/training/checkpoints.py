@@ -16,7 +16,7 @@ from typing_extensions import TypedDict
 
 from homolog.core.errors import TrainingError
 from homolog.core.files import parse_json
-from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 from homolog.core.records import checked_json, record
 from homolog.core.settings import NotNegative
 from homolog.core.tensors import read_tensors, write_tensors
@@ -103,7 +103,7 @@ def load_checkpoint(
     except TrainingError:
         raise
     except (OSError, SafetensorError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
-        reason = shorten(error, 160)
+        reason = reason_of(error)
         raise TrainingError(f"{path} cannot be gone on from ({reason}); give another -o") from None
 
 

@@ -19,9 +19,11 @@ from homolog.core.choices import System
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, expanded, parse_json, read_text
 from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 from homolog.core.records import check_plain
-from homolog.shapes.formats.parsing import UnreadableError, number_rows
+from homolog.shapes.formats.parsing import UnreadableError
 from homolog.shapes.formats.tables import read_table_lines
+from homolog.shapes.formats.text_lines import number_rows
 
 LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
 """The suffixes of the files that ``read_landmarks`` reads."""
@@ -74,8 +76,7 @@ def read_landmarks(path: str | Path) -> Landmarks:
     try:
         return reader(file)
     except (OSError, UnreadableError, UnicodeDecodeError) as error:
-        said = error.strerror if isinstance(error, OSError) and error.strerror else error
-        raise DataError(f"{path} cannot be read as landmarks: {said}") from None
+        raise DataError(f"{path} cannot be read as landmarks: {reason_of(error, 400)}") from None
 
 
 def _read_markups(path: Path) -> Landmarks:
@@ -107,10 +108,8 @@ def _markups_content(text: str) -> dict[str, Any]:
         content = parse_json(text)
         check_plain(content)
         json.dumps(content, indent=4)  # as it will be written
-    except RecursionError:
-        raise UnreadableError("its values lie too deep in each other; save it again") from None
-    except ValueError as error:
-        raise UnreadableError(f"it is no valid JSON ({shorten(error, 100)}); save it again") from None
+    except (ValueError, RecursionError) as error:
+        raise UnreadableError(f"{reason_of(error, 100)}; save it again") from None
     markups = content.get("markups") if isinstance(content, dict) else None
     if not isinstance(markups, list) or not markups or not all(isinstance(markup, dict) for markup in markups):
         raise UnreadableError("it has no list 'markups', as Slicer writes it; save it again")
@@ -174,14 +173,15 @@ def _fcsv_row(line: str, position: Float[np.ndarray, " 3"]) -> str:
 def _read_table(path: Path) -> Landmarks:
     # Slicer's own tables name their columns by the system.
     table = read_table_lines(path, other_axes=("lps", "ras"))
-    points = number_rows(table.lines, table.columns, delimiter=table.delimiter)
+    lines_of_rows = list(table.lines)
+    points = number_rows(lines_of_rows, table.columns, delimiter=table.delimiter)
     if not len(points):
         raise UnreadableError("it holds no landmarks")
     text = read_text(path, encoding="utf-8-sig", errors="replace")
 
     def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         rows = iter(points)
-        left = list(table.lines)
+        left = list(lines_of_rows)
         lines = list[str]()
         for line in text.splitlines():
             # Rows come in order; what lies between them are names, comments and empty lines.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import unquote
@@ -15,7 +15,8 @@ from homolog.core.errors import DataError
 from homolog.core.files import atomic_path
 from homolog.shapes import Shape
 from homolog.shapes.formats.obj import ObjMesh, obj_statements, parse_obj
-from homolog.shapes.formats.parsing import number_rows, read_text
+from homolog.shapes.formats.text_lines import number_rows
+from homolog.shapes.polygons import triangulate
 
 _NO_MATERIAL = ""
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?\s+"
@@ -59,7 +60,7 @@ class ObjTexture:
 
 def read_obj_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
     """Red, green and blue of each point, from 0 to 1, where they follow all the coordinates; None otherwise."""
-    lines = [rest for key, rest in obj_statements(read_text(path)) if key == "v"]
+    lines = [rest for key, rest in obj_statements(path) if key == "v"]
     if not lines or any(len(line.split()) != 6 for line in lines):
         return None
     colours = number_rows(lines, (3, 4, 5))
@@ -74,20 +75,19 @@ def read_obj_texture(path: Path) -> ObjTexture | None:
     Raises:
         DataError: if its materials are missing, though faces have texture coordinates.
     """
-    statements = obj_statements(read_text(path))
     coordinates = _Coordinates()
-    for key, rest in statements:
+    for key, rest in obj_statements(path):
         coordinates.take(key, rest)
     if not coordinates.material_of:
         return None
     known = dict[str, Material]()
-    for file in libraries(path, statements, may_lack=all(number < 0 for number in coordinates.numbers)):
+    for file in libraries(path, obj_statements(path), may_lack=all(number < 0 for number in coordinates.numbers)):
         known |= _materials(file)
     names = list(dict.fromkeys(coordinates.material_of))
     materials = tuple(_material(known, name) for name in names)
     if all(material.image is None for material in materials) and not tells_colours([m.colour for m in materials]):
         return None
-    return coordinates.assembled(parse_obj(statements), names, materials)
+    return coordinates.assembled(parse_obj(obj_statements(path)), names, materials)
 
 
 def tells_colours(colours: Sequence[tuple[float, float, float]]) -> bool:
@@ -95,7 +95,7 @@ def tells_colours(colours: Sequence[tuple[float, float, float]]) -> bool:
     return len({*colours}) > 1 or any(len({*colour}) > 1 for colour in colours)
 
 
-def libraries(path: Path, statements: list[tuple[str, str]], *, may_lack: bool = False) -> list[Path]:
+def libraries(path: Path, statements: Iterable[tuple[str, str]], *, may_lack: bool = False) -> list[Path]:
     """The files of materials that the statements of an OBJ file name.
 
     Raises:
@@ -111,7 +111,7 @@ def libraries(path: Path, statements: list[tuple[str, str]], *, may_lack: bool =
 
 def obj_files(path: Path) -> list[Path]:
     """The files that an OBJ's materials and images are read from; those that are not there are left out."""
-    files = libraries(path, obj_statements(read_text(path)), may_lack=True)
+    files = libraries(path, obj_statements(path), may_lack=True)
     images = [material.image for file in files for material in _materials(file).values()]
     return [*files, *(image for image in images if image is not None and image.is_file())]
 
@@ -127,8 +127,8 @@ _NOT_CARRIED = {
 
 def looks_left_out(path: Path) -> set[str]:
     """What an OBJ's materials say of its look beside images and colours."""
-    files = libraries(path, obj_statements(read_text(path)), may_lack=True)
-    keys = {key for file in files for key, _ in obj_statements(read_text(file))}
+    files = libraries(path, obj_statements(path), may_lack=True)
+    keys = {key for file in files for key, _ in obj_statements(file)}
     return {called for called, of_it in _NOT_CARRIED.items() if keys & {*of_it}}
 
 
@@ -180,7 +180,7 @@ class _Coordinates:
         if numbers.max() >= len(self.places):
             raise DataError(f"a face names texture coordinates {numbers.max() + 1}, but there are {len(self.places)}")
         # The last row stands for corners without coordinates.
-        places = np.array([*self.places, (0.0, 1.0)])[numbers[mesh.triangles]]
+        places = np.array([*self.places, (0.0, 1.0)])[numbers[triangulate(*mesh)]]
         number_of = {name: number for number, name in enumerate(names)}
         of_polygon = np.array([number_of[name] for name in self.material_of])
         material_of = np.repeat(of_polygon, mesh.sizes - 2)
@@ -201,7 +201,7 @@ def _library_files(folder: Path, words: str) -> list[Path]:
 def _materials(library: Path) -> dict[str, Material]:
     """The materials of an MTL file, by their names."""
     found, name = dict[str, Material](), _NO_MATERIAL
-    for key, rest in obj_statements(read_text(library)):
+    for key, rest in obj_statements(library):
         before = found.get(name, Material())
         if key == "newmtl":
             name = rest.strip('"')

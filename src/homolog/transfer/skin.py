@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from homolog.core.errors import DataError
 from homolog.core.memory import expansion_fault
-from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 from homolog.maps import rigid_motion
 from homolog.shapes import Shape
 from homolog.shapes.formats.gltf import Gltf, influences, parts
@@ -64,7 +64,7 @@ def read_skin(path: Path, shape: Shape) -> Skin | None:
         skinned = [number for number, node in enumerate(file.nodes) if "skin" in node and "mesh" in node]
         return _skin_of(file, file.nodes[skinned[0]]["skin"], skinned, shape) if skinned else None
     except (UnreadableError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: its skin cannot be read ({shorten(error, 160)}); export it again") from None
+        raise DataError(f"{path}: its skin cannot be read ({reason_of(error)}); export it again") from None
 
 
 def _skin_of(file: Gltf, number: int, skinned: list[int], shape: Shape) -> Skin:

@@ -7,7 +7,7 @@ from homolog.viewing.layers import Layer, confidence_layer, error_layer, feature
 from homolog.viewing.measuring import map_errors, pair_features
 from homolog.viewing.modes_page import ModesScene, modes_page_of
 from homolog.viewing.notebook import notebook_html, plot
-from homolog.viewing.page import page_of, page_style, write_page
+from homolog.viewing.page import check_page, page_of, page_style, write_page
 from homolog.viewing.picture import check_picture, picture_of, write_picture
 from homolog.viewing.png import write_png
 from homolog.viewing.scene import Body, Scene, scene_of
@@ -21,6 +21,7 @@ __all__ = [
     "Ramp",
     "Scene",
     "Tile",
+    "check_page",
     "check_picture",
     "confidence_layer",
     "contact_sheet",

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-from homolog.core.files import atomic_path
+from homolog.core.errors import ArgumentError
+from homolog.core.files import atomic_path, expanded
 from homolog.pairs import SIDES, Side
 from homolog.viewing.decimation import Decimated, decimate
 from homolog.viewing.layers import Layer
@@ -62,10 +63,17 @@ def write_page(path: str | Path, scene: Scene) -> None:
     """Write the page of a scene, whole or not at all; see ``page_of``.
 
     Raises:
-        ArgumentError: as ``atomic_path`` does.
+        ArgumentError: as ``atomic_path`` does, and if the file's name does not end in .html or .htm.
     """
+    check_page(path)
     with atomic_path(path) as temporary:
         temporary.write_text(page_of(scene), encoding="utf-8")
+
+
+def check_page(path: str | Path) -> None:
+    """Check, before any work is done, that browsers take a file for a page by its name: .html or .htm."""
+    if expanded(path).suffix.lower() not in (".html", ".htm"):
+        raise ArgumentError(f"{path} must end in .html or .htm, so that browsers open it")
 
 
 def page_style() -> str:

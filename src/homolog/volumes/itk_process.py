@@ -51,6 +51,7 @@ def read(path: str, kind: str, voxels_size: str) -> dict[str, np.ndarray]:
         said = re.sub(r"ITK ERROR: \w+\(0x\w+\): ", "", said).strip()
         # After this word the system's last error follows, which may be another one.
         said = "its voxels end early or are damaged" if said.startswith("Reason:") else said
+        said = "it has no header of NRRD" if "_nrrdRead: " in said else said
         raise ValueError(f"it cannot be read as a volume ({said[:100]}); write it again") from None
     steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
     _KEPT.append(image)

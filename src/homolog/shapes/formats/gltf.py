@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import struct
 from collections.abc import Iterator
 from functools import cached_property
@@ -32,6 +33,12 @@ Pose = Literal["posed", "rest"]
 _DRACO = "KHR_draco_mesh_compression"
 _MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 _INSTANCES = "EXT_mesh_gpu_instancing"
+# Extensions that are read, or refused by name where they matter.
+_READ = (_DRACO, *_MESHOPT, _INSTANCES, "KHR_mesh_quantization", "KHR_node_visibility")
+# Extensions of looks, lights, sounds, movements and descriptions, which say nothing of where points and triangles are.
+_HARMLESS = re.compile(
+    r"\w+?_(?:(?:materials?|textures?|lights?|audio|animation|xmp|techniques|image|collision|physics)(?:_\w+)?)"
+)
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 _CODES = {np.dtype(name): code for code, name in _COMPONENTS.items()}
@@ -213,8 +220,8 @@ def _glb_chunks(content: bytes) -> tuple[dict[str, Any], bytes | None]:
     if len(content) < 20 or content[:4] != b"glTF":
         raise UnreadableError("it does not start with glTF")
     version, length, chunk = struct.unpack("<III", content[4:16])
-    if version == 1:
-        raise _version_one("1")
+    if version != 2:
+        raise _other_version(str(version))
     if length > len(content) or chunk > len(content) - 20:
         raise UnreadableError(f"the header announces {length} bytes, but the file has {len(content)}; {CUT_OFF}")
     # Behind the header come the length and the kind of the second chunk, and then its bytes.
@@ -222,8 +229,10 @@ def _glb_chunks(content: bytes) -> tuple[dict[str, Any], bytes | None]:
     return _checked_header(content[20 : 20 + chunk]), binary
 
 
-def _version_one(found: str) -> UnreadableError:
-    return UnreadableError(f"it is glTF {found}, but glTF 2 is needed; convert it, for example with Blender")
+def _other_version(found: str) -> UnreadableError:
+    return UnreadableError(
+        f"it is glTF {shorten(found, 10)}, but glTF 2 is needed; convert it, for example with Blender"
+    )
 
 
 def _checked_header(content: bytes) -> dict[str, Any]:
@@ -233,10 +242,31 @@ def _checked_header(content: bytes) -> dict[str, Any]:
         raise UnreadableError(f"it holds no valid JSON; {CUT_OFF}") from None
     if not isinstance(header, dict):
         raise UnreadableError("its JSON is not an object")
-    version = str(header.get("asset", {}).get("version", "2.0"))
-    if version.startswith("1") or isinstance(header.get("meshes"), dict):
-        raise _version_one(shorten(version, 10) if version.startswith("1") else "1")
+    _check_version(header)
+    required = header.get("extensionsRequired", [])
+    unknown = [str(name) for name in required if not _HARMLESS.fullmatch(str(name)) and name not in _READ]
+    if unknown:
+        raise UnreadableError(
+            f"it needs the extension {shorten(', '.join(unknown), 100)}, which is not read; export it without"
+        )
     return header
+
+
+def _check_version(header: dict[str, Any]) -> None:
+    """Refuse a file that is none of glTF 2, says no version, or asks for a later one than 2.0."""
+    asset = header.get("asset")
+    told = asset if isinstance(asset, dict) else {}
+    version, least = str(told.get("version", "")), str(told.get("minVersion", "2.0"))
+    if version.startswith("1.") or isinstance(header.get("meshes"), dict):
+        raise _other_version(version if version.startswith("1.") else "1")
+    if not version:
+        raise UnreadableError(f"it does not say its version of glTF, asset.version; {CUT_OFF}")
+    if not version.startswith("2."):
+        raise _other_version(version)
+    if least != "2.0":
+        raise UnreadableError(
+            f"it needs at least glTF {shorten(least, 10)} (asset.minVersion), but 2.0 is read; export it as glTF 2.0"
+        )
 
 
 def buffer_files(path: Path) -> tuple[Path, ...]:

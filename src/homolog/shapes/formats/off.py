@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -14,15 +16,17 @@ from homolog.shapes.formats.parsing import (
     Arrays,
     UnreadableError,
     check_claim,
-    content_lines,
-    number_rows,
     polygon_faces,
-    polygon_rows,
-    read_text,
+    refuse_further_lines,
 )
+from homolog.shapes.formats.text_lines import n_lines, number_rows, polygon_rows, text_lines
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape
 
+# No number of corners has more digits.
+_DIGITS = 12
+# More lines than a header has, and the bytes in which its keyword is looked for.
+_HEAD, _HEAD_BYTES = 8, 2**16
 # Some files have the counts on the line of the keyword, with or without a blank.
 _HEADER = re.compile(r"(?P<extra>(?:ST)?C?N?)(?P<four>4)?(?P<many>n)?(?:OFF|off)(?:\b|(?=\d))")
 _BINARY = re.compile(rb"\s*(?:#[^\n]*\n\s*)*\w*OFF\s+BINARY", re.IGNORECASE)
@@ -35,24 +39,33 @@ def read(path: Path) -> Arrays:
     Line breaks mean nothing where points have no further numbers. Points of 4OFF are divided by their fourth
     coordinate, and those of nOFF must have three.
     """
-    if _BINARY.match(read_bytes(path)):
+    if _BINARY.match(read_bytes(path, first=_HEAD_BYTES)):
         raise UnreadableError("it is a binary OFF; export it as text, or as PLY")
-    text = read_text(path)
-    lines = content_lines(text)
-    four, plain = _take_keyword(lines)
-    n_points, n_faces = _take_counts(lines)
-    check_claim(n_points, "points", 6, len(text))
-    check_claim(n_faces, "faces", 2, len(text))
-    if plain and len(lines) != n_points + n_faces:
-        lines = _rows(lines, n_points, n_faces, 4 if four else 3)
-    if len(lines) < n_points + n_faces:
-        raise UnreadableError(f"{n_points} points and {n_faces} faces are announced, but lines are missing; {CUT_OFF}")
-    points = number_rows(lines[:n_points], range(4) if four else range(3))
+    head = list(islice(text_lines(path), _HEAD))
+    four, plain = _take_keyword(head)
+    n_points, n_faces = _take_counts(head)
+    size, width = path.stat().st_size, 4 if four else 3
+    check_claim(n_points, "points", 6, size)
+    check_claim(n_faces, "faces", 2, size)
+    n_over = n_lines(_behind(path, head)) - n_points - n_faces
+    free = bool(plain and n_over and _fits(path, head, n_points, n_faces, width))
+    if n_over < 0 and not free:
+        raise UnreadableError(
+            f"its header announces {n_points} points and {n_faces} faces, but its lines do not hold these; {CUT_OFF}"
+        )
+    refuse_further_lines(0 if free else n_over, f"{n_points} points, {n_faces} faces")
+    lines = _behind(path, head)
+    lines = _rows(_words(lines), n_points, n_faces, width) if free else lines
+    points = number_rows(islice(lines, n_points), range(width))
     if four:
         with np.errstate(all="ignore"):
             points = points[:, :3] / points[:, 3:]
-    faces = lines[n_points : n_points + n_faces]
-    return Arrays(points, polygon_faces(points, *polygon_rows(faces)) if faces else None)
+    return Arrays(points, polygon_faces(points, *polygon_rows(islice(lines, n_faces))) if n_faces else None)
+
+
+def _behind(path: Path, head: list[str]) -> Iterator[str]:
+    """The lines of a file without its header, which has been taken off its first lines."""
+    return chain(head, islice(text_lines(path), _HEAD, None))
 
 
 def _take_keyword(lines: list[str]) -> tuple[bool, bool]:
@@ -80,21 +93,31 @@ def _take_dimension(lines: list[str]) -> None:
         lines.insert(0, rest)
 
 
-def _rows(lines: list[str], n_points: int, n_faces: int, width: int) -> list[str]:
-    """A line a point and a line a face, of numbers whose line breaks mean nothing; the same lines if they do not fit.
+def _words(lines: Iterable[str]) -> Iterator[str]:
+    return (word[0] for line in lines for word in re.finditer(r"\S+", line))
+
+
+def _rows(words: Iterator[str], n_points: int, n_faces: int, width: int) -> Iterator[str]:
+    """A line a point and a line a face, of numbers whose line breaks mean nothing; ends where they do not fit.
 
     Colours of faces cannot be told from the next face, so that there must be none.
     """
-    words = " ".join(lines).split()
-    rows = [" ".join(words[first : first + width]) for first in range(0, width * n_points, width)]
-    place = width * n_points
-    for _ in range(n_faces):
-        if place >= len(words) or not words[place].isdecimal():
-            return lines
-        end = place + 1 + min(int(words[place]), len(words))
-        rows.append(" ".join(words[place:end]))
-        place = end
-    return rows if place == len(words) else lines
+    for _ in range(n_points):
+        yield " ".join(islice(words, width))
+    for size in islice(words, n_faces):
+        if not size.isdecimal() or len(size) > _DIGITS:
+            return
+        corners = list(islice(words, int(size)))
+        if len(corners) < int(size):
+            return
+        yield " ".join([size, *corners])
+
+
+def _fits(path: Path, head: list[str], n_points: int, n_faces: int, width: int) -> bool:
+    """Whether numbers whose line breaks mean nothing are as many as are announced."""
+    words = _words(_behind(path, head))
+    n_rows = n_lines(_rows(words, n_points, n_faces, width))
+    return n_rows == n_points + n_faces and next(words, None) is None
 
 
 def _take_counts(lines: list[str]) -> tuple[int, int]:

@@ -5,29 +5,32 @@ A reader of our own, because the one at hand refuses binary files with mixed pol
 
 from __future__ import annotations
 
+import os
 import struct
 from array import array
+from collections import deque
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
-from homolog.core.files import read_bytes
+from homolog.core.files import opened
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import (
     CUT_OFF,
     Arrays,
-    Polygons,
     UnreadableError,
     check_claim,
-    content_lines,
     left_out,
-    number_rows,
+    lines_left_out,
     polygon_faces,
-    polygon_rows,
+    refuse_further_lines,
     space_of,
 )
+from homolog.shapes.formats.text_lines import Polygons, n_lines, number_rows, polygon_rows, text_lines
 from homolog.shapes.shape import Shape
 
 _TYPES = {
@@ -39,6 +42,8 @@ _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": 
 # How struct calls the types of counts.
 _COUNTERS = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q"}
 _INDEX_NAMES = ("vertex_indices", "vertex_index")
+# What ends a header, bytes read at a time, and the most that follow the end in its line.
+_END, _BLOCK, _LONGEST_LINE = b"end_header", 2**16, 1000
 _COLOURS = ("red", "green", "blue")
 
 
@@ -80,12 +85,14 @@ class _Element:
 
 @dataclass(frozen=True)
 class _File:
-    """What a file holds: the header taken apart, and the bytes behind it."""
+    """What a file holds: the header taken apart, where it ends, and, unless it is text, the bytes behind it."""
 
+    path: Path
     byte_order: str
     elements: list[_Element]
-    body: bytes
     header: bytes
+    start: int
+    body: bytes
 
 
 def read(path: Path) -> Arrays:
@@ -95,7 +102,8 @@ def read(path: Path) -> Arrays:
     if points is None:
         raise UnreadableError("it has no element vertex")
     faces = None if polygons is None else polygon_faces(points, *polygons)
-    return Arrays(points, faces, notes, space_of(file.header))
+    n_edges = sum(element.count for element in file.elements if element.name == "edge")
+    return Arrays(points, faces, (*notes, *lines_left_out(n_edges)), space_of(file.header))
 
 
 def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
@@ -112,18 +120,32 @@ def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
 
 
 def _opened(path: Path) -> _File:
-    content = read_bytes(path)
-    end = content.find(b"end_header")
-    if not content.startswith(b"ply") or end < 0:
-        raise UnreadableError("it has no header from 'ply' to 'end_header'")
-    # Lines end as the first one does; some old programs write a carriage return alone.
-    line_end = b"\n" if b"\n" in content[:end] else b"\r"
-    start = content.find(line_end, end) + 1 or len(content)
-    byte_order, elements = _parse_header(content[:end].decode("ascii", errors="replace"))
-    for element in elements:
-        if element.properties:
-            check_claim(element.count, f"elements {element.name}", 1, len(content) - start)
-    return _File(byte_order, elements, content[start:], content[:end])
+    with opened(path) as file:
+        head = _head(file)
+        end = head.find(_END)
+        if not head.startswith(b"ply") or end < 0:
+            raise UnreadableError("it has no header from 'ply' to 'end_header'")
+        # Lines end as the first one does; some old programs write a carriage return alone.
+        line_end = b"\n" if b"\n" in head[:end] else b"\r"
+        start = head.find(line_end, end) + 1 or len(head)
+        byte_order, elements = _parse_header(head[:end].decode("ascii", errors="replace"))
+        size = file.seek(0, os.SEEK_END) - start
+        for element in elements:
+            if element.properties:
+                check_claim(element.count, f"elements {element.name}", 1, size)
+        file.seek(start)
+        return _File(path, byte_order, elements, head[:end], start, b"" if byte_order == "=" else file.read())
+
+
+def _head(file: BinaryIO) -> bytes:
+    """The bytes up to some behind the header, or all where there is none."""
+    head = bytearray()
+    while block := file.read(_BLOCK):
+        seen = max(len(head) - len(_END), 0)
+        head += block
+        if not head.startswith(b"ply") or 0 <= head.find(_END, seen) < len(head) - _LONGEST_LINE:
+            break
+    return bytes(head)
 
 
 _Parts = tuple[Float[np.ndarray, "n 3"] | None, Polygons | None, tuple[Finding, ...]]
@@ -158,21 +180,20 @@ def _parse_header(text: str) -> tuple[str, list[_Element]]:
 
 
 def _read_text(file: _File, columns: tuple[str, ...]) -> _Parts:
-    lines = content_lines(file.body.decode("ascii", errors="replace"))
+    left = n_lines(text_lines(file.path, start=file.start))
+    lines = text_lines(file.path, start=file.start)
     points, polygons = None, None
     for element in file.elements:
         count = element.count if element.properties else 0
-        rows, lines = lines[:count], lines[count:]
-        if len(rows) < count:
+        rows, left = islice(lines, count), left - count
+        if left < 0:
             raise UnreadableError(f"it ends before the last element {element.name}; {CUT_OFF}")
         if element.name == "vertex":
             points = number_rows(rows, [element.text_column(element.position(name)) for name in columns])
-        elif element.name == "face" and rows:
+        elif element.name == "face" and count:
             polygons = polygon_rows(rows, element.text_column(element.index_list()))
-    if lines:
-        raise UnreadableError(
-            f"{len(lines)} lines follow the elements that its header announces; correct their counts, or add an element"
-        )
+        deque(rows, maxlen=0)  # of other elements
+    refuse_further_lines(left, ", ".join(f"{element.count} {element.name}" for element in file.elements))
     return points, polygons, ()
 
 

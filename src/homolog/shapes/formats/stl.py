@@ -8,24 +8,19 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.core.files import read_bytes
+from homolog.core.files import opened, read_bytes
 from homolog.shapes.equal_rows import first_of_equal_rows
 from homolog.shapes.finding import Finding
-from homolog.shapes.formats.parsing import (
-    CUT_OFF,
-    Arrays,
-    UnreadableError,
-    content_lines,
-    left_out,
-    number_rows,
-    space_of,
-)
+from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, left_out, space_of
+from homolog.shapes.formats.text_lines import GrowingArray, batches, number_rows, text_lines
 from homolog.shapes.shape import Shape
 from homolog.shapes.topology import face_vectors
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 # The title and the number of triangles.
 _HEAD = 84
+# Bytes read to tell what a file is, and at a time.
+_LONGEST_HEAD, _BLOCK = 2**16, 2**20
 # What programs write that do not know the number of triangles when they begin.
 _UNKNOWN_COUNTS = (0, 2**32 - 1)
 
@@ -35,15 +30,27 @@ def read(path: Path) -> Arrays:
 
     The points are numbered as they first appear in the file.
     """
-    content = read_bytes(path)
-    announced = int.from_bytes(content[80:_HEAD], "little") if len(content) >= _HEAD else -1
-    exact = len(content) == _HEAD + announced * _FACET.itemsize
-    if not exact and content.lstrip()[:5].lower() == b"solid" and b"\0" not in content.rstrip(b"\0"):
-        corners, notes = _text_corners(content.rstrip(b"\0").decode("utf-8", errors="replace")), tuple[Finding, ...]()
+    head, size = read_bytes(path, first=_LONGEST_HEAD), path.stat().st_size
+    announced = int.from_bytes(head[80:_HEAD], "little") if size >= _HEAD else -1
+    exact = size == _HEAD + announced * _FACET.itemsize
+    if not exact and head.lstrip()[:5].lower() == b"solid" and _is_text(path):
+        corners, notes = _text_corners(path), tuple[Finding, ...]()
     else:
-        corners, notes = _binary_corners(content, announced)
+        corners, notes = _binary_corners(read_bytes(path), announced)
     points, faces = _weld(corners)
-    return Arrays(points, faces, notes, space_of(content[:1000]))
+    return Arrays(points, faces, notes, space_of(head[:1000]))
+
+
+def _is_text(path: Path) -> bool:
+    """Whether zeros, if there are any, are but at the end of a file."""
+    ended = False
+    with opened(path) as file:
+        while block := file.read(_BLOCK):
+            text = block.rstrip(b"\0")
+            if (ended and text) or b"\0" in text:
+                return False
+            ended = len(text) < len(block)
+    return True
 
 
 def _binary_corners(content: bytes, announced: int) -> tuple[Float[np.ndarray, "c 3"], tuple[Finding, ...]]:
@@ -58,14 +65,17 @@ def _binary_corners(content: bytes, announced: int) -> tuple[Float[np.ndarray, "
     return corners, tuple(notes if over else ())
 
 
-def _text_corners(text: str) -> Float[np.ndarray, "c 3"]:
+def _text_corners(path: Path) -> Float[np.ndarray, "c 3"]:
     """The corners of all facets; each must be complete, but the line ``endsolid`` may be missing."""
-    lines = [re.sub(r"^end\s+", "end", line) for line in content_lines(text.lower())]
-    corners = number_rows([line for line in lines if line.startswith("vertex")], (1, 2, 3))
-    n_begun, n_ended = (sum(line.startswith(word) for line in lines) for word in ("facet", "endfacet"))
-    if not len(corners) == 3 * n_begun == 3 * n_ended or not n_begun:
+    corners, begun, ended = GrowingArray(np.float64), 0, 0
+    for batch in batches(text_lines(path, padded=True)):
+        lines = [re.sub(r"^end\s+", "end", line.lower()) for line in batch]
+        corners.append(number_rows((line for line in lines if line.startswith("vertex")), (1, 2, 3)))
+        begun += sum(line.startswith("facet") for line in lines)
+        ended += sum(line.startswith("endfacet") for line in lines)
+    if not len(corners) == 9 * begun == 9 * ended or not begun:
         raise UnreadableError(f"its last triangle is missing, or not complete; {CUT_OFF}")
-    return corners
+    return corners.rows(3)
 
 
 def _weld(corners: Float[np.ndarray, "c 3"]) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:

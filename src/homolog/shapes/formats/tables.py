@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,15 +14,8 @@ import numpy as np
 
 from homolog.core.messages import shorten
 from homolog.shapes.finding import Finding
-from homolog.shapes.formats.parsing import (
-    CUT_OFF,
-    Arrays,
-    UnreadableError,
-    content_lines,
-    left_out,
-    number_rows,
-    read_text,
-)
+from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, left_out
+from homolog.shapes.formats.text_lines import GrowingArray, batches, n_lines, number_rows, text_blocks, text_lines
 from homolog.shapes.formats.text_rows import write_rows
 from homolog.shapes.shape import Shape
 
@@ -34,6 +30,8 @@ _AXIS = re.compile(
 _DECIMAL_COMMAS = re.compile(r"(?=.*\d,\d)(?:[-+]?\d+(?:,\d+)?(?:e[-+]?\d+)?(?:\s+|$)){2,}", re.IGNORECASE)
 # A cell without a number.
 _MISSING = re.compile(r"(?<![^,;\t])[ ]*(?:NA|N/A|null|none)?[ ]*(?=[,;\t]|$)", re.IGNORECASE)
+# First lines that tell what the columns are, and the most digits of a number of a row.
+_HEAD, _DIGITS = 8, 18
 # What some programs write before a table, to say what separates its cells.
 _SEPARATOR = re.compile(r"sep=.?", re.IGNORECASE)
 
@@ -54,9 +52,7 @@ def read(path: Path) -> Arrays:
         UnreadableError: if more than three columns have names, and x, y and z are not among them.
     """
     table = read_table_lines(path)
-    if not table.lines:
-        return Arrays(np.zeros((0, 3)))
-    lines = table.lines if table.delimiter is None else [_with_nan(line, table.columns) for line in table.lines]
+    lines = iter(table.lines) if table.delimiter is None else (_with_nan(line, table.columns) for line in table.lines)
     return Arrays(number_rows(lines, table.columns, delimiter=table.delimiter), notes=table.notes)
 
 
@@ -67,6 +63,25 @@ def _with_nan(line: str, columns: list[int]) -> str:
     cells = _cells(line)
     missing = len(cells) > max(columns) and all(_MISSING.fullmatch(cells[column]) for column in columns)
     return _MISSING.sub("nan", line) if missing else line
+
+
+@dataclass(frozen=True)
+class TextRows:
+    """The rows of a table, which are read from its file as often as they are gone through.
+
+    Args:
+        path: the file.
+        skip: the lines before the first row, without comments and empty ones.
+        decimal_commas: whether commas stand for decimal points.
+    """
+
+    path: Path
+    skip: int
+    decimal_commas: bool = False
+
+    def __iter__(self) -> Iterator[str]:
+        lines = islice(text_lines(self.path), self.skip, None)
+        return (line.replace(",", ".") for line in lines) if self.decimal_commas else lines
 
 
 class TableLines(NamedTuple):
@@ -80,7 +95,7 @@ class TableLines(NamedTuple):
         notes: what was left out.
     """
 
-    lines: list[str]
+    lines: TextRows
     columns: list[int]
     delimiter: str | None
     axes: str = "xyz"
@@ -94,48 +109,63 @@ def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLi
         path: the file.
         other_axes: other names that the columns may have in its first row, such as "ras", a letter each.
     """
-    text = read_text(path)
-    lines = content_lines(text)
-    lines, has_elements = _without_count(text, lines[1:] if lines and _SEPARATOR.fullmatch(lines[0]) else lines)
+    text, head = next(text_blocks(path), ""), list(islice(text_lines(path), _HEAD))
+    lines = head[1:] if head and _SEPARATOR.fullmatch(head[0]) else head[:]
+    lines, has_elements = _without_count(text, lines, path, len(head) - len(lines))
     if not lines:
         raise UnreadableError("it holds no points")
     names = _names(lines.pop(0)) if _is_header(lines) else []
+    rows = TextRows(path, len(head) - len(lines))
     if not lines:
-        return TableLines([], [0, 1, 2], None)
+        return TableLines(rows, [0, 1, 2], None)
     delimiter, cells = _delimiter(lines[0]), _cells(lines[0])
-    if delimiter != "," and any("," in line for line in lines):
-        lines = [line.replace(",", ".") for line in lines]
+    rows = replace(rows, decimal_commas=delimiter != ",")
     # A table with one name too few has row numbers or names before its columns, as R writes them.
     names = ["", *names] if names and len(names) + 1 == len(cells) and cells[-1] else names
     for axes in other_axes:
         if all(names.count(axis) == 1 for axis in axes):
-            return TableLines(lines, [names.index(axis) for axis in axes], delimiter, axes)
+            return TableLines(rows, [names.index(axis) for axis in axes], delimiter, axes)
     names = names or _commented_names(text, lines[0])
-    if not names and len(cells) > 3 and _starts_with_index(lines, repeated=has_elements):
+    if not names and len(cells) > 3 and _starts_with_index(rows, repeated=has_elements):
         note = left_out("first column", 1, "it names or numbers the rows")
-        return TableLines(lines, [1, 2, 3], delimiter, notes=(note,))
-    return TableLines(lines, _xyz_columns(names), delimiter)
+        return TableLines(rows, [1, 2, 3], delimiter, notes=(note, *_other_columns(cells[1:], "the next three")))
+    columns = _xyz_columns(names)
+    notes = _other_columns(cells, ", ".join(names[column] for column in columns) if names else "the first three")
+    return TableLines(rows, columns, delimiter, notes=notes)
 
 
-def _without_count(text: str, lines: list[str]) -> tuple[list[str], bool]:
+def _other_columns(cells: list[str], taken: str) -> tuple[Finding, ...]:
+    """A note on the columns beside the coordinates, if there are some, which says what was taken instead."""
+    count = sum(map(bool, cells)) - 3
+    why = f"the coordinates are {taken}; if they are not, name their columns x, y and z in a first row"
+    return (left_out("other columns", count, why),) if count > 0 else ()
+
+
+def _without_count(text: str, lines: list[str], path: Path, skip: int) -> tuple[list[str], bool]:
     """The lines without a first one that holds the number of points, and a comment that may follow it.
+
+    Args:
+        text: the beginning of the file.
+        lines: its first lines.
+        path: the file.
+        skip: lines before these.
 
     Returns:
         The lines, and whether there was such a comment, so that rows may begin with elements.
     """
     if not lines or not re.fullmatch(r"\d+", lines[0]):
         return lines, False
-    count, rows = int(lines[0]), lines[1:]
+    count, rows, n_rows = int(lines[0]), lines[1:], n_lines(TextRows(path, skip + 1))
     behind = text.partition(lines[0])[2].splitlines()[1:2]
     # Chemists' second line is a comment whatever it holds, be it nothing, or numbers before rows that begin with words.
-    is_comment = bool(behind) and len(rows) > 1 and behind[0].strip() == rows[0]
-    if is_comment and len(rows) == count + 1 and (not _is_number(_cells(rows[1])[0]) or not _is_numbers(rows[0])):
+    is_comment = bool(behind) and n_rows > 1 and behind[0].strip() == rows[0]
+    if is_comment and n_rows == count + 1 and (not _is_number(_cells(rows[1])[0]) or not _is_numbers(rows[0])):
         # Names of columns are no comment.
         return (rows, False) if _axes(_names(rows[0])) is not None else (rows[1:], True)
-    if len(rows) != count and not (len(rows) == count + 1 and not _is_numbers(rows[0])):
-        mend = CUT_OFF if len(rows) < count else "correct that number, or keep one of several clouds"
-        raise UnreadableError(f"its first line announces {count} points, but {len(rows)} lines follow; {mend}")
-    return rows, len(rows) == count and behind == [""]
+    if n_rows != count and not (n_rows == count + 1 and not _is_numbers(rows[0])):
+        mend = CUT_OFF if n_rows < count else "correct that number, or keep one of several clouds"
+        raise UnreadableError(f"its first line announces {count} points, but {n_rows} lines follow; {mend}")
+    return rows, n_rows == count and behind == [""]
 
 
 def _is_header(lines: list[str]) -> bool:
@@ -147,20 +177,27 @@ def _is_header(lines: list[str]) -> bool:
     return not _is_numbers(lines[0])
 
 
-def _starts_with_index(lines: list[str], *, repeated: bool) -> bool:
+def _starts_with_index(lines: Iterable[str], *, repeated: bool) -> bool:
     """Whether the first cells of all rows are words, or whole numbers that number the rows.
 
     They do if they count them from 0 or 1. In any other order they do where no two are equal and the three behind them
     have decimal places, as points have; ``repeated`` lets them be equal, as the numbers of chemical elements are.
     """
-    rows = [_cells(line) for line in lines]
-    first = [row[0] for row in rows]
-    if not first[0].isdigit():
-        return not _is_number(first[0])
-    if first[0] in ("0", "1") and first == [str(number + int(first[0])) for number in range(len(first))]:
-        return True
-    whole = all(map(str.isdigit, first)) and (repeated or len({*first}) == len(first))
-    return whole and all("." in cell for row in rows for cell in row[1:4])
+    first = _cells(next(iter(lines)))[0]
+    if not first.isdecimal():
+        return not _is_number(first)
+    numbers, counted, decimal = GrowingArray(np.int64), first in ("0", "1"), True
+    for batch in batches(lines):
+        rows = [_cells(line) for line in batch]
+        if not all(row[0].isdecimal() and len(row[0]) <= _DIGITS for row in rows):
+            return False
+        batch_numbers = np.array([int(row[0]) for row in rows])
+        counted = counted and bool((batch_numbers == np.arange(len(rows)) + len(numbers) + int(first)).all())
+        decimal = decimal and all("." in cell for row in rows for cell in row[1:4])
+        if not (counted or decimal):
+            return False
+        numbers.append(batch_numbers)
+    return counted or repeated or len(np.unique(numbers.rows(1))) == len(numbers)
 
 
 def _delimiter(line: str) -> str | None:

@@ -20,6 +20,7 @@ from homolog.shapes.formats.parsing import (
     Arrays,
     UnreadableError,
     check_claim,
+    lines_left_out,
     polygon_faces,
     space_of,
 )
@@ -35,6 +36,19 @@ _LEGACY_COUNTS = re.compile(
 )
 _LEGACY_KIND = re.compile(rb"^[ \t]*dataset[ \t]+(\w+)", re.IGNORECASE | re.MULTILINE)
 _XML_COUNTS = re.compile(rb"""\bNumberOf\w+\s*=\s*["']\s*(\d+)""")
+_XML_PIECE = re.compile(rb"<Piece\b(?P<head>[^>]*)>(?P<body>.*?)</Piece>", re.DOTALL)
+_XML_ASCII = rb"""<DataArray\b(?=[^>]*\bformat\s*=\s*["']ascii)%s[^>]*>([^<]*)<"""
+# Per kind of cells, the array of text that has a number for each of them; of points it has three.
+_XML_SECTIONS = {
+    b"Points": re.compile(rb"<Points\b[^>]*>\s*" + _XML_ASCII % b""),
+    **{
+        kind: re.compile(
+            rb"<%s\b[^>]*>(?:(?!</%s>).)*?" % (kind, kind) + _XML_ASCII % rb"""(?=[^>]*\bName\s*=\s*["']offsets)""",
+            re.DOTALL,
+        )
+        for kind in (b"Verts", b"Lines", b"Strips", b"Polys", b"Cells")
+    },
+}
 # Of a point or of a cell, once it is expanded.
 _LEAST_BYTES = 12
 # A number of more digits is too large in any case.
@@ -68,9 +82,26 @@ def _check_legacy(content: bytes) -> None:
 def _check_xml(content: bytes) -> None:
     if not content.rstrip().endswith(b"</VTKFile>"):
         raise UnreadableError(f"it does not end with </VTKFile>; {CUT_OFF}")
+    _check_piece_counts(content)
     announced = sum(_LEAST_BYTES * int(match[1][:_DIGITS]) for match in _XML_COUNTS.finditer(content))
     if fault := expansion_fault(announced, len(content)):
         raise UnreadableError(fault)
+
+
+def _check_piece_counts(content: bytes) -> None:
+    """Refuse arrays of text that hold more points or cells than their piece announces, which VTK passes over."""
+    for piece in _XML_PIECE.finditer(content):
+        for kind, section in _XML_SECTIONS.items():
+            announced = re.search(rb"""\bNumberOf%s\s*=\s*["']\s*(\d+)""" % kind, piece["head"])
+            held = re.search(section, piece["body"])
+            if announced is None or held is None:
+                continue
+            count, found = int(announced[1][:_DIGITS]), len(held[1].split()) // (3 if kind == b"Points" else 1)
+            if found > count:
+                what = kind.decode().lower()
+                raise UnreadableError(
+                    f"a piece of it announces {count} {what}, but holds {found}; correct the count, or export it again"
+                )
 
 
 def _xml_kind(content: bytes) -> str:
@@ -101,7 +132,8 @@ def _load(path: Path, suffix: str, content: bytes) -> Arrays:
     points = found["points"].astype(np.float64)
     of_strips = found["strip_corners"][strips(found["strip_sizes"])]
     faces = np.concatenate([polygon_faces(points, found["sizes"], found["corners"]), of_strips])
-    return Arrays(points, faces if len(faces) else None, space=space)
+    notes = lines_left_out(int(found["n_lines"]))
+    return Arrays(points, faces if len(faces) else None, notes, space)
 
 
 def surface_of(data: Any) -> tuple[np.ndarray, Int[np.ndarray, " m"], Int[np.ndarray, " c"]]:

@@ -43,9 +43,10 @@ _BLANKS_LEFT = 32
 
 
 def read(path: str, suffix: str) -> dict[str, np.ndarray]:
-    """What ``surface`` gives of a file, by name."""
-    arrays = surface(load(Path(path), suffix))
-    return dict(zip(("points", "sizes", "corners", "strip_sizes", "strip_corners"), arrays, strict=True))
+    """What ``surface`` gives of a file, by name, and the number of its lines."""
+    data = load(Path(path), suffix)
+    arrays = *surface(data), np.array(_line_count(data))
+    return dict(zip(("points", "sizes", "corners", "strip_sizes", "strip_corners", "n_lines"), arrays, strict=True))
 
 
 @contextmanager
@@ -135,6 +136,14 @@ def _cells(cells: Any, n_points: int) -> tuple[np.ndarray, np.ndarray]:
     if offsets[0] != 0 or offsets[-1] != len(corners) or np.any(np.diff(offsets) < 0):
         raise ValueError("its cells do not add up")
     return np.diff(offsets), corners
+
+
+def _line_count(data: Any) -> int:
+    """How many cells are lines, straight or curved, which no surface has."""
+    if data.IsA("vtkPolyData"):
+        return int(data.GetNumberOfLines())
+    types, counts = np.unique(_types(data), return_counts=True)
+    return sum(int(n) for kind, n in zip(types.tolist(), counts, strict=True) if _cell_of(kind).GetCellDimension() == 1)
 
 
 def _types(data: Any) -> np.ndarray:

@@ -1,0 +1,155 @@
+"""Text files of numbers: read block by block, so that no more of the text is held than a block of lines."""
+
+from __future__ import annotations
+
+import codecs
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from io import TextIOWrapper
+from itertools import chain, islice
+from pathlib import Path
+from typing import NoReturn, TypeVar
+
+import numpy as np
+from jaxtyping import Int
+
+from homolog.core.files import opened
+from homolog.core.messages import shorten
+from homolog.shapes.formats.parsing import CUT_OFF, UnreadableError, check_claim
+
+T = TypeVar("T")
+
+# Characters read at a time, and lines made numbers at a time.
+_BLOCK, _LINES = 2**20, 2**14
+
+
+def text_blocks(path: Path, *, start: int = 0, padded: bool = False) -> Iterator[str]:
+    """The text of a file in blocks of whole lines, which end with line feeds; UTF-16 by its byte order mark.
+
+    A line that ends with a backslash is in one block with the next one.
+
+    Args:
+        path: the file.
+        start: the bytes to pass over.
+        padded: whether the file is padded with zeros, which are left out then.
+
+    Raises:
+        UnreadableError: if it holds zeros otherwise, as binary files do.
+    """
+    with opened(path) as file:
+        file.seek(start)
+        mark = file.read(2)
+        file.seek(start)
+        utf_16 = mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        text = TextIOWrapper(file, "utf-16" if utf_16 else "utf-8-sig", errors="replace")
+        while block := text.read(_BLOCK):
+            parts = [block, text.readline()]
+            while (parts[-2][-1:] + parts[-1]).endswith("\\\n"):  # also where a block ends between the two
+                parts.append(text.readline())
+            whole = "".join(parts)
+            if "\0" in whole and not (padded or utf_16):
+                raise UnreadableError("it holds binary data where text is expected; check the suffix")
+            yield whole.replace("\0", "") if padded else whole
+
+
+def text_lines(path: Path, *, start: int = 0, padded: bool = False) -> Iterator[str]:
+    """The lines of a text file without ``#`` comments, surrounding blanks and empty lines; as ``text_blocks`` else."""
+    return chain.from_iterable(map(content_lines, text_blocks(path, start=start, padded=padded)))
+
+
+def content_lines(text: str) -> list[str]:
+    """The lines of a text without ``#`` comments, surrounding blanks and empty lines."""
+    lines: Iterable[str] = text.splitlines()
+    if "#" in text:
+        lines = (line.partition("#")[0] for line in lines)
+    return list(filter(None, map(str.strip, lines)))
+
+
+def n_lines(lines: Iterable[str]) -> int:
+    """The number of lines, which are not kept."""
+    return sum(1 for _ in lines)
+
+
+def batches(lines: Iterable[T]) -> Iterator[list[T]]:
+    """Lists of lines, or of statements, that are made numbers at a time."""
+    rest = iter(lines)
+    while batch := list(islice(rest, _LINES)):
+        yield batch
+
+
+Polygons = tuple[Int[np.ndarray, " m"], Int[np.ndarray, " c"]]
+"""The corners of each polygon, counted, and all corners, one polygon after the other."""
+
+
+class GrowingArray:
+    """Numbers that are appended batch by batch, where concatenating batches would hold all of them twice."""
+
+    def __init__(self, dtype: type) -> None:
+        self._dtype, self._numbers = dtype, array("d" if dtype is np.float64 else "q")
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def append(self, numbers: np.ndarray) -> None:
+        """Append numbers of this type, in the order of their rows."""
+        self._numbers.frombytes(numbers.astype(self._dtype, copy=False).tobytes())
+
+    def rows(self, width: int) -> np.ndarray:
+        """All numbers in rows, without a copy; nothing can be appended any more."""
+        return np.asarray(self._numbers).view(self._dtype).reshape(-1, width)
+
+
+def number_rows(
+    lines: Iterable[str], columns: Sequence[int], dtype: type = np.float64, delimiter: str | None = None
+) -> np.ndarray:
+    """Read the given columns of lines of numbers; a line that does not hold them is quoted in the error."""
+    numbers = GrowingArray(dtype)
+    for batch in batches(lines):
+        numbers.append(_numbers(batch, columns, dtype, delimiter))
+    return numbers.rows(len(columns))
+
+
+def _numbers(lines: list[str], columns: Sequence[int], dtype: type, delimiter: str | None = None) -> np.ndarray:
+    try:
+        return np.loadtxt(
+            lines, dtype=dtype, delimiter=delimiter, usecols=columns, ndmin=2, comments=None, quotechar='"'
+        )
+    except (ValueError, OverflowError):
+        _blame_line(lines, columns, dtype, delimiter)
+
+
+def _blame_line(lines: list[str], columns: Sequence[int], dtype: type, delimiter: str | None) -> NoReturn:
+    kind = "whole numbers" if dtype is np.int64 else "numbers"
+    for line in lines:
+        cells = line.split(delimiter)
+        if len(cells) <= max(columns):
+            raise UnreadableError(f"the line {shorten(line)!r} has {len(cells)} values, too few; {CUT_OFF}")
+        try:
+            [dtype(cells[column].strip('" ')) for column in columns]
+        except (ValueError, OverflowError):
+            raise UnreadableError(f"the line {shorten(line)!r} should hold {kind}; correct or remove it") from None
+    raise UnreadableError(f"its lines do not all hold {kind}")
+
+
+def polygon_rows(lines: Iterable[str], column: int = 0) -> Polygons:
+    """Polygons of lines that hold, from ``column`` on, a number of corners and then as many corners."""
+    all_sizes, all_corners = GrowingArray(np.int64), GrowingArray(np.int64)
+    for batch in batches(lines):
+        sizes = _numbers(batch, (column,), np.int64)[:, 0]
+        if sizes.min() < 0:
+            raise UnreadableError("a face has a negative number of corners")
+        check_claim(int(sizes.max()), "corners of one face", 2, max(map(len, batch)))
+        all_sizes.append(sizes)
+        all_corners.append(polygon_corners(batch, sizes, column + 1))
+    return all_sizes.rows(1)[:, 0], all_corners.rows(1)[:, 0]
+
+
+def polygon_corners(lines: list[str], sizes: Int[np.ndarray, " m"], column: int) -> Int[np.ndarray, " c"]:
+    """The corners of all polygons, of which each line holds as many as ``sizes`` says, from ``column`` on."""
+    corners = np.zeros(int(sizes.sum()), dtype=np.int64)
+    starts = np.cumsum(sizes) - sizes
+    for size in np.unique(sizes[sizes > 0]).tolist():
+        (rows,) = np.nonzero(sizes == size)
+        some = lines if len(rows) == len(lines) else [lines[i] for i in rows]
+        corners[starts[rows][:, None] + np.arange(size)] = _numbers(some, range(column, column + size), np.int64)
+    return corners

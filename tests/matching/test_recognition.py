@@ -1,0 +1,106 @@
+"""Of several kinds of features, those are compared that know a pair; where none do, the best map decides."""
+
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+
+import homolog
+from homolog.core.errors import ArgumentError
+from homolog.features import FeatureInfo, Orientation
+from homolog.matching import Matcher, map_misfit
+from homolog.pairs import MatcherSettings, PairOptions
+
+
+@dataclass(frozen=True, eq=False)
+class Positions:
+    """Features of positions, or noise, and an orienter that knows each shape alike."""
+
+    name: str
+    misfit: float
+    tells: bool = True
+    n_eigenpairs: int = 64
+
+    @property
+    def info(self):
+        return FeatureInfo(name=self.name, n_eigenpairs=self.n_eigenpairs, near_isometric=False)
+
+    def orienter(self, operators):
+        return (Orientation(torch.eye(3), self.misfit),)
+
+    def __call__(self, operators):
+        if not self.tells:
+            generator = torch.Generator().manual_seed(operators.points.shape[0])
+            return torch.randn(operators.points.shape[0], 16, generator=generator)
+        waves = 3 * torch.randn(3, 64, generator=torch.Generator().manual_seed(0))
+        return torch.cat([(operators.points @ waves).sin(), (operators.points @ waves).cos()], dim=1)
+
+
+def chosen(extractors, shapes, settings=None, orient="given"):
+    matcher = Matcher(extractors, settings=settings)
+    return matcher.pair(shapes.source, shapes.target, PairOptions(orient=orient))[0]
+
+
+def test_features_that_know_the_pair_are_taken_before_others_are_asked(blobs):
+    pair = chosen([Positions("usual", 0.05), Positions("others", 0.01)], blobs)
+    assert pair.extractor.info.name == "usual"
+    assert [candidate.name for candidate in pair.choice] == ["usual"]
+
+
+@pytest.mark.parametrize("orient", ["auto", "given"])
+def test_those_that_know_it_better_are_taken_where_the_usual_ones_do_not(blobs, orient):
+    pair = chosen([Positions("usual", 0.2), Positions("others", 0.06)], blobs, orient=orient)
+    assert pair.extractor.info.name == "others"
+    assert [(candidate.name, candidate.misfit) for candidate in pair.choice] == [("others", 0.06), ("usual", 0.2)]
+    assert torch.equal(pair.x.features, Positions("others", 0)(pair.x.operators))
+
+
+def test_a_pair_that_none_know_gets_the_best_map(blobs):
+    good, bad, ignorant = Positions("good", 0.3), Positions("bad", 0.2, tells=False), Positions("ignorant", 0.5)
+    pair = chosen([bad, good, ignorant], blobs)
+    told = {candidate.name: candidate.map_misfit for candidate in pair.choice}
+    assert set(told) == {"good", "bad", "axiomatic", "registration"}
+    assert pair.choice[0].map_misfit == min(told.values())
+    assert told["bad"] > max(told["good"], told["registration"]) + 1
+
+
+def test_methods_without_features_are_tried_where_no_features_are_plausible(blobs):
+    match = Matcher([Positions("some", 0.5), Positions("others", 0.9)]).match(blobs.source, blobs.target)
+    assert match.method in ("axiomatic", "registration")
+    assert match.report["choice"][0]["name"] == match.method
+    assert {candidate["name"] for candidate in match.report["choice"]} == {"axiomatic", "registration"}
+
+
+def test_a_method_that_was_asked_for_is_kept(blobs):
+    settings = MatcherSettings(method="nearest-features")
+    pair = chosen([Positions("bad", 0.3, tells=False), Positions("good", 0.4)], blobs, settings)
+    assert pair.method.name == "nearest-features"
+    assert "axiomatic" not in [candidate.name for candidate in pair.choice]
+
+
+def test_a_shape_is_seen_once_by_each(blobs, monkeypatch):
+    matcher = Matcher([Positions("usual", 0.2), Positions("others", 0.06)])
+    source, target = (matcher.preprocess(shape) for shape in (blobs.source, blobs.target))
+    first, second = matcher.paired(source, target), matcher.paired(source, target)
+    assert first.source is second.source
+    assert first.target is second.target
+
+
+def test_maps_contradict_themselves_more_where_they_tear(blobs):
+    match = homolog.match(blobs.source, blobs.source, method="registration")
+    good = match.quality
+    torn = replace(good, source=replace(good.source, dirichlet_energy=good.source.dirichlet_energy + 3))
+    assert map_misfit(torn) > map_misfit(good)
+
+
+def test_several_need_an_orienter_each(blobs):
+    def lacking(operators):
+        return operators.points
+
+    with pytest.raises(ArgumentError, match="have no orienter"):
+        Matcher([Positions("usual", 0.1), lacking])
+
+
+def test_several_expect_the_same_operators():
+    with pytest.raises(ArgumentError, match="'few', 'many' expect different operators"):
+        Matcher([Positions("few", 0.1), Positions("many", 0.1, n_eigenpairs=100)])
