@@ -52,6 +52,7 @@ FUNCTIONS = [
     (maps.nearest_neighbour, POINTS),
     (maps.normalised, (random(20, 5),)),
     (maps.point_map_from_functional_map, (C_XY, *PHI)),
+    (maps.principal_rotations, POINTS),
     (maps.registered_positions, POINTS),
     (maps.resolvent_mask, VALUES),
     (maps.best_rotation, (POINTS[0], POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T)),

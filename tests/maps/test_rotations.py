@@ -11,6 +11,7 @@ from homolog.maps import (
     cube_rotations,
     distinct_rotations,
     handedness,
+    principal_rotations,
     rotation_angle,
 )
 
@@ -70,6 +71,15 @@ def test_rigid_bodies_are_brought_together_from_any_rotation(points, seed):
     assert float(rotation_angle(found @ rotation.T)) < 0.5
     assert misfit == pytest.approx(0, abs=1e-5)
     assert all(other > misfit for _, other in others)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_of_the_principal_rotations_is_that_between_copies(points, seed):
+    rotation = random_rotation(seed)
+    found = principal_rotations(points + 3, points @ rotation.T)
+    torch.testing.assert_close(torch.linalg.det(found), torch.ones(4))
+    angles = sorted(float(rotation_angle(each @ rotation.T)) for each in found)
+    assert angles[0] < 0.1 and angles[1:] == pytest.approx([180] * 3, abs=0.1)
 
 
 def test_handedness_tells_a_turn_from_a_reflection(points):

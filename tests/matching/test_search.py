@@ -56,6 +56,26 @@ def test_registration_begins_from_the_best_rotation(blobs):
     assert not reported["ambiguous"] and reported["margin"] > 0
 
 
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("degrees", [0, 15, 25, 42])
+def test_a_copy_that_is_turned_a_little_is_turned_back_exactly(blobs, axis, degrees):
+    """A smooth, nearly round one, along which closest points slide and stop."""
+    shape = blobs.source
+    found = homolog.match(turned(shape, rotation_about(axis, degrees)), shape, method="registration")
+    assert (found.source_to_target == np.arange(shape.n_points)).all()
+
+
+def test_small_turns_between_shapes_that_differ_are_left_to_registration(blobs):
+    """Not to methods that do not look for them."""
+    shape, other = blobs.source, Shape(blobs.source.points * np.array([1.6, 1, 0.7]), blobs.source.faces)
+    turn = rotation_about(2, 20)
+    degrees = {}
+    for method in ("registration", "axiomatic"):
+        found = homolog.match(turned(shape, turn), other, method=method)
+        degrees[method] = found.report["orientation"]["source"]["degrees"]
+    assert degrees["registration"] == 0 and 5 < degrees["axiomatic"] < 45
+
+
 def test_indices_and_coordinates_stay_those_of_the_files(blobs):
     source = turned(blobs.source, odd(5))
     found = homolog.match(source, blobs.target, method="registration")

@@ -24,6 +24,7 @@ from homolog.maps.rotations import (
     cube_rotations,
     distinct_rotations,
     joint_rotations,
+    principal_rotations,
     rotation_angle,
 )
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
@@ -58,6 +59,7 @@ __all__ = [
     "normalised",
     "overlap",
     "point_map_from_functional_map",
+    "principal_rotations",
     "registered_positions",
     "registration_start",
     "resolvent_mask",

@@ -99,6 +99,39 @@ def best_rotation(
     return rotation
 
 
+@takes_arrays
+def principal_rotations(points_x: Float[Tensor, "n 3"], points_y: Float[Tensor, "m 3"]) -> Float[Tensor, "4 3 3"]:
+    """The four rotations that take the principal axes of x to those of y.
+
+    One of them is exact between two copies of one shape. Iterated closest points, which slide along a smooth shape,
+    may stop beside it.
+
+    Args:
+        points_x: positions (n, 3).
+        points_y: likewise (m, 3).
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import cube_rotations, principal_rotations
+        >>> points = torch.rand(50, 3, generator=torch.Generator().manual_seed(0))
+        >>> turn = cube_rotations()[5]
+        >>> any(torch.allclose(found, turn, atol=1e-4) for found in principal_rotations(points, points @ turn.T))
+        True
+    """
+    axes_x, axes_y = (_principal_axes(points) for points in (points_x, points_y))
+    half_turns = torch.tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]).to(axes_x)
+    rotations: Tensor = axes_y @ torch.diag_embed(half_turns) @ axes_x.T
+    return rotations
+
+
+def _principal_axes(points: Float[Tensor, "n 3"]) -> Float[Tensor, "3 3"]:
+    """As the columns of a rotation, that along which the points spread least first."""
+    start = points - points.mean(dim=0)
+    axes = torch.linalg.eigh(start.T @ start)[1]
+    proper: Tensor = axes * torch.linalg.det(axes)
+    return proper
+
+
 def closest_point_rotations(
     points_x: Float[Tensor, "n 3"],
     points_y: Float[Tensor, "m 3"],
@@ -118,7 +151,7 @@ def closest_point_rotations(
         points_y: likewise (m, 3).
         steps: from each start, after which those that came to the same are told apart.
         last_steps: of each rotation that is left.
-        starts: rotations to begin with; by default ``cube_rotations()``.
+        starts: rotations to begin with; by default ``cube_rotations()``. See ``principal_rotations`` for others.
 
     Returns:
         Rotations R, at which ``points_x @ R.T`` lies near y, and the mean squared distances of closest points.

@@ -25,6 +25,7 @@ from homolog.maps import (
     handedness,
     most_similar,
     normalised,
+    principal_rotations,
     rotation_angle,
     zoomout,
 )
@@ -34,6 +35,8 @@ from homolog.pairs import OrientationSettings, Pair, PairOrientation, Preprocess
 _COARSE = RefinementSettings(k_init=15, k_step=12)
 # Hypotheses that differ by less lead to the same map.
 _SAME_MAP_DEGREES = 45.0
+# Of closest points, after principal axes have been brought together.
+_AXES_STEPS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,22 +143,22 @@ def _distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
 
 def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hypothesis]:
     """The source as it is given, and turned to lie near the target as a rigid body."""
-    found = closest_point_rotations(samples.x.points, samples.y.points)
-    others = (Hypothesis(rotation.cpu(), torch.eye(3)) for rotation, _ in found[: settings.hypotheses])
+    points = samples.x.points, samples.y.points
+    found = closest_point_rotations(*points)[: settings.hypotheses]
+    by_axes = closest_point_rotations(*points, starts=principal_rotations(*points), steps=0, last_steps=_AXES_STEPS)[:1]
+    others = (Hypothesis(rotation.cpu(), torch.eye(3)) for rotation, _ in (*found, *by_axes))
     return [Hypothesis(torch.eye(3), torch.eye(3)), *others]
 
 
 def _small_turn_left(samples: Samples, ranked: list[Hypothesis]) -> list[Hypothesis]:
     """With the shapes as they are given in place of the best, where that is nearly so: the method does the rest.
 
-    Unless the best fits far better, as it does between two copies of one shape: no method is as exact then.
+    Unless the best brings them as near as two samples of one surface: no method is as exact then.
     """
-    given = next(found for found in ranked if found.is_as_given)
-    if not given.is_like(ranked[0]) or samples.distance(given) > samples.settings.small_turn * samples.distance(
-        ranked[0]
-    ):
+    given, best = next(found for found in ranked if found.is_as_given), ranked[0]
+    if not given.is_like(best) or samples.distance(best) < samples.settings.small_turn * samples.distance_of_copies:
         return ranked
-    return [replace(given, misfit=ranked[0].misfit), *ranked]
+    return [replace(given, misfit=best.misfit), *ranked]
 
 
 def _given_first(ranked: list[Hypothesis], margin: float) -> list[Hypothesis]:
@@ -219,6 +222,11 @@ class Samples:
         start = (hypothesis.target.T @ hypothesis.source).to(self.x.points)
         found = closest_point_rotations(self.x.points, self.y.points, starts=start[None], steps=0, last_steps=0)
         return found[0][1]
+
+    @property
+    def distance_of_copies(self) -> float:
+        """What is to be expected of it between random samples of one surface of unit area."""
+        return sum(1 / (math.pi * len(basis.points)) for basis in (self.x, self.y))
 
     def _coarse_maps(self, x: Basis, y: Basis) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"]]:
         of_x, of_y = (self._features(basis) for basis in (x, y))

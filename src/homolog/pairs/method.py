@@ -23,7 +23,7 @@ class Supports:
         needs_features: it compares the features of an extractor; otherwise none are computed.
         refinement: its maps are near-isometric, so that ZoomOut can refine them, guided by features if there are any.
         small_turns: it finds by itself by which angle below 45 degrees one shape is turned against the other, so that
-            only larger turns are looked for.
+            only larger turns are made before it, and those that bring the shapes as near each other as copies.
     """
 
     clouds: bool = True

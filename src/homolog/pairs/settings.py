@@ -136,8 +136,8 @@ class OrientationSettings(Settings):
         given_margin: the way in which a shape is given is taken where the orienter finds another better by less than
             this: files are right more often than not.
         least_degrees: a shape that the orienter would turn by less stays as it is given.
-        small_turn: a turn of less than 45 degrees is left to methods that find it themselves, unless it makes the mean
-            squared distance of closest points more than so many times smaller.
+        small_turn: a turn of less than 45 degrees is left to methods that find it themselves, unless the mean squared
+            distance of closest points is then below so many times what it is between samples of one surface.
     """
 
     samples: Count = 500
@@ -151,7 +151,7 @@ class OrientationSettings(Settings):
     margin: NotNegative = 0.01
     given_margin: NotNegative = 0.03
     least_degrees: NotNegative = 30.0
-    small_turn: NotNegative = 2.0
+    small_turn: NotNegative = 1.4
 
 
 @dataclass(frozen=True, kw_only=True)
