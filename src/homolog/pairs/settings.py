@@ -161,7 +161,8 @@ class ChoiceSettings(Settings):
 
     Args:
         known: misfit up to which features know a pair: they are taken without a look at any map. People have 0.04 to
-            0.08 by the weights for people, animals 0.12 and more.
+            0.08 by the weights for people, animals 0.12 and more; animals have 0.04 to 0.12 by theirs, and people 0.1
+            and more.
         plausible: misfit up to which maps by features are made; that of bones is some 0.4.
         cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
         flipped: weight of the share of triangles that it turns over.
