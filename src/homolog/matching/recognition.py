@@ -56,7 +56,7 @@ def choose(pair: Pair, extractors: Sequence[FeatureExtractor], seen: Seen, find:
     if _misfit_of(ways[0]) > settings.known:
         ways += [_way(_with_features(pair, extractor, seen)) for extractor in extractors[1:]]
         ways.sort(key=_misfit_of)
-    if _misfit_of(ways[0]) > settings.known:
+    if _misfit_of(ways[0]) > settings.known_best:
         plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
         tried = _mapped([*plausible, *_without_features(pair, seen)], find)
         ways = sorted(tried, key=_map_misfit_of) or ways[:1]
