@@ -13,6 +13,7 @@ import trimesh
 
 from homolog import shapes
 from homolog.core.errors import ShapeError
+from homolog.datasets import demo_folder
 from homolog.matching import Matcher
 from homolog.matching import matcher as matcher_module
 from homolog.pairs import MatcherSettings
@@ -292,11 +293,19 @@ def test_adapting_needs_weights(homolog, files, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_weights_for_people_are_the_default(homolog, files, tmp_path):
-    homolog("match", files.mesh, files.other, "-o", tmp_path)
+def test_people_are_matched_by_the_weights_for_people_by_default(homolog, tmp_path):
+    ended = homolog("match", *(demo_folder().file(name) for name in demo_folder().names[:2]), "-o", tmp_path)
     features = report(tmp_path)["features"]
     assert (features["name"], features["licence"]) == ("people", "CC0-1.0")
     assert report(tmp_path)["method"] == "functional-map"
+    assert [candidate["name"] for candidate in report(tmp_path)["choice"]] == ["people"]
+    assert "Matched by functional-map with the weights people in" in ended.err
+
+
+def test_what_no_weights_know_is_matched_without_any(homolog, files, tmp_path):
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path)
+    assert report(tmp_path)["method"] in ("axiomatic", "registration")
+    assert f"Matched by {report(tmp_path)['method']} in" in ended.err
 
 
 def test_report_without_weights(homolog, files, tmp_path):

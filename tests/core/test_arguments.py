@@ -242,7 +242,7 @@ def test_numbers_of_numpy_are_numbers(one: Any) -> None:
         ),
         (
             lambda: load_weights(""),
-            "there are no weights ''; give the path of a file, or one of the pretrained ones: peo",
+            "there are no weights ''; give the path of a file, or one of the pretrained ones: ani",
         ),
     ],
 )

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import ArgumentError, ShapeError
-from homolog.geometry import Operators, OperatorSettings, compute_operators, mesh_laplacian
+from homolog.geometry import Basis, Operators, OperatorSettings, compute_operators, mesh_laplacian
 from homolog.geometry.scale import Frame
 from homolog.shapes import Shape
 
@@ -185,3 +186,36 @@ def test_scaled_operators_are_those_of_the_scaled_shape(make, modality):
         torch.testing.assert_close(first.abs(), second.abs(), rtol=1e-3, atol=1e-3 * float(second.abs().max()))
     gram = found.eigenvectors.T @ (found.mass[:, None] * found.eigenvectors)
     torch.testing.assert_close(gram, torch.eye(len(gram)), rtol=0, atol=1e-4)
+
+
+def side_of_gradients(operators: Operators | Basis) -> torch.Tensor:
+    """The normal that right-handed tangent frames have, by the gradients of the positions in them."""
+    if isinstance(operators, Basis):
+        along = torch.einsum("njk,kc->njc", operators.gradients, operators.coefficients(operators.points))
+        return torch.linalg.cross(along[:, 0], along[:, 1])
+    return torch.linalg.cross(operators.gradient_x @ operators.points, operators.gradient_y @ operators.points)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_turned_cloud_has_the_normals_that_it_would_have_there(seed: int, blob: Shape) -> None:
+    cloud, turn = blob.as_cloud(), Rotation.random(random_state=seed).as_matrix()
+    given, there = operators_of(cloud, "cloud"), operators_of(Shape(cloud.points @ turn.T, None), "cloud")
+    turned = given.turned(torch.from_numpy(turn))
+    sides = side_of_gradients(there)
+
+    def share_alike(others: torch.Tensor) -> float:
+        return float(((sides * others).sum(dim=1) > 0).float().mean())
+
+    assert share_alike(side_of_gradients(turned)) > 0.995
+    assert share_alike(side_of_gradients(given) @ torch.from_numpy(turn).float().T) < 0.9  # or there is nothing to do
+    kept = torch.arange(0, cloud.n_points, 2)
+    sampled = side_of_gradients(given.basis.sampled(kept).turned(torch.from_numpy(turn).float()))
+    assert float(((sides[kept] * sampled).sum(dim=1) > 0).float().mean()) > 0.95  # where a smooth fit tells the normal
+    torch.testing.assert_close(turned.turned(torch.from_numpy(turn.T)).gradient_x.values(), given.gradient_x.values())
+
+
+def test_a_turned_mesh_keeps_its_gradients(blob: Shape) -> None:
+    operators = operators_of(blob, "mesh")
+    turned = operators.turned(torch.from_numpy(Rotation.random(random_state=0).as_matrix()))
+    assert turned.gradient_x is operators.gradient_x
+    assert turned.scatter is None

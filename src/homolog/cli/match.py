@@ -37,6 +37,8 @@ from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.cli.wording import in_options
 from homolog.core.choices import AsCloud, Side, Up
 from homolog.core.files import expanded, refuse_overwriting_inputs, remove
+from homolog.core.method_names import AUTO
+from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Listener, Timings
 
 if TYPE_CHECKING:
@@ -149,7 +151,8 @@ def match(
         strict=strict,
     )
     with progress_bar(quiet=quiet, form=progress_form) as progress:
-        steps = STEPS + adapt + (adapt > 0) + 2 * (alternatives - 1)
+        choices = weights in (None, AUTO_WEIGHTS) and method == AUTO
+        steps = STEPS + choices + adapt + (adapt > 0) + 2 * (alternatives - 1)
         timings = Timings(listener=counted(progress, steps, verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         pair, files = matcher.pair(source, target, options, timings=timings)

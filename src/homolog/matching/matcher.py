@@ -16,7 +16,7 @@ from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Timings
 from homolog.core.unchanged import left_unchanged
-from homolog.features import FeatureExtractor, FeatureInfo, on_device
+from homolog.features import FeatureExtractor, FeatureInfo, load_weights, on_device
 from homolog.geometry import compute_operators
 from homolog.matching.alignment import align_partial
 from homolog.matching.choice import (
@@ -140,7 +140,8 @@ class Matcher:
             WeightsError: if there are no such weights, or the file does not hold any.
         """
         settings = given_or_default("settings", settings, MatcherSettings)
-        return cls(features_of_weights(weights, settings), settings=settings, device=device, operators=operators)
+        features = features_of_weights(weights, settings) if weights == AUTO_WEIGHTS else load_weights(weights)
+        return cls(features, settings=settings, device=device, operators=operators)
 
     def with_extractor(self, extractor: FeatureExtractor) -> Matcher:
         """A matcher that differs in its features alone."""
@@ -214,6 +215,8 @@ class Matcher:
             features=features,
             timings=timings,
         )
+        if not self._others:
+            return pair, files
         with timings.measure("choice of features"):
             return self._chosen(pair), files
 

@@ -8,11 +8,13 @@ made, and the one that contradicts itself least is believed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import torch
 
+from homolog.core.errors import ShapeError
 from homolog.features import FeatureExtractor, Orienter
 from homolog.matching.choice import extractor_for, method_between
 from homolog.matching.quality import MapQuality
@@ -54,10 +56,10 @@ def choose(pair: Pair, extractors: Sequence[FeatureExtractor], seen: Seen, find:
     if _misfit_of(ways[0]) > settings.known:
         ways += [_way(_with_features(pair, extractor, seen)) for extractor in extractors[1:]]
         ways.sort(key=_misfit_of)
-    if _misfit_of(ways[0]) > settings.known:
+    if _misfit_of(ways[0]) > settings.known_best:
         plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
-        tried = [*plausible, *_without_features(pair, seen)] or ways[:1]
-        ways = sorted((_mapped(way, find) for way in tried), key=_map_misfit_of)
+        tried = _mapped([*plausible, *_without_features(pair, seen)], find)
+        ways = sorted(tried, key=_map_misfit_of) or ways[:1]
     return replace(ways[0].pair, choice=tuple(way.candidate for way in ways))
 
 
@@ -120,7 +122,11 @@ def _without_features(pair: Pair, seen: Seen) -> Iterator[_Way]:
         yield _Way(way, Candidate(name))
 
 
-def _mapped(way: _Way, find: Callable[[Pair], Match]) -> _Way:
-    quality = find(way.pair).quality
-    assert quality is not None
-    return replace(way, candidate=replace(way.candidate, map_misfit=map_misfit(quality, way.pair.settings.choice)))
+def _mapped(ways: Iterable[_Way], find: Callable[[Pair], Match]) -> Iterator[_Way]:
+    """The ways that lead to a map, with what it tells."""
+    for way in ways:
+        with suppress(ShapeError):  # what cannot be matched one way may be another way
+            quality = find(way.pair).quality
+            assert quality is not None
+            told = replace(way.candidate, map_misfit=map_misfit(quality, way.pair.settings.choice))
+            yield replace(way, candidate=told)

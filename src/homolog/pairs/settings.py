@@ -163,14 +163,17 @@ class ChoiceSettings(Settings):
     are made, and that of least ``homolog.matching.map_misfit`` is taken.
 
     Args:
-        known: misfit up to which features know a pair: they are taken without a look at any map. People have 0.04 to
-            0.08 by the weights for people, animals 0.12 and more.
+        known: misfit up to which the usual features know a pair: nothing else is looked at. People have 0.04 to 0.1 by
+            the weights for people, animals 0.11 and more.
+        known_best: misfit up to which those that know a pair best are taken without a look at any map. Animals have
+            0.04 to 0.12 by the weights for animals.
         plausible: misfit up to which maps by features are made; that of bones is some 0.4.
         cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
         flipped: weight of the share of triangles that it turns over.
     """
 
     known: NotNegative = 0.1
+    known_best: NotNegative = 0.12
     plausible: NotNegative = 0.3
     cycle: NotNegative = 50.0
     flipped: NotNegative = 20.0

@@ -39,8 +39,8 @@ class Samples:
     def n_bytes(self) -> int:
         """How much memory they take."""
         bases = (*self.bases, *self.meshes)
-        tensors: list[Tensor] = [getattr(basis, part.name) for basis in bases for part in fields(basis)]
-        return self.points.nbytes + sum(tensor.nbytes for tensor in tensors)
+        parts = (getattr(basis, part.name) for basis in bases for part in fields(basis))
+        return self.points.nbytes + sum(part.nbytes for part in parts if isinstance(part, Tensor))
 
 
 def subsets(basis: Basis, settings: SampleSettings) -> tuple[Int[np.ndarray, " s"], ...]:
