@@ -37,6 +37,8 @@ _COARSE = RefinementSettings(k_init=15, k_step=12)
 _SAME_MAP_DEGREES = 45.0
 # Of closest points, after principal axes have been brought together.
 _AXES_STEPS = 10
+# The second best of these tells whether the best is ambiguous.
+_BY_AXES = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,8 +147,8 @@ def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hy
     """The source as it is given, and turned to lie near the target as a rigid body."""
     points = samples.x.points, samples.y.points
     found = closest_point_rotations(*points)[: settings.hypotheses]
-    by_axes = closest_point_rotations(*points, starts=principal_rotations(*points), steps=0, last_steps=_AXES_STEPS)[:1]
-    others = (Hypothesis(rotation.cpu(), torch.eye(3)) for rotation, _ in (*found, *by_axes))
+    by_axes = closest_point_rotations(*points, starts=principal_rotations(*points), steps=0, last_steps=_AXES_STEPS)
+    others = (Hypothesis(rotation.cpu(), torch.eye(3)) for rotation, _ in (*found, *by_axes[:_BY_AXES]))
     return [Hypothesis(torch.eye(3), torch.eye(3)), *others]
 
 
