@@ -9,11 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from homolog.geometry.tangent import (
-    cloud_normals,
     gradient_matrices,
     mesh_edges,
     mesh_normals,
     nearest_neighbours,
+    normals_of,
+    scatter_of,
     tangent_frames,
 )
 
@@ -44,7 +45,7 @@ def test_frames_are_orthonormal_right_handed_and_keep_the_normal(seed: int) -> N
 def test_normals_of_a_sphere_point_outwards(make) -> None:
     sphere = make.sphere(4)
     assert (np.einsum("ij,ij->i", mesh_normals(sphere.points, sphere.faces), sphere.points) > 0.999).all()
-    found = cloud_normals(sphere.points, nearest_neighbours(sphere.points, 30))
+    found = normals_of(scatter_of(sphere.points, nearest_neighbours(sphere.points, 30)))
     assert (np.abs(np.einsum("ij,ij->i", found, sphere.points)) > 0.998).all()
 
 
@@ -97,7 +98,7 @@ def test_gradients_equal_the_least_squares_fit_point_by_point(modality: str, mak
         frames, (starts, ends) = tangent_frames(mesh_normals(blob.points, blob.faces)), mesh_edges(blob.faces)
     else:
         near = nearest_neighbours(blob.points, 12)
-        frames = tangent_frames(cloud_normals(blob.points, near))
+        frames = tangent_frames(normals_of(scatter_of(blob.points, near)))
         starts, ends = np.repeat(np.arange(blob.n_points), 12), near.ravel()
     values = np.random.default_rng(1).standard_normal(blob.n_points)
     along = gradient_matrices(blob.points, frames, starts, ends)
@@ -136,7 +137,7 @@ def test_the_gradient_of_coordinates_on_a_sphere_is_their_tangent_part(modality:
         frames, (starts, ends) = tangent_frames(mesh_normals(sphere.points, sphere.faces)), mesh_edges(sphere.faces)
     else:
         near = nearest_neighbours(sphere.points, 12)
-        frames = tangent_frames(cloud_normals(sphere.points, near))
+        frames = tangent_frames(normals_of(scatter_of(sphere.points, near)))
         starts, ends = np.repeat(np.arange(sphere.n_points), 12), near.ravel()
     along = gradient_matrices(sphere.points, frames, starts, ends)
     slope = np.array([0.3, -0.5, 0.8])

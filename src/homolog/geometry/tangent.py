@@ -23,11 +23,6 @@ def mesh_normals(points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
     return _unit(normals)
 
 
-def cloud_normals(points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]) -> Float[np.ndarray, "n 3"]:
-    """Unit normal per point, of either sign: the direction in which its neighbours spread least around it."""
-    return normals_of(scatter_of(points, neighbours))
-
-
 def scatter_of(points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]) -> Float[np.ndarray, "n 3 3"]:
     """How each point's neighbours spread around it: the sum of the outer products of the edges to them."""
     edges = points.take(neighbours, axis=0) - points[:, None]
@@ -36,7 +31,10 @@ def scatter_of(points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n 
 
 
 def normals_of(scatter: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Unit normals of a cloud from the scatter of its points' neighbours; their signs are those that LAPACK gives."""
+    """Unit normal per point of a cloud: the direction in which its neighbours spread least around it.
+
+    Either sign would do; it is the one that LAPACK gives.
+    """
     _, directions = np.linalg.eigh(scatter)
     return directions[:, :, 0]
 
@@ -52,6 +50,8 @@ def turned_scatter(
     Returns:
         The scatter (n, 3, 3), and for each point -1 if its normal is turned round, or 1 (n,).
     """
+    if np.array_equal(rotation, np.eye(3)):  # as most shapes stand
+        return scatter, np.ones(len(scatter))
     there = rotation @ scatter @ rotation.T
     agreement = np.einsum("nj,nj->n", normals_of(scatter) @ rotation.T, normals_of(there))
     return there, np.where(agreement < 0, -1.0, 1.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -107,7 +107,7 @@ class Matcher:
         self.warnings = left_aside_warnings(self._method, first)
         self.extractor = extractor_for(self._method, first, self.settings, self.device)
         self._others = () if self.warnings else tuple(on_device(other, self.device) for other in given[1:])
-        self._seen = WeakKeyDictionary[PreprocessedShape, dict[FeatureExtractor | None, PreprocessedShape]]()
+        self._seen = WeakKeyDictionary[PreprocessedShape, dict[Hashable, PreprocessedShape]]()
         of_features = operators_expected([self.extractor, *self._others])
         self.preprocess = Preprocessor(
             extractor=self.extractor,
@@ -244,12 +244,12 @@ class Matcher:
         extractors = () if self.extractor is None else (self.extractor, *self._others)
 
         def seen(shape: PreprocessedShape, extractor: FeatureExtractor | None) -> PreprocessedShape:
-            known = self._seen.setdefault(shape, {})
-            if extractor not in known:
-                partial = pair.is_partial and shape is pair.y
+            orient, partial = pair.options.orient, pair.is_partial and shape is pair.y
+            known, how = self._seen.setdefault(shape, {}), (extractor, orient, partial)
+            if how not in known:
                 preprocess = replace(self.preprocess, extractor=extractor)
-                known[extractor] = preprocess.again(shape, orient=pair.options.orient, partial=partial)
-            return known[extractor]
+                known[how] = preprocess.again(shape, orient=orient, partial=partial)
+            return known[how]
 
         return choose(pair, extractors, seen, self.find)
 
