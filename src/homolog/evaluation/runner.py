@@ -265,6 +265,7 @@ class _Run:
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
             exchanged=self._exchanged(pair, mapped),
             chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
+            adaptation=match.report.get("adaptation"),
         )
 
     def _exchanged(self, pair: PairOfNames, mapped: Int[np.ndarray, " p"]) -> Exchange | None:
