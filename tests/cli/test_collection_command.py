@@ -15,6 +15,7 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("PIL")
 LOOKED_AT = [
     "shapes",
+    "matches",
     "points.npy",
     "quality.csv",
     "contact_sheet.png",

@@ -12,11 +12,12 @@ from homolog.core.files import expanded, refuse_overwriting_inputs, resolved
 from homolog.core.progress import Progress, ignore
 from homolog.core.versions import versions
 from homolog.matching import Matcher
-from homolog.shape_models.batch import ShapeModelSettings, register_all, settings_record
+from homolog.shape_models.batch import register_all, settings_record
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.outputs import OUTPUT_NAMES, REPORT, check_extra, write_outputs
 from homolog.shape_models.registered_shapes import ModelSettings
 from homolog.shape_models.registration import check_template
+from homolog.shape_models.settings import ShapeModelSettings
 from homolog.shape_models.subjects import subjects_of
 from homolog.shapes import read_hashed_shape
 

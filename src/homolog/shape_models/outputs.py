@@ -83,7 +83,7 @@ def write_outputs(
             f"none of the {len(outcomes)} shapes could be registered, so there is no shape model; "
             f"{root / 'quality.csv'} says why"
         )
-    names = ["shapes", "points.npy", "quality.csv", "contact_sheet.png", REPORT]
+    names = ["shapes", "matches", "points.npy", "quality.csv", "contact_sheet.png", REPORT]
     return [root / name for name in (*names, *([] if shapes.model is None else ("model", "shapeworks", "scalismo")))]
 
 
@@ -103,6 +103,7 @@ def _report(shapes: RegisteredShapes) -> dict[str, Any]:
     model = shapes.model
     return {
         "template": {"points": shapes.template.n_points, "faces": shapes.template.n_faces},
+        "choice": [asdict(candidate) for candidate in shapes.folder.choice() or ()],
         "shapes": shapes.names,
         "not_registered": {one.subject.name: one.error for one in shapes.outcomes if one.figures is None},
         "warnings": {one.subject.name: list(one.warnings) for one in shapes.registered if one.warnings},

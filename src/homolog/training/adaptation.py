@@ -129,10 +129,10 @@ def adapt_to_pair(
         raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
     pair = align_partial(orient(pair))
     loss = replace(settings.loss_for(extractor.info), map_eigenpairs=pair.map_size)
-    settings = replace(settings, loss=loss, augmentation=settings.augmentation_for(extractor.info))
+    settings = replace(settings, augmentation=settings.augmentation_for(extractor.info))
     network = copy.deepcopy(extractor.network).requires_grad_().train()
     sampled = (_training_shapes(matcher, shape, settings.samples) for shape in (pair.x, pair.y))
-    _train(network, list(zip(*sampled, strict=True)), settings, pair.is_partial, listener)
+    _train(network, list(zip(*sampled, strict=True)), settings, loss, pair.is_partial, listener)
     adapted = matcher.with_extractor(replace(extractor, network=network.eval()))
     return adapted, pair.with_extractor(replace(extractor, network=network))
 
@@ -156,6 +156,7 @@ def _train(
     network: DiffusionNet,
     pairs: list[tuple[TrainingShape, TrainingShape]],
     settings: AdaptationSettings,
+    loss: LossSettings,
     partial: bool,
     listener: Listener | None,
 ) -> None:
@@ -169,7 +170,7 @@ def _train(
             network,
             x,
             y,
-            settings=settings.loss,
+            settings=loss,
             augmentation=settings.augmentation,
             generator=generator,
             partial=partial,
