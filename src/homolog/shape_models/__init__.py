@@ -4,6 +4,7 @@ from homolog.shape_models.batch import register_all, settings_record
 from homolog.shape_models.build import BuiltModel, build
 from homolog.shape_models.choice import choice_for_all
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.landmarks import TemplateLandmarks
 from homolog.shape_models.outputs import check_extra, write_outputs
 from homolog.shape_models.overview import MOST_SHOWN
 from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShapes
@@ -23,6 +24,7 @@ __all__ = [
     "ShapeModelSettings",
     "Subject",
     "Template",
+    "TemplateLandmarks",
     "build",
     "check_extra",
     "check_template",

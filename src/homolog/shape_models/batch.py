@@ -5,15 +5,16 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Any
 
 from homolog.core.arguments import check_count
 from homolog.core.errors import HomologError
-from homolog.core.progress import Progress, ignore
+from homolog.core.progress import Progress, Timings, ignore
 from homolog.core.tasks import run_tasks
-from homolog.matching import Matcher
+from homolog.matching import Matcher, with_inputs
+from homolog.pairs import Side
 from homolog.shape_models.choice import choice_for_all
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.registration import Template
@@ -136,6 +137,9 @@ class _Registration:
         registered = template.registered_to(
             shape, up=settings.shapes_up, as_cloud=settings.shapes_as_cloud, strict=settings.strict
         )
+        files: dict[Side, dict[str, str]] = {"source": {}, "target": {"file": str(subject.file), "sha256": digest}}
+        assert registered.match is not None
+        registered = replace(registered, match=with_inputs(registered.match, files, Timings()))
         seconds = time.perf_counter() - began
         outcome = Outcome(
             subject, registered.figures, registered.warnings, seconds=seconds, matched_by=registered.matched_by

@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 from typing_extensions import NotRequired, TypedDict
 
-from homolog.core.errors import DataError
+from homolog.core.errors import DataError, bad_choice
 from homolog.core.files import expanded, sha256, write_json
 from homolog.core.folders import MANIFEST, prepare_folder, remove_if_unused
 from homolog.core.records import record, stored_record
 from homolog.core.versions import versions
-from homolog.matching import RESULT_FILES, write_folder
+from homolog.matching import RESULT_FILES, Match, write_folder
 from homolog.pairs import Candidate
 from homolog.shape_models.registration import Figures, Registered
 from homolog.shape_models.subjects import Subject
@@ -107,6 +107,30 @@ class ShapeModelFolder:
         return folder
 
     @classmethod
+    def existing(cls, root: str | Path) -> ShapeModelFolder:
+        """A folder that ``homolog collection`` wrote, to be looked at.
+
+        Raises:
+            DataError: if it is none.
+        """
+        if not cls.is_one(root):
+            raise DataError(f"{root} is no collection; give a folder that homolog collection wrote")
+        return cls(expanded(root))
+
+    @staticmethod
+    def is_one(root: str | Path) -> bool:
+        """Whether a folder is one that ``homolog collection`` wrote."""
+        stored = stored_record(expanded(root) / MANIFEST, _Manifest)
+        return stored is not None and stored["what"] == _WHAT
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all shapes that are registered, in the order of the alphabet."""
+        # By records: a shape without one was left by a killed process, and does not count.
+        recorded = (path.stem for path in (self.root / "records").glob("*.json"))
+        return sorted(name for name in recorded if self.shape_file(name).is_file())
+
+    @classmethod
     @contextmanager
     def opened(cls, root: str | Path, making: dict[str, Any]) -> Iterator[ShapeModelFolder]:
         """``prepare`` as a context: a new folder is removed if an error occurs before any shape is registered.
@@ -138,6 +162,17 @@ class ShapeModelFolder:
         """The folder of the match of the template with a shape, as ``homolog match`` writes it."""
         return self.root / "matches" / name
 
+    def match(self, name: str) -> Match:
+        """The match of the template with a shape that is registered.
+
+        Raises:
+            ArgumentError: if there is no such shape.
+            DataError: if its match is missing or damaged.
+        """
+        if name not in self.names:
+            raise bad_choice("shape", name, self.names)
+        return Match.load(self.match_folder(name))
+
     def shape_file(self, name: str) -> Path:
         """The file of a registered shape."""
         return self.root / "shapes" / f"{name}.ply"
@@ -154,7 +189,8 @@ class ShapeModelFolder:
         subject, figures = outcome.subject, outcome.figures
         assert figures is not None
         file = self.shape_file(subject.name)
-        write_folder(self.match_folder(subject.name), registered.match)
+        if registered.match is not None:
+            write_folder(self.match_folder(subject.name), registered.match)
         write_shape(file, Shape(registered.points, drawable(template).faces))
         made = {
             "file": str(subject.file),
@@ -217,9 +253,7 @@ class ShapeModelFolder:
     def others(self, subjects: Sequence[Subject]) -> list[str]:
         """Names of shapes that were registered before and are not among these."""
         known = {subject.name for subject in subjects}
-        # By records: a shape without one was left by a killed process, and does not count.
-        recorded = {path.stem for path in (self.root / "records").glob("*.json")}
-        return sorted(name for name in recorded - known if self.shape_file(name).is_file())
+        return [name for name in self.names if name not in known]
 
     def _is_current(self, subject: Subject, stored: dict[str, Any]) -> bool:
         registered = self.shape_file(subject.name)

@@ -80,17 +80,19 @@ class Registered:
         points: one for each template point, on the shape's surface, in its coordinates (n, 3).
         figures: quality of the match.
         warnings: for the user, a line each.
-        match: of the template and the shape, which the points were made from.
+        match: of the template and the shape, which the points were made from; None where they come from elsewhere.
     """
 
     points: Float[np.ndarray, "n 3"]
     figures: Figures
     warnings: tuple[str, ...]
-    match: Match
+    match: Match | None = None
 
     @property
     def matched_by(self) -> str:
-        """What found the point maps: a method, and the features that it compares."""
+        """What found the point maps: a method, and the features that it compares; empty where that is not known."""
+        if self.match is None:
+            return ""
         features = self.match.report["features"]
         return self.match.method if features is None else f"{self.match.method}, {features['name']}"
 

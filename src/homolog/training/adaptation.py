@@ -41,7 +41,7 @@ class AdaptationSettings(Settings):
         seed: of everything random.
     """
 
-    steps: Count = 15
+    steps: Count = 40
     optimiser: OptimiserSettings = field(default_factory=lambda: OptimiserSettings(learning_rate=1e-4))
     samples: SampleSettings = field(default_factory=SampleSettings)
     loss: LossSettings | None = None
