@@ -33,8 +33,8 @@ ORIENTER_RADIUS = 0.5
 sqrt(area), but noise changes the area that is estimated of a cloud, and a part has less of it than the full shape."""
 # After so many steps from a start the answer hardly changes.
 _STEPS = 3
-# Points that it decides at. With fewer, it depends on which ones they are where a cloud is noisy: of 39 trials with noise
-# of 0.01 sqrt(area), 33 faced the right way with 400 points, and 36 with 1,500; more change nothing.
+# Points that it decides at. With fewer, it depends on which ones they are where a cloud is noisy: of 39 trials with
+# noise of 0.01 sqrt(area), 33 faced the right way with 400 points, and 36 with 1,500; more change nothing.
 _LAST_SAMPLES = 1500
 
 
