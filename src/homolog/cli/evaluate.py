@@ -183,7 +183,7 @@ def evaluate(
 
       homolog evaluate FAUST_r --weights people.safetensors -n 20
 
-      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 -n 20
+      homolog evaluate SCAPE_r --weights people.safetensors --adapt 40 -n 20
 
       homolog evaluate SHREC16 --dataset shrec16_cuts --weights cuts.safetensors
 

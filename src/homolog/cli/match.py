@@ -129,7 +129,7 @@ def match(
 
       homolog match dancer.ply statue.ply -o result --html both.html --picture both.png --lines 20
 
-      homolog match old.ply new.ply -o result --weights people.safetensors --adapt 15
+      homolog match old.ply new.ply -o result --weights people.safetensors --adapt 40
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
