@@ -52,7 +52,7 @@ def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path
     for candidate in (best, *others):
         limited = matcher.limited_to(candidate.name)
         alone = [map_misfit(limited.match(read_shape(template), shape).quality) for shape in shapes]
-        assert candidate.map_misfit == pytest.approx(np.median(alone), rel=1e-6)
+        assert candidate.map_misfit == pytest.approx(np.median(alone), abs=1e-3)
 
     def asked(*_, **__):
         raise AssertionError("the choice is made once")
@@ -64,7 +64,7 @@ def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path
     assert matched_by.pop().startswith(best.name)
 
 
-def test_one_odd_shape_does_not_decide(family, people, make, tmp_path):
+def test_one_odd_shape_does_not_decide(family, people, tmp_path):
     template, files, _ = family
     matcher = Matcher.from_weights()
     settings = ShapeModelSettings()
@@ -74,14 +74,11 @@ def test_one_odd_shape_does_not_decide(family, people, make, tmp_path):
     assert both[0].name == alone[0].name
 
 
-def test_at_most_eight_shapes_are_asked(make, tmp_path, monkeypatch):
-    seen = []
-
+def test_at_most_eight_shapes_are_asked(make, tmp_path):
     class Stub:
         has_choice = True
 
         def preprocess(self, shape, **_):
-            seen.append(shape.name)
             return shape
 
         def choice_for(self, shapes, options):
@@ -92,5 +89,5 @@ def test_at_most_eight_shapes_are_asked(make, tmp_path, monkeypatch):
         write_shape(tmp_path / f"{number:02d}.ply", make.blob(0))
     subjects = subjects_of(sorted(tmp_path.glob("*.ply")))
     found = choice_for_all(Shape(make.blob(0).points, name="template"), subjects, Stub())
-    assert len(found) == 8 and (found[0], found[-1]) == ("00", "29") and list(found) == sorted(found)
+    assert len(found) == 8 and (found[0], found[-1]) == ("00.ply", "29.ply") and list(found) == sorted(found)
     assert choice_for_all(make.blob(0), subjects, axiomatic()) == ()

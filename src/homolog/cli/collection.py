@@ -13,6 +13,7 @@ import typer
 import homolog
 from homolog.cli.options import (
     INPUT,
+    METHOD,
     ONE_PER_CORE,
     OUTPUT,
     DeviceOption,
@@ -68,6 +69,16 @@ def collection(
     ] = False,
     method: MethodOption = "auto",
     weights: Weights = None,
+    adapt: Annotated[
+        int,
+        typer.Option(
+            metavar="STEPS",
+            help="Train a copy of the weights on all shapes at once for so many steps, and use it for the shapes whose "
+            "maps then contradict themselves less; 0 for none.",
+            min=0,
+            rich_help_panel=METHOD,
+        ),
+    ] = 0,
     landmarks: Annotated[
         Path | None,
         typer.Option(
@@ -133,6 +144,7 @@ def collection(
         shapes_as_cloud=as_cloud in ("shapes", "both"),
         orient=orient,
         strict=strict,
+        adapt=adapt,
     )
     model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
@@ -180,6 +192,9 @@ def _summary(built: BuiltModel, warnings_of_all: Iterable[str]) -> None:
     if choice := folder.choice():
         say(_of_choice(choice))
     registered = [outcome for outcome in outcomes if not outcome.error]
+    adapted = [outcome.figures.adapted for outcome in registered if outcome.figures is not None]
+    if any(kept is not None for kept in adapted):
+        say(f"Maps by the adapted weights are kept for {sum(map(bool, adapted))} of {len(adapted)} shapes.")
     warned = [outcome for outcome in registered if outcome.warnings]
     for outcome in warned:
         for warning in outcome.warnings:

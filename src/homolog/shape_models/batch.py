@@ -7,14 +7,17 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 from homolog.core.arguments import check_count
 from homolog.core.errors import HomologError
 from homolog.core.progress import Progress, Timings, ignore
 from homolog.core.tasks import run_tasks
+from homolog.features import load_weights
 from homolog.matching import Matcher, with_inputs
 from homolog.pairs import Side
+from homolog.shape_models.adaptation import adapted_weights
 from homolog.shape_models.choice import choice_for_all
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.registration import Template
@@ -87,10 +90,16 @@ def register_all(
     settings, processes = settings or ShapeModelSettings(), min(processes, max(1, len(missing)))
     choice = folder.choice()
     if choice is None and missing:
-        choice = choice_for_all(template, missing, make_matcher(), settings, progress=progress)
-        folder.keep_choice(choice)
+        matcher = make_matcher()
+        choice = choice_for_all(template, missing, matcher, settings, progress=progress)
+        if choice or not matcher.has_choice:  # where no shape could be used, those that come later decide
+            folder.keep_choice(choice)
     name = choice[0].name if choice else None
-    registration = _Registration(template, make_matcher, name, folder, settings, processes)
+    weights = None
+    if settings.adapt and missing:
+        chosen = _limited(make_matcher(), name)
+        weights = adapted_weights(template, missing, folder, chosen, settings, progress=progress)
+    registration = _Registration(template, make_matcher, name, weights, folder, settings, processes)
     before = len(subjects) - len(missing)
     run_tasks(
         [[(subject.name, partial(registration.outcome, subject)) for subject in missing]],
@@ -116,6 +125,7 @@ class _Registration:
     template: Shape = field(compare=False)
     make_matcher: Callable[[], Matcher] = field(compare=False)
     choice: str | None
+    weights: Path | None
     folder: ShapeModelFolder
     settings: ShapeModelSettings
     processes: int
@@ -156,14 +166,20 @@ def _prepared_template(registration: _Registration) -> Template:
 
         # Each process gets its share of the cores: more threads than cores wait for each other.
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // registration.processes))
-    settings, matcher = registration.settings, registration.make_matcher()
+    settings, matcher = registration.settings, _limited(registration.make_matcher(), registration.choice)
+    weights = registration.weights
     return Template(
         registration.template,
-        matcher if registration.choice is None else matcher.limited_to(registration.choice),
+        matcher,
+        adapted=None if weights is None else matcher.with_extractor(load_weights(weights)),
         up=settings.template_up,
         as_cloud=settings.template_as_cloud,
         orient=settings.orient,
     )
+
+
+def _limited(matcher: Matcher, choice: str | None) -> Matcher:
+    return matcher if choice is None else matcher.limited_to(choice)
 
 
 def _in_a_line(subject: Subject, error: Exception) -> str:

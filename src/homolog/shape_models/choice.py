@@ -10,7 +10,7 @@ import numpy as np
 from homolog.core.errors import HomologError
 from homolog.core.progress import Progress, ignore
 from homolog.matching import Matcher
-from homolog.pairs import Candidate, PairOptions, PreprocessedShape
+from homolog.pairs import Candidate, PreprocessedShape
 from homolog.shape_models.settings import ShapeModelSettings
 from homolog.shape_models.subjects import Subject
 from homolog.shapes import Shape, read_shape
@@ -45,13 +45,27 @@ def choice_for_all(
     settings = settings or ShapeModelSettings()
     if not matcher.has_choice:
         return ()
+    pairs = pairs_with(template, subjects, matcher, settings, most=_MOST, progress=progress)
+    return matcher.choice_for(pairs, settings.pair_options()) if pairs else ()
+
+
+def pairs_with(
+    template: Shape,
+    subjects: Sequence[Subject],
+    matcher: Matcher,
+    settings: ShapeModelSettings,
+    *,
+    most: int,
+    progress: Progress = ignore,
+) -> list[tuple[PreprocessedShape, PreprocessedShape]]:
+    """The template with up to so many of the shapes, spread over their list; those that cannot be used are left out."""
     base = matcher.preprocess(
         template, up=settings.template_up, as_cloud=settings.template_as_cloud, orient=settings.orient, label="template"
     )
-    asked = [subjects[number] for number in np.unique(np.linspace(0, len(subjects) - 1, _MOST).astype(int))]
+    asked = [subjects[number] for number in np.unique(np.linspace(0, len(subjects) - 1, most).astype(int))]
     shapes: list[PreprocessedShape] = []
     for number, subject in enumerate(asked):
-        progress(number, len(asked), f"choice of weights, {subject.name}")
+        progress(number, len(asked), f"looking at {subject.name}")
         with suppress(HomologError):  # it is reported once the shape is registered
             shapes.append(
                 matcher.preprocess(
@@ -61,6 +75,4 @@ def choice_for_all(
                     orient=settings.orient,
                 )
             )
-    progress(len(asked), len(asked), "choice of weights")
-    options = PairOptions(orient=settings.orient)
-    return matcher.choice_for([(base, shape) for shape in shapes], options) if shapes else ()
+    return [(base, shape) for shape in shapes]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -26,6 +26,7 @@ from homolog.shapes import Shape, drawable, files_of_shape, read_shape, write_sh
 
 # A version, increased whenever the same template, shapes and settings give other points.
 _MAKING = 2
+_WEIGHTS = "weights.safetensors"
 _WHAT = "shapes with the points and faces of one template, made by homolog collection"
 _FOLDERS = ("shapes", "records", "matches")
 
@@ -43,6 +44,7 @@ class _Manifest(TypedDict):
 
     what: str
     choice: NotRequired[list[Candidate]]
+    weights_sha256: NotRequired[str]
 
 
 @record
@@ -157,6 +159,20 @@ class ShapeModelFolder:
         manifest = stored_record(self.root / MANIFEST, _Manifest)
         assert manifest is not None
         write_json(self.root / MANIFEST, {**manifest, "choice": [asdict(candidate) for candidate in choice]})
+
+    def weights(self) -> Path | None:
+        """The weights that were adapted to all shapes; None where there are none yet, or they are damaged."""
+        stored, file = stored_record(self.root / MANIFEST, _Manifest), self.root / _WEIGHTS
+        known = stored is not None and file.is_file() and sha256(file) == stored.get("weights_sha256")
+        return file if known else None
+
+    def keep_weights(self, write: Callable[[Path], None]) -> Path:
+        """Keep weights that were adapted to all shapes, so that those that come later are matched alike."""
+        file, manifest = self.root / _WEIGHTS, stored_record(self.root / MANIFEST, _Manifest)
+        assert manifest is not None
+        write(file)
+        write_json(self.root / MANIFEST, {**manifest, "weights_sha256": sha256(file)})
+        return file
 
     def match_folder(self, name: str) -> Path:
         """The folder of the match of the template with a shape, as ``homolog match`` writes it."""

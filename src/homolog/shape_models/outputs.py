@@ -110,6 +110,7 @@ def _report(shapes: RegisteredShapes) -> dict[str, Any]:
     return {
         "template": {"points": shapes.template.n_points, "faces": shapes.template.n_faces},
         "choice": [asdict(candidate) for candidate in shapes.folder.choice() or ()],
+        "adaptation": shapes.adaptation,
         "shapes": shapes.names,
         "not_registered": {one.subject.name: one.error for one in shapes.outcomes if one.figures is None},
         "warnings": {one.subject.name: list(one.warnings) for one in shapes.registered if one.warnings},

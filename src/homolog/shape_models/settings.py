@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from homolog.core.choices import Orient
-from homolog.core.settings import Settings
+from homolog.core.settings import CountOrZero, Settings
+from homolog.pairs import PairOptions
 from homolog.shapes import Up
 
 
@@ -20,6 +21,7 @@ class ShapeModelSettings(Settings):
         shapes_as_cloud: match without the shapes' faces.
         orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
         strict: refuse shapes that need repair or would get a warning.
+        adapt: steps for which the weights are trained on all shapes at once; 0 for none.
     """
 
     template_up: Up = "y"
@@ -28,3 +30,8 @@ class ShapeModelSettings(Settings):
     shapes_as_cloud: bool = False
     orient: Orient = "auto"
     strict: bool = False
+    adapt: CountOrZero = 0
+
+    def pair_options(self) -> PairOptions:
+        """Of the template with a shape, both of them preprocessed."""
+        return PairOptions(orient=self.orient)

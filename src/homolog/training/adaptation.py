@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -124,17 +125,52 @@ def adapt_to_pair(
         ArgumentError: if the pair's features come from no network.
         TrainingError: if a loss is not finite.
     """
-    extractor = pair.extractor
-    if not isinstance(extractor, NetworkFeatures):
-        raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
+    _network_features(pair)
     pair = align_partial(orient(pair))
-    loss = replace(settings.loss_for(extractor.info), map_eigenpairs=pair.map_size)
+    adapted = _adapted(matcher, [pair], settings, listener)
+    return matcher.with_extractor(adapted), pair.with_extractor(adapted)
+
+
+def adapt_to_pairs(
+    matcher: Matcher, pairs: Sequence[Pair], settings: AdaptationSettings, *, listener: Listener | None = None
+) -> NetworkFeatures:
+    """Fine-tune one copy of a matcher's network on several pairs of full shapes of one kind; see ``adapt_to_pair``.
+
+    Args:
+        matcher: that made the pairs; stays as it is.
+        pairs: of preprocessed shapes, with the same features; at least one.
+        settings: how. Steps are those of all pairs together, which take turns.
+        listener: told of each step as it begins.
+
+    Raises:
+        ArgumentError: if the pairs' features come from no network.
+        TrainingError: if a loss is not finite.
+    """
+    _network_features(pairs[0])
+    return _adapted(matcher, [orient(pair) for pair in pairs], settings, listener)
+
+
+def _network_features(pair: Pair) -> NetworkFeatures:
+    if not isinstance(pair.extractor, NetworkFeatures):
+        raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
+    return pair.extractor
+
+
+def _adapted(
+    matcher: Matcher, pairs: Sequence[Pair], settings: AdaptationSettings, listener: Listener | None
+) -> NetworkFeatures:
+    """The features of a copy of the network, trained on pairs that are the right way round."""
+    first, extractor = pairs[0], _network_features(pairs[0])
+    loss = replace(settings.loss_for(extractor.info), map_eigenpairs=first.map_size)
     settings = replace(settings, augmentation=settings.augmentation_for(extractor.info))
     network = copy.deepcopy(extractor.network).requires_grad_().train()
-    sampled = (_training_shapes(matcher, shape, settings.samples) for shape in (pair.x, pair.y))
-    _train(network, list(zip(*sampled, strict=True)), settings, loss, pair.is_partial, listener)
-    adapted = matcher.with_extractor(replace(extractor, network=network.eval()))
-    return adapted, pair.with_extractor(replace(extractor, network=network))
+    sampled = [
+        zip(*(_training_shapes(matcher, shape, settings.samples) for shape in (pair.x, pair.y)), strict=True)
+        for pair in pairs
+    ]
+    in_turns = [both for turn in zip(*sampled, strict=True) for both in turn]
+    _train(network, in_turns, settings, loss, first.is_partial, listener)
+    return replace(extractor, network=network.eval())
 
 
 def _training_shapes(matcher: Matcher, shape: PreprocessedShape, settings: SampleSettings) -> list[TrainingShape]:
