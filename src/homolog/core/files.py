@@ -241,11 +241,8 @@ def _lies_in(target: Path, folder: Path) -> bool:
     if any(parent.samefile(folder) for parent in target.parents):
         return True
     status = target.stat()
-    return status.st_nlink > 1 and stat.S_ISREG(status.st_mode) and any(map(target.samefile, _files_below(folder)))
-
-
-def _files_below(folder: Path) -> Iterator[Path]:
-    return (path for path in folder.rglob("*") if path.is_file())
+    may_be_linked = status.st_nlink > 1 and stat.S_ISREG(status.st_mode)
+    return may_be_linked and any(path.is_file() and target.samefile(path) for path in folder.rglob("*"))
 
 
 def remove(path: Path) -> None:

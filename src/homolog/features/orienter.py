@@ -77,14 +77,10 @@ class Orienter:
         basis = operators.basis.truncated(ORIENTER_EIGENPAIRS)
         sampled = basis.sampled(some_points(basis.n_points, ORIENTER_SAMPLES).to(basis.points.device))
         seen = as_oriented(sampled)
-        starts = self._distinct(self._step(seen, rotation) for rotation in cube_rotations().to(seen.points))
-        found = self._distinct(self._followed(seen, start) for start in starts)
-        return tuple(self._with_place(sampled, seen, orientation) for orientation in found)
-
-    def _followed(self, basis: Basis, orientation: Orientation) -> Orientation:
+        found = self._distinct(self._step(seen, rotation) for rotation in cube_rotations().to(seen.points))
         for _ in range(_STEPS - 1):
-            orientation = self._step(basis, orientation.rotation)
-        return orientation
+            found = [self._step(seen, orientation.rotation) for orientation in found]
+        return tuple(self._with_place(sampled, seen, orientation) for orientation in self._distinct(found))
 
     def _step(self, basis: Basis, rotation: Float[Tensor, "3 3"]) -> Orientation:
         """The rotation that the network answers to a pose, and by how much its points differ there from the answer."""

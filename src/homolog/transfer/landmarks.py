@@ -144,11 +144,13 @@ def _read_fcsv(path: Path) -> Landmarks:
 
     def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         changed = dict(zip(rows, points, strict=True))
-        kept = [
-            _fcsv_row(line, changed[number]) if number in changed else line
-            for number, line in enumerate(lines)
-            if number not in changed or np.isfinite(changed[number]).all()
-        ]
+        kept = list[str]()
+        for number, line in enumerate(lines):
+            if number not in changed:
+                kept.append(line)
+            elif np.isfinite(changed[number]).all():
+                cells = line.split(",", 4)
+                kept.append(",".join([cells[0], *(repr(float(x)) for x in changed[number]), *cells[4:]]))
         with atomic_path(output) as temporary:
             temporary.write_text("\n".join(kept) + "\n", encoding="utf-8", newline="\n")
 
@@ -163,11 +165,6 @@ def _fcsv_system(lines: list[str]) -> System:
     if name not in _SYSTEMS:
         raise UnreadableError(f"its coordinate system is {shorten(name)}; save it in LPS or in RAS")
     return _SYSTEMS[name]
-
-
-def _fcsv_row(line: str, position: Float[np.ndarray, " 3"]) -> str:
-    cells = line.split(",", 4)
-    return ",".join([cells[0], *(repr(float(x)) for x in position), *cells[4:]])
 
 
 def _read_table(path: Path) -> Landmarks:
