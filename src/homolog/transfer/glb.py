@@ -71,7 +71,10 @@ def write_glb(
         pieces = _pieces(projector.given, look)
     else:
         pieces = [_Piece(np.arange(shape.n_points), shape.faces)]
-    normals, primitives = _normals(projector), list[dict[str, Any]]()
+    assert projector.surface is not None
+    normals = unit(projector.repaired.to_original(projector.surface.vertex_normals, fill=0.0))
+    normals[~normals.any(axis=1)] = 0.0, 1.0, 0.0  # glTF demands length one of all
+    primitives = list[dict[str, Any]]()
     for piece in pieces:
         attributes = {"POSITION": glb.accessor(shape.points[piece.point_of].astype("<f4"), bounds=True)}
         attributes["NORMAL"] = glb.accessor(normals[piece.point_of].astype("<f4"))
@@ -134,13 +137,6 @@ def _pieces(given: Shape, look: Texture) -> list[_Piece]:
         of_points = vertices[:, 0].astype(np.int64)
         found.append(_Piece(of_points, vertex_of.reshape(-1, 3), uv, content, (red, green, blue)))
     return found
-
-
-def _normals(projector: SurfaceProjector) -> Float[np.ndarray, "n 3"]:
-    """Unit normals of all points; +y where a point has none, as glTF demands length one."""
-    assert projector.surface is not None
-    normals = unit(projector.repaired.to_original(projector.surface.vertex_normals, fill=0.0))
-    return np.where(normals.any(axis=1, keepdims=True), normals, np.array([0.0, 1.0, 0.0]))
 
 
 def _colours(glb: GlbWriter, colours: UInt8[np.ndarray, "n 3"]) -> int:
