@@ -183,7 +183,7 @@ def evaluate(
 
       homolog evaluate FAUST_r --weights people.safetensors -n 20
 
-      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 -n 20
+      homolog evaluate SCAPE_r --weights people.safetensors --adapt 40 -n 20
 
       homolog evaluate SHREC16 --dataset shrec16_cuts --weights cuts.safetensors
 
@@ -273,14 +273,14 @@ def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:
 
 
 def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:
-    """How a pair is matched: as it is, or after the network is adapted to it."""
+    """How a pair is matched: as it is, or after the network is adapted to it, where that is better."""
     if not steps:
         return None
 
     settings = homolog.training.AdaptationSettings(steps=steps)
 
     def match(pair: Pair) -> Match:
-        adapted, pair = homolog.training.adapt_to_pair(matcher, pair, settings)
+        adapted, pair = homolog.training.adapt_if_better(matcher, pair, settings)
         return adapted.find(pair)
 
     return match
@@ -308,6 +308,8 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     table.add_row("method", found["method"])
     if evaluation.choices:
         table.add_row("matched by", ", ".join(f"{name} {count}" for name, count in evaluation.choices.items()))
+    if evaluation.n_adapted is not None:
+        table.add_row("pairs whose adapted map was kept", f"{evaluation.n_adapted} of {len(evaluation.pairs)}")
     if evaluation.exchanges is not None:
         sides, over = (evaluation.exchanges[way] for way in ("left-right", "turned over"))
         known = sum(evaluation.exchanges.values())

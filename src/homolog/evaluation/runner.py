@@ -265,6 +265,7 @@ class _Run:
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
             exchanged=exchanged,
             chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
+            adaptation=match.report.get("adaptation"),
         )
 
     def _errors(

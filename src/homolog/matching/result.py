@@ -495,6 +495,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "quality": None if match.quality is None else match.quality.to_dict(),
         "options": asdict(pair.options),
         "choice": [asdict(candidate) for candidate in pair.choice],
+        "adaptation": None if pair.adaptation is None else asdict(pair.adaptation),
         "orientation": _orientation(pair),
         "alignment": _alignment(pair),
         "features": info,
