@@ -22,7 +22,7 @@ from homolog.core.messages import shorten
 from homolog.core.reasons import reason_of
 from homolog.core.records import check_plain
 from homolog.shapes.formats.parsing import UnreadableError
-from homolog.shapes.formats.tables import read_table_lines
+from homolog.shapes.formats.tables import read_table_lines, row_cells
 from homolog.shapes.formats.text_lines import number_rows
 
 LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
@@ -174,6 +174,8 @@ def _read_table(path: Path) -> Landmarks:
     # Slicer's own tables name their columns by the system.
     table = read_table_lines(path, other_axes=("lps", "ras"))
     lines_of_rows = list(table.lines)
+    for line in lines_of_rows:
+        row_cells(line, table.delimiter)  # what could not be written again is refused now
     points = number_rows(lines_of_rows, table.columns, delimiter=table.delimiter)
     if not len(points):
         raise UnreadableError("it holds no landmarks")
@@ -194,7 +196,7 @@ def _read_table(path: Path) -> Landmarks:
 
 
 def _table_row(line: str, position: Float[np.ndarray, " 3"], columns: list[int], delimiter: str | None) -> str:
-    cells = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    cells = row_cells(line, delimiter)
     for column, value in zip(columns, position, strict=True):
         cells[column] = repr(float(value))
     if delimiter is None:
