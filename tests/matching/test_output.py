@@ -17,6 +17,7 @@ from homolog.core.versions import versions
 from homolog.matching import Match, matched_colours, position_colours, read_point_map, write_folder
 from homolog.shapes import Shape, read_shape
 from homolog.shapes.formats import formats
+from homolog.transfer.inputs import read_original
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
 GREY = [160, 160, 160]
@@ -272,6 +273,15 @@ def test_no_shape_is_replaced_by_its_own_result(found, tmp_path):
     with pytest.raises(ArgumentError, match=r"source\.ply is an input"):
         read.save(tmp_path)
     assert given.read_text() == "precious" and [path.name for path in tmp_path.iterdir()] == ["source.ply"]
+
+
+def test_a_name_of_a_file_that_is_too_long_is_that_of_none(found, tmp_path):
+    given = replace(found, report={"inputs": {"source": {"file": "y" * 5000}}})
+    given.save(tmp_path)
+    again = Match.load(tmp_path)
+    again.save(tmp_path)
+    with pytest.raises(DataError, match="the source of this match, is not there"):
+        read_original(again, "source")
 
 
 def test_further_inputs_are_passed_over(found, tmp_path):

@@ -459,6 +459,7 @@ def test_missing_package_names_its_extra(tmp_path, monkeypatch, suffix, module, 
     assert not (tmp_path / f"b{suffix}").exists()
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("suffix", [".vtk", ".vtp", ".ply", ".glb", ".stl"])
 def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
     """Some libraries set up their logging when they are first imported."""
