@@ -217,7 +217,7 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
         >>> refuse_overwriting_inputs(["map.npz"], ["source.ply", "target.ply"])
     """
     kept = _keeping.get() or _Kept(())
-    read = [path for path in (*map(expanded, inputs), *kept.inputs) if path.exists()]
+    read = [path for path in (*map(expanded, inputs), *kept.inputs) if is_there(path)]
     for output in map(expanded, outputs):
         target = resolved(output)
         if not output.exists() or target in kept.written:
