@@ -213,6 +213,7 @@ def test_landmarks_go_along(make, matched):
         ("a.fcsv", "# nothing\n", "holds no landmarks"),
         ("a.fcsv", "F,1,2\n", "too few"),
         ("a.csv", "x,y,z\n", "holds no landmarks"),
+        ("a.csv", "label,x,y,z\nF,1,2,3\n" + "G" * 200_000 + ",1,2,3\n", "no row of a table .* 131072 characters"),
         ("a.csv", "p,q,r,s\n1,2,3,4\n", "its columns are named"),
         ("a.vtk", "{}", "must have one of"),
         ("a.json", "{}", "no list of landmarks with 'id' and 'coordinates'"),

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from homolog.datasets import ShapeFolder
-    from homolog.evaluation import Detection, Evaluation, Protocol
+    from homolog.evaluation import Evaluation, Protocol
     from homolog.matching import Match, Matcher
     from homolog.pairs import Pair
 
@@ -296,8 +296,10 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     table.add_row(f"median {kind} error {unit}", f"{found[f'median_{kind}_error']:.2f}")
     if "pck" in found:
         table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
-    if evaluation.missing is not None:
-        table.add_row("points without a counterpart", _described_detection(evaluation.missing))
+    if missing := evaluation.missing:
+        figures = {"precision": missing.precision, "recall": missing.recall, "F1": missing.f1}
+        told = (f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())
+        table.add_row("points without a counterpart", ", ".join(told))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
         without = found[f"mean_{kind}_error_of_matched_points"]
@@ -324,8 +326,3 @@ def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
     turned = {"none": "", "vertical": ", turned about the vertical", "any": ", turned"}[protocol.turn]
     return f"{name}, {protocol.modality}{partial}{noise}{turned}"
-
-
-def _described_detection(missing: Detection) -> str:
-    figures = {"precision": missing.precision, "recall": missing.recall, "F1": missing.f1}
-    return ", ".join(f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())

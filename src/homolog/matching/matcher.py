@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import asdict, replace
+from os import PathLike
 from pathlib import Path
 from typing import Any, get_args
 from weakref import WeakKeyDictionary
@@ -16,7 +17,7 @@ from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Timings
 from homolog.core.unchanged import left_unchanged
-from homolog.features import FeatureExtractor, FeatureInfo, load_weights, on_device
+from homolog.features import FeatureExtractor, FeatureInfo, on_device
 from homolog.geometry import compute_operators
 from homolog.matching.alignment import align_partial
 from homolog.matching.choice import (
@@ -141,7 +142,8 @@ class Matcher:
             WeightsError: if there are no such weights, or the file does not hold any.
         """
         settings = given_or_default("settings", settings, MatcherSettings)
-        features = features_of_weights(weights, settings) if weights == AUTO_WEIGHTS else load_weights(weights)
+        check_kind("weights", weights, PathLike, str)
+        features = features_of_weights(weights, settings)
         return cls(features, settings=settings, device=device, operators=operators)
 
     def with_extractor(self, extractor: FeatureExtractor) -> Matcher:

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from homolog.core.progress import Progress
 from homolog.core.records import record
@@ -50,7 +48,9 @@ def aligned(shapes: TrainingSet, progress: Progress) -> dict[str, Aligned]:
     Raises:
         ShapeError: if a shape cannot be used.
     """
-    found = joint_rotations([_points(shapes, name) for name in shapes.used], progress=progress)
+    positions = (unit_mesh(shapes, name)[0].points for name in shapes.used)
+    samples = [torch.from_numpy(each[some_points(len(each), _SAMPLES).numpy()]).float() for each in positions]
+    found = joint_rotations(samples, progress=progress)
     turned = {
         name: Aligned(rotation.tolist(), misfit) for name, (rotation, misfit) in zip(shapes.used, found, strict=True)
     }
@@ -81,11 +81,6 @@ def oriented(
         progress(done, len(shapes.used), f"orienting {name}")
     _warn_of_outliers({name: how.misfit for name, how in turned.items()})
     return turned
-
-
-def _points(shapes: TrainingSet, name: str) -> Float[Tensor, "s 3"]:
-    points = unit_mesh(shapes, name)[0].points
-    return torch.from_numpy(points[some_points(len(points), _SAMPLES).numpy()]).float()
 
 
 def _warn_of_outliers(misfits: Mapping[str, float]) -> None:

@@ -22,7 +22,7 @@ from homolog.core.messages import shorten
 from homolog.core.reasons import reason_of
 from homolog.core.records import check_plain
 from homolog.shapes.formats.parsing import UnreadableError
-from homolog.shapes.formats.tables import read_table_lines
+from homolog.shapes.formats.tables import read_table_lines, row_cells
 from homolog.shapes.formats.text_lines import number_rows
 
 LANDMARK_SUFFIXES = (".mrk.json", ".json", ".fcsv", ".csv", ".txt", ".xyz")
@@ -201,11 +201,13 @@ def _read_fcsv(path: Path) -> Landmarks:
 
     def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         changed = dict(zip(rows, points, strict=True))
-        kept = [
-            _fcsv_row(line, changed[number]) if number in changed else line
-            for number, line in enumerate(lines)
-            if number not in changed or np.isfinite(changed[number]).all()
-        ]
+        kept = list[str]()
+        for number, line in enumerate(lines):
+            if number not in changed:
+                kept.append(line)
+            elif np.isfinite(changed[number]).all():
+                cells = line.split(",", 4)
+                kept.append(",".join([cells[0], *(repr(float(x)) for x in changed[number]), *cells[4:]]))
         with atomic_path(output) as temporary:
             temporary.write_text("\n".join(kept) + "\n", encoding="utf-8", newline="\n")
 
@@ -232,17 +234,12 @@ def _fcsv_system(lines: list[str]) -> System:
     return _SYSTEMS[name]
 
 
-def _fcsv_row(line: str, position: Float[np.ndarray, " 3"]) -> str:
-    cells = line.split(",", 4)
-    return ",".join([cells[0], *(repr(float(x)) for x in position), *cells[4:]])
-
-
 def _read_table(path: Path) -> Landmarks:
     # Slicer's own tables name their columns by the system.
     table = read_table_lines(path, other_axes=("lps", "ras"))
     lines_of_rows = list(table.lines)
     text = read_text(path, encoding="utf-8-sig", errors="replace")
-    cells = [_cells(line, table.delimiter) for line in lines_of_rows]
+    cells = [row_cells(line, table.delimiter) for line in lines_of_rows]  # what cannot be written again is refused now
     if _begins_with_names(text, cells):
         table = table._replace(columns=[1, 2, 3])
     points = number_rows(lines_of_rows, table.columns, delimiter=table.delimiter)
@@ -267,15 +264,11 @@ def _read_table(path: Path) -> Landmarks:
 def _begins_with_names(text: str, cells: list[list[str]]) -> bool:
     """Whether a table without names of columns has four, as scalismo writes it: a landmark's name and three numbers."""
     first = next((line for line in text.splitlines() if line.strip() and not line.startswith("#")), "")
-    return all(len(row) == 4 for row in cells) and bool(cells) and _cells(first, ",") == cells[0]
-
-
-def _cells(line: str, delimiter: str | None) -> list[str]:
-    return line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    return all(len(row) == 4 for row in cells) and bool(cells) and row_cells(first, ",") == cells[0]
 
 
 def _table_row(line: str, position: Float[np.ndarray, " 3"], columns: list[int], delimiter: str | None) -> str:
-    cells = _cells(line, delimiter)
+    cells = row_cells(line, delimiter)
     for column, value in zip(columns, position, strict=True):
         cells[column] = repr(float(value))
     if delimiter is None:
