@@ -183,6 +183,8 @@ QUALITY = dict.fromkeys(("coverage", "cycle_error", "dirichlet_energy", "flipped
         {"orientation": {"source": {"rotation": [[1, 0], [0, 1, 0], [0, 0, 1]]}}},
         {"orientation": {"target": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}},
         {"orientation": {"target": {"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 0.5]]}}},
+        {"orientation": {"target": {"rotation": [[1, 0, 1e308], [0, 1, 0], [0, 0, 1]]}}},
+        {"alignment": {"rotation": [[-1e200, 0, 0], [0, -1e200, 0], [0, 0, 1e200]]}},
         {"alignment": {"rotation": [[0, 0, 0], [0, 0, 0], [0, 0, 0]]}},
         {"alignment": {"rotation": "none"}},
         {"options": 7},

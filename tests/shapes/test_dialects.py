@@ -233,6 +233,11 @@ NUMBERED = {
     "decimal commas and blanks": decimal_commas("", "  "),
     "what separates cells": "sep=;\nx;y;z\n" + decimal_commas("", ";"),
     "a count and names": "6\nx y z\n" + rows(POINTS),
+    "a title": "skull\n" + rows(POINTS),
+    "a title of two words, and names": "my skull\n" + rows(POINTS, "name {}"),
+    "names that lost their beginning": "y,z\n" + rows(POINTS, "name {}").replace(" ", ","),
+    "quotes behind blanks": "i,name,x,y,z\n"
+    + rows(POINTS, '1,#"a,b"#{}').replace(" ", ",").replace("#", " ").replace('" ', '",'),
     "a comma at the end": "x,y,z\n" + "".join(f"{','.join(map(str, p))},\n" for p in POINTS),
 }
 

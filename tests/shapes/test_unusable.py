@@ -259,6 +259,8 @@ def test_blanks_cost_no_more_than_their_number(tmp_path):
     blanks = " " * 120_000
     refused(put(tmp_path, "a.csv", f"x{blanks}y,b,c,d\n" + "1,2,3,4\n" * 9))
     refused(put(tmp_path, "b.csv", "x [" * 60_000 + "\n" + "1,2,3,4\n" * 9))
+    refused(put(tmp_path, "c.csv", f"x;y;z\n3;1;{blanks}\n" + "1;2;3\n" * 9))
+    refused(put(tmp_path, "d.csv", f"x;y;z\n3;1;{blanks}NA{blanks}x\n" + "1;2;3\n" * 9))
     refused(put(tmp_path, "a.pcd", f"SIZE{blanks[:90_000]}x\nPOINTS 1\nDATA binary\n"), "no header")
     refused(put(tmp_path, "b.pcd", f"SIZE 4{blanks[:90_000]}x\nPOINTS 1\nDATA binary\n"), "no header")
     refused(put(tmp_path, "a.ply", b"ply " + b"\n" * 200_000 + b"end_heade"), "no header")

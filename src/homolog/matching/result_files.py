@@ -70,8 +70,9 @@ class _Turn:
 
     def __post_init__(self) -> None:
         found = np.array(self.rotation) if {*map(len, self.rotation)} == {3} else np.zeros((0, 3))
-        orthogonal = found.shape == (3, 3) and np.allclose(found @ found.T, np.eye(3), atol=_TURN_TOLERANCE)
-        if not orthogonal or np.linalg.det(found) < 0:
+        # No entry is above 1, and the squares of large ones are no numbers.
+        small = found.shape == (3, 3) and np.abs(found).max() < 2
+        if not small or not np.allclose(found @ found.T, np.eye(3), atol=_TURN_TOLERANCE) or np.linalg.det(found) < 0:
             raise ValueError("rotation is no rotation matrix (3, 3)")
 
 

@@ -173,8 +173,7 @@ def _fcsv_row(line: str, position: Float[np.ndarray, " 3"]) -> str:
 def _read_table(path: Path) -> Landmarks:
     # Slicer's own tables name their columns by the system.
     table = read_table_lines(path, other_axes=("lps", "ras"))
-    lines_of_rows = list(table.lines)
-    points = number_rows(lines_of_rows, table.columns, delimiter=table.delimiter)
+    lines_of_rows, points = table.lines.as_written(), table.points()
     if not len(points):
         raise UnreadableError("it holds no landmarks")
     text = read_text(path, encoding="utf-8-sig", errors="replace")
@@ -196,7 +195,8 @@ def _read_table(path: Path) -> Landmarks:
 def _table_row(line: str, position: Float[np.ndarray, " 3"], columns: list[int], delimiter: str | None) -> str:
     cells = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
     for column, value in zip(columns, position, strict=True):
-        cells[column] = repr(float(value))
+        number = repr(float(value))
+        cells[column] = number.replace(".", ",") if "," in cells[column] else number
     if delimiter is None:
         return " ".join(cells)
     written = io.StringIO()
