@@ -336,6 +336,16 @@ def test_npz_with_quadrilaterals(tmp_path):
     assert check(read_shape(tmp_path / "a.npz")).area == pytest.approx(1)
 
 
+@pytest.mark.parametrize("kind", ["<f8", "<f2", ">f4", ">i2", "u1", "<u8"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_npz_numbers_of_any_type(tmp_path, kind, order):
+    for faces in ([[0, 1, 2], [0, 1, 4]], [[0, 1, 2, 3]]):
+        np.savez(tmp_path / "a.npz", points=np.asarray(POINTS, order=order), faces=np.array(faces, kind, order=order))
+        shape = read_shape(tmp_path / "a.npz")
+        np.testing.assert_array_equal(shape.points, POINTS)
+        assert check(shape).area == pytest.approx(1)
+
+
 def test_faces_that_count_from_one(tmp_path):
     np.savez(tmp_path / "a.npz", points=POINTS[:5], faces=FACES + 1)
     text = f"OFF\n5 3 0\n{rows(POINTS[:5])}{rows(FACES + 1, '3 {}')}"

@@ -33,6 +33,8 @@ _DECIMAL_COMMAS = re.compile(r"(?=.*\d,\d)(?:[-+]?\d+(?:,\d+)?(?:e[-+]?\d+)?(?:\
 _MISSING = re.compile(r"(?<![^,;\t])[ ]*(?:(?:NA|N/A|null|none)[ ]*)?(?=[,;\t]|$)", re.IGNORECASE)
 # First lines that tell what the columns are, and the most digits of a number of a row.
 _HEAD, _DIGITS = 8, 18
+# Fewer words than coordinates are a title.
+_FEWEST_NAMES = 3
 _BLANKS_BEFORE_QUOTES = re.compile(r'(?<=[,;\t]) +(?=")')
 # What some programs write before a table, to say what separates its cells.
 _SEPARATOR = re.compile(r"sep=.?", re.IGNORECASE)
@@ -139,8 +141,7 @@ def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLi
     for axes in other_axes:
         if all(names.count(axis) == 1 for axis in axes):
             return TableLines(rows, [names.index(axis) for axis in axes], delimiter, axes)
-    # Fewer words than coordinates are a title, unless they name these.
-    names = names if len(names) > 2 else _commented_names(text, lines[0])
+    names = names if len(names) >= _FEWEST_NAMES else _commented_names(text, lines[0])
     if not names and len(cells) > 3 and _starts_with_index(rows, repeated=has_elements):
         note = left_out("first column", 1, "it names or numbers the rows")
         return TableLines(rows, [1, 2, 3], delimiter, notes=(note, *_other_columns(cells[1:], "the next three")))
@@ -258,7 +259,7 @@ def _commented_names(text: str, first_row: str) -> list[str]:
     comment = re.sub(r"^\w+:\s+", "", before[-1].lstrip("# ")) if before else ""
     names, n_columns = _names(comment), len(_cells(first_row))
     named = len(names) == n_columns or (len(names) < n_columns and _axes(names) is not None)
-    return names if named and not _is_numbers(comment) else []
+    return names if len(names) >= _FEWEST_NAMES and named and not _is_numbers(comment) else []
 
 
 def _xyz_columns(names: list[str]) -> list[int]:
