@@ -78,16 +78,13 @@ class Orienter:
     def __call__(self, operators: Operators) -> tuple[Orientation, ...]:
         """Orientations that may be right, farther than 30 degrees from each other, the best first."""
         basis = operators.basis.truncated(ORIENTER_EIGENPAIRS)
-        coarse, sampled = (_sampled(basis, count) for count in (ORIENTER_SAMPLES, _LAST_SAMPLES))
+        counts = ORIENTER_SAMPLES, _LAST_SAMPLES
+        coarse, sampled = (basis.sampled(some_points(basis.n_points, n).to(basis.points.device)) for n in counts)
         few, seen = as_oriented(coarse), as_oriented(sampled)
-        starts = self._distinct(self._step(few, rotation) for rotation in cube_rotations().to(few.points))
-        found = self._distinct(self._followed(seen, start) for start in starts)
-        return tuple(self._with_place(sampled, seen, orientation) for orientation in found)
-
-    def _followed(self, basis: Basis, orientation: Orientation) -> Orientation:
+        found = self._distinct(self._step(few, rotation) for rotation in cube_rotations().to(few.points))
         for _ in range(_STEPS - 1):
-            orientation = self._step(basis, orientation.rotation)
-        return orientation
+            found = [self._step(seen, orientation.rotation) for orientation in found]
+        return tuple(self._with_place(sampled, seen, orientation) for orientation in self._distinct(found))
 
     def _step(self, basis: Basis, rotation: Float[Tensor, "3 3"]) -> Orientation:
         """The rotation that the network answers to a pose, and by how much its points differ there from the answer."""
@@ -109,10 +106,6 @@ class Orienter:
     def to(self, device: torch.device) -> Orienter:
         """The same on a device, in evaluation mode."""
         return replace(self, network=copy.deepcopy(self.network).to(device).eval())
-
-
-def _sampled(basis: Basis, count: int) -> Basis:
-    return basis.sampled(some_points(basis.n_points, count).to(basis.points.device))
 
 
 def orienter_frame(basis: Basis) -> Similarity:
