@@ -184,6 +184,8 @@ QUALITY = dict.fromkeys(("coverage", "cycle_error", "dirichlet_energy", "flipped
         {"orientation": {"source": {"rotation": [[1, 0], [0, 1, 0], [0, 0, 1]]}}},
         {"orientation": {"target": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}},
         {"orientation": {"target": {"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 0.5]]}}},
+        {"orientation": {"target": {"rotation": [[1, 0, 1e308], [0, 1, 0], [0, 0, 1]]}}},
+        {"alignment": {"rotation": [[-1e200, 0, 0], [0, -1e200, 0], [0, 0, 1e200]]}},
         {"alignment": {"rotation": [[0, 0, 0], [0, 0, 0], [0, 0, 0]]}},
         {"alignment": {"rotation": "none"}},
         {"orientation": {"target": {"rotation": [[1e200, 0, 0], [0, 1e200, 0], [0, 0, 1e200]]}}},
@@ -324,6 +326,11 @@ def test_a_report_may_tell_more_than_is_read(found, tmp_path):
         (lambda folder: change_maps(folder, source_to_target=np.array([{}], object)), "cannot be read as the arrays"),
         (lambda folder: change_maps(folder, source_confidence=np.full(162, np.nan)), "must lie between 0 and 1"),
         (lambda folder: change_maps(folder, target_confidence=np.full(42, 7.0)), "must lie between 0 and 1"),
+        (lambda folder: change_maps(folder, source_confidence=np.zeros(162, complex)), "not those of a match"),
+        (lambda folder: change_maps(folder, source_confidence=np.zeros((162, 1))), "not those of a match"),
+        (lambda folder: change_maps(folder, source_to_target=np.array(0)), "not those of a match"),
+        (lambda folder: change_maps(folder, source_to_target=np.zeros(162, "m8[s]")), "not those of a match"),
+        (lambda folder: change_maps(folder, source_to_target=np.zeros(162, [("x", "i4")])), "not those of a match"),
         (lambda folder: (folder / "correspondence.npz").write_bytes(b"PK"), "is not the file that report.json belongs"),
         (lambda folder: (folder / "source.ply").write_bytes(b"ply"), "is not the file that report.json belongs to"),
     ],
@@ -334,6 +341,17 @@ def test_results_that_are_spoilt_are_one_line(shapes, found, tmp_path, spoil, sa
     with pytest.raises(DataError, match=said) as error:
         Match.load(tmp_path)
     assert "\n" not in str(error.value) and str(tmp_path) in str(error.value)
+
+
+def test_arrays_of_other_types_become_the_usual_ones(shapes, found, tmp_path):
+    """Not every library computes with the other byte order, or with other precisions."""
+    write_folder(tmp_path, found)
+    others = {"source_to_target": ">i4", "source_confidence": ">f8", "target_confidence": "g"}
+    change_maps(tmp_path, **{name: getattr(found, name).astype(kind) for name, kind in others.items()})
+    again = Match.load(tmp_path)
+    for name in others:
+        assert getattr(again, name).dtype in (np.int64, np.float64) and getattr(again, name).dtype.isnative
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
 
 
 def test_writing_is_a_step_of_the_report(shapes, found, tmp_path):

@@ -112,6 +112,37 @@ def test_tables_go_round(tmp_path):
     assert (tmp_path / "b.xyz").read_text() == "1.0 2.0 3.0\n4.0 5.0 6.0\n"
 
 
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        ("name;x;y;z\na;1,5;2;3\nb;4;5,25;6\n", "name;x;y;z\na;11,5;12.0;13.0\nb;14.0;15,25;16.0\n"),
+        ('name;x;y;z\n"tip, nose";1,5;2;3\nb;4;5,25;6\n', "name;x;y;z\ntip, nose;11,5;12.0;13.0\nb;14.0;15,25;16.0\n"),
+        ("1,5  2,0  3,0\n4,0  5,25  6,0\n", "11,5 12,0 13,0\n14,0 15,25 16,0\n"),
+        (
+            'i,name,x,y,z\n1, "n,m",1.5,2,3\n2,b,4,5.25,6\n',
+            'i,name,x,y,z\n1,"n,m",11.5,12.0,13.0\n2,b,14.0,15.25,16.0\n',
+        ),
+        ("y,z\na,1.5,2,3\nb,4,5.25,6\n", "y,z\na,11.5,12.0,13.0\nb,14.0,15.25,16.0\n"),
+        ("skull\n1.5 2 3\n4 5.25 6\n", "skull\n11.5 12.0 13.0\n14.0 15.25 16.0\n"),
+    ],
+)
+def test_tables_are_written_as_they_were(tmp_path, text, written):
+    (tmp_path / "a.csv").write_text(text)
+    found = read_landmarks(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found.points, [[1.5, 2, 3], [4, 5.25, 6]])
+    found.write_from(tmp_path / "b.csv", found.points + 10, "RAS")
+    assert (tmp_path / "b.csv").read_text() == written
+    np.testing.assert_array_equal(read_landmarks(tmp_path / "b.csv").points, found.points + 10)
+
+
+def test_a_table_keeps_landmarks_without_a_position(tmp_path):
+    (tmp_path / "a.csv").write_text("name,x,y,z\na,,,\nb,4,5,6\n")
+    found = read_landmarks(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found.points, [[np.nan] * 3, [4, 5, 6]])
+    found.write_from(tmp_path / "b.csv", found.points, "RAS")
+    assert (tmp_path / "b.csv").read_text() == "name,x,y,z\na,nan,nan,nan\nb,4.0,5.0,6.0\n"
+
+
 def scalismo():
     """As scalismo writes it: a list of landmarks, some with what else it knows."""
     uncertainty = {"stddevs": [1.0, 2.0, 3.0], "pcvectors": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]}
@@ -215,6 +246,11 @@ def test_landmarks_go_along(make, matched):
         ("a.csv", "x,y,z\n", "holds no landmarks"),
         ("a.csv", "label,x,y,z\nF,1,2,3\n" + "G" * 200_000 + ",1,2,3\n", "no row of a table .* 131072 characters"),
         ("a.csv", "p,q,r,s\n1,2,3,4\n", "its columns are named"),
+        ("a.csv", "skull\na\nb\n", "has 1 values, too few"),
+        ("a.csv", "y,z\n1,2\n3,4\n", "has 2 values, too few"),
+        ("a.csv", "# skull\n1\n2\n", "has 1 values, too few"),
+        ("a.csv", "name,x,y,z\na,,2,3\n", "should hold numbers"),
+        ("a.csv", 'i,name,x,y,z\n1, "n,1,2,3\n', "do not all hold numbers"),
         ("a.vtk", "{}", "must have one of"),
         ("a.json", "{}", "no list of landmarks with 'id' and 'coordinates'"),
         ("a.json", "[]", "holds no landmarks"),

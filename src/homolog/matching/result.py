@@ -387,7 +387,7 @@ def _checked_confidence(side: str, given: Any, n_points: int) -> Float[np.ndarra
     outside = trust[~((trust >= 0) & (trust <= 1))]
     if len(outside):
         raise ArgumentError(f"{side}_confidence holds {outside[0]}, but must hold numbers from 0 to 1")
-    return trust if trust.dtype.kind == "f" else trust.astype(float)
+    return trust if trust.dtype in (np.float32, np.float64) else trust.astype(float)
 
 
 def checked_maps(pair: Pair, maps: Any) -> PointMaps:

@@ -311,11 +311,12 @@ def read_point_map(
     try:
         if suffix == ".npz":
             with open_npz(file) as archive:
-                values = _only(path, {name: archive[name] for name in archive.names}, direction)
+                names = [direction] if direction in archive.names else archive.names
+                values = _only(path, {name: archive[name] for name in names}, direction)
         elif suffix == ".mat":
             stored = read_in_process(_MATLAB, ordinary(file), library="SciPy")
             own = stored.pop("first_index", None)
-            first = int(own.item()) if base is None and own is not None else base
+            first = _own_base(path, own) if base is None and own is not None else base
             named = {name: value for name, value in stored.items() if not name.startswith("_")}
             values = _only(path, named, direction)
         else:
@@ -337,6 +338,13 @@ def read_point_map(
             f"{path} holds {values.min()}, but must hold indices from {first}, or {first - 1} for none{hint}"
         )
     return values - first
+
+
+def _own_base(path: str | Path, told: np.ndarray) -> int:
+    """The first index that a file tells."""
+    if told.size != 1 or told.item() not in (0, 1):
+        raise DataError(f"{path}: its first_index is {shorten(told.tolist())}, but must be 0 or 1; give base")
+    return int(told.item())
 
 
 def _check_options(base: Any, direction: Any) -> None:
@@ -373,9 +381,11 @@ def _only(path: str | Path, arrays: dict[str, Any], direction: str) -> Any:
 def _whole_numbers(path: str | Path, given: Any) -> Int[np.ndarray, " n"]:
     values = np.asarray(given)
     if values.dtype.kind not in "iuf" or np.squeeze(values).ndim > 1:
-        raise DataError(f"{path} does not hold one whole number per point, but {values.dtype} of shape {values.shape}")
+        found = f"{shorten(values.dtype)} of shape {shorten(values.shape)}"
+        raise DataError(f"{path} does not hold one whole number per point, but {found}")
     values = values.reshape(-1)
-    (wrong,) = np.nonzero((values != np.round(values)) | ~(np.abs(values.astype(float)) < _TOO_LARGE))
+    with np.errstate(over="ignore"):  # of numbers in extended precision
+        (wrong,) = np.nonzero((values != np.round(values)) | ~(np.abs(values.astype(float)) < _TOO_LARGE))
     if len(wrong):
         raise DataError(f"{path} holds {values[wrong[0]]}, but must hold one whole number per point, its index")
     return values.astype(np.int64)

@@ -237,12 +237,12 @@ def _fcsv_system(lines: list[str]) -> System:
 def _read_table(path: Path) -> Landmarks:
     # Slicer's own tables name their columns by the system.
     table = read_table_lines(path, other_axes=("lps", "ras"))
-    lines_of_rows = list(table.lines)
+    lines_of_rows = table.lines.as_written()
     text = read_text(path, encoding="utf-8-sig", errors="replace")
     cells = [row_cells(line, table.delimiter) for line in lines_of_rows]  # what cannot be written again is refused now
     if _begins_with_names(text, cells):
         table = table._replace(columns=[1, 2, 3])
-    points = number_rows(lines_of_rows, table.columns, delimiter=table.delimiter)
+    points = table.points()
     if not len(points):
         raise UnreadableError("it holds no landmarks")
 
@@ -270,7 +270,8 @@ def _begins_with_names(text: str, cells: list[list[str]]) -> bool:
 def _table_row(line: str, position: Float[np.ndarray, " 3"], columns: list[int], delimiter: str | None) -> str:
     cells = row_cells(line, delimiter)
     for column, value in zip(columns, position, strict=True):
-        cells[column] = repr(float(value))
+        number = repr(float(value))
+        cells[column] = number.replace(".", ",") if "," in cells[column] else number
     if delimiter is None:
         return " ".join(cells)
     written = io.StringIO()
