@@ -459,6 +459,7 @@ def test_missing_package_names_its_extra(tmp_path, monkeypatch, suffix, module, 
     assert not (tmp_path / f"b{suffix}").exists()
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("suffix", [".vtk", ".vtp", ".ply", ".glb", ".stl"])
 def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
     """Some libraries set up their logging when they are first imported."""
@@ -470,4 +471,5 @@ def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
 
 
 def test_cells_that_are_too_long(tmp_path):
-    refused(put(tmp_path, "a.csv", "name,x,y,z\n" + "a" * 200_000 + ",1,2,3\n" + "b,1,2,3\n" * 9), "no row of a table")
+    said = "is no row of a table (it has a cell of more than 131072 characters); correct or remove it"
+    refused(put(tmp_path, "a.csv", "name,x,y,z\n" + "a" * 200_000 + ",1,2,3\n" + "b,1,2,3\n" * 9), said)

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from homolog.datasets import ShapeFolder
-    from homolog.evaluation import Detection, Evaluation, Protocol
+    from homolog.evaluation import Evaluation, Protocol
     from homolog.matching import Match, Matcher
     from homolog.pairs import Pair
 
@@ -183,7 +183,7 @@ def evaluate(
 
       homolog evaluate FAUST_r --weights people.safetensors -n 20
 
-      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 -n 20
+      homolog evaluate SCAPE_r --weights people.safetensors --adapt 40 -n 20
 
       homolog evaluate SHREC16 --dataset shrec16_cuts --weights cuts.safetensors
 
@@ -273,14 +273,14 @@ def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:
 
 
 def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:
-    """How a pair is matched: as it is, or after the network is adapted to it."""
+    """How a pair is matched: as it is, or after the network is adapted to it, where that is better."""
     if not steps:
         return None
 
     settings = homolog.training.AdaptationSettings(steps=steps)
 
     def match(pair: Pair) -> Match:
-        adapted, pair = homolog.training.adapt_to_pair(matcher, pair, settings)
+        adapted, pair = homolog.training.adapt_if_better(matcher, pair, settings)
         return adapted.find(pair)
 
     return match
@@ -296,8 +296,10 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     table.add_row(f"median {kind} error {unit}", f"{found[f'median_{kind}_error']:.2f}")
     if "pck" in found:
         table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
-    if evaluation.missing is not None:
-        table.add_row("points without a counterpart", _described_detection(evaluation.missing))
+    if missing := evaluation.missing:
+        figures = {"precision": missing.precision, "recall": missing.recall, "F1": missing.f1}
+        told = (f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())
+        table.add_row("points without a counterpart", ", ".join(told))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
         without = found[f"mean_{kind}_error_of_matched_points"]
@@ -306,6 +308,8 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     table.add_row("method", found["method"])
     if evaluation.choices:
         table.add_row("matched by", ", ".join(f"{name} {count}" for name, count in evaluation.choices.items()))
+    if evaluation.n_adapted is not None:
+        table.add_row("pairs whose adapted map was kept", f"{evaluation.n_adapted} of {len(evaluation.pairs)}")
     if evaluation.exchanges is not None:
         sides, over = (evaluation.exchanges[way] for way in ("left-right", "turned over"))
         known = sum(evaluation.exchanges.values())
@@ -322,8 +326,3 @@ def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
     turned = {"none": "", "vertical": ", turned about the vertical", "any": ", turned"}[protocol.turn]
     return f"{name}, {protocol.modality}{partial}{noise}{turned}"
-
-
-def _described_detection(missing: Detection) -> str:
-    figures = {"precision": missing.precision, "recall": missing.recall, "F1": missing.f1}
-    return ", ".join(f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())

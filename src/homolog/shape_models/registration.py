@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from homolog.core.choices import Orient
 from homolog.core.errors import ShapeError
-from homolog.matching import Match, Matcher, orientation_warnings
+from homolog.matching import Match, Matcher, map_misfit, orientation_warnings
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, Up, repair
 from homolog.transfer import SurfaceMap, SurfaceProjector, surface_map, untangled
@@ -39,6 +39,7 @@ class Figures:
             median; for a template without faces, of the distances between each point and its six nearest ones.
         edges_95: the 95th percentile likewise. Both are None in records of earlier versions.
         ambiguous_orientation: whether another way round of the shape leads to another map, and fits nearly as well.
+        map_misfit: how much the point maps contradict themselves, see ``homolog.matching.map_misfit``.
     """
 
     confidence: float
@@ -49,6 +50,7 @@ class Figures:
     edges_5: float | None
     edges_95: float | None
     ambiguous_orientation: bool = False
+    map_misfit: float | None = None
 
     @property
     def unevenness(self) -> float:
@@ -78,11 +80,21 @@ class Registered:
         points: one for each template point, on the shape's surface, in its coordinates (n, 3).
         figures: quality of the match.
         warnings: for the user, a line each.
+        match: of the template and the shape, which the points were made from; None where they come from elsewhere.
     """
 
     points: Float[np.ndarray, "n 3"]
     figures: Figures
     warnings: tuple[str, ...]
+    match: Match | None = None
+
+    @property
+    def matched_by(self) -> str:
+        """What found the point maps: a method, and the features that it compares; empty where that is not known."""
+        if self.match is None:
+            return ""
+        features = self.match.report["features"]
+        return self.match.method if features is None else f"{self.match.method}, {features['name']}"
 
 
 class Template:
@@ -137,7 +149,7 @@ class Template:
         uneven = figures.low_confidence_warnings()
         if strict and uneven:
             raise ShapeError(f"{shape.name}: {uneven[0]} (refused as strict)")
-        return Registered(smooth.positions, figures, (*units, *_match_warnings(found), *uneven))
+        return Registered(smooth.positions, figures, (*units, *_match_warnings(found), *uneven), found)
 
     def _unit_warnings(self, target: SurfaceProjector) -> tuple[str, ...]:
         """A warning if a shape is so much larger or smaller that its unit seems to differ."""
@@ -187,6 +199,7 @@ def _figures(smooth: SurfaceMap, found: Match) -> Figures:
         edges_5=low,
         edges_95=high,
         ambiguous_orientation=bool(orientation_warnings(found)),
+        map_misfit=map_misfit(found.quality),
     )
 
 

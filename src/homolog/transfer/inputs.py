@@ -11,7 +11,7 @@ from jaxtyping import Int, Num
 
 from homolog.core.array_files import ArrayFileError, read_npy
 from homolog.core.errors import DataError
-from homolog.core.files import expanded, sha256
+from homolog.core.files import expanded, is_there, sha256
 from homolog.core.messages import shorten
 from homolog.matching import Match
 from homolog.pairs import Side
@@ -64,7 +64,7 @@ def read_original(result: Match, side: Side, path: Path | None = None) -> Origin
     if path is None and "file" not in recorded:
         raise DataError(f"the report of this match does not name its {side}; give the file with --from")
     file = expanded(recorded["file"] if path is None else path)
-    if not file.is_file():
+    if not (is_there(file) and file.is_file()):
         raise DataError(f"{file}, the {side} of this match, is not there; say with --from FILE where it is now")
     shape = read_shape(file)
     digest = sha256(*files_of_shape(file))

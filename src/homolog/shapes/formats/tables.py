@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, left_out
 from homolog.shapes.formats.text_lines import GrowingArray, batches, n_lines, number_rows, text_blocks, text_lines
@@ -207,16 +208,23 @@ def _delimiter(line: str) -> str | None:
 
 
 def _cells(line: str) -> list[str]:
-    """The cells of a line; a delimiter within double quotes is part of a cell."""
-    delimiter = _delimiter(line)
+    """The cells of a line, without the quotes around them."""
+    return [cell.strip(" \"'") for cell in row_cells(line, _delimiter(line))]
+
+
+def row_cells(line: str, delimiter: str | None) -> list[str]:
+    """The cells of a line; a delimiter within double quotes is part of a cell.
+
+    Raises:
+        UnreadableError: if it is no row of a table.
+    """
     try:
         rows = csv.reader([line], delimiter=delimiter or " ", skipinitialspace=True)
-        cells = line.split() if delimiter is None else next(rows)
+        return line.split() if delimiter is None else next(rows)
     except csv.Error as error:
         raise UnreadableError(
-            f"the line {shorten(line)!r} is no row of a table ({error}); correct or remove it"
+            f"the line {shorten(line)!r} is no row of a table ({reason_of(error)}); correct or remove it"
         ) from None
-    return [cell.strip(" \"'") for cell in cells]
 
 
 def _is_numbers(line: str) -> bool:
