@@ -18,7 +18,9 @@ def _point_maps(pair: Pair) -> PointMaps:
     known: dict[str, Any] = {"areas_x": pair.x.operators.mass, "areas_y": pair.y.operators.mass}
     known["settings"] = pair.settings.registration
     if pair.options.orient == "auto":
-        normals = {"normals_x": _normals(pair.x), "normals_y": _normals(pair.y)} if pair.are_meshes else {}
+        normals: dict[str, Any] = (
+            {"normals_x": _normals(pair.x), "normals_y": _normals(pair.y)} if pair.are_meshes else {}
+        )
         known["start"] = registration_start(x, y, **known, **normals)
         known |= normals if known["start"].near_rigid else {}
     on_y, on_x = registered_positions(x, y, **known)
