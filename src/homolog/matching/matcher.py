@@ -28,6 +28,7 @@ from homolog.matching.choice import (
     method_between,
     operators_expected,
 )
+from homolog.matching.guidance import guidance_warnings, guided, meet_landmarks
 from homolog.matching.inputs import check_two_arrays, options_of, read_inputs, with_inputs
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.recognition import choose
@@ -49,6 +50,7 @@ from homolog.pairs import (
     OperatorSource,
     Pair,
     PairOptions,
+    PointMaps,
     PreprocessedShape,
     Preprocessor,
     Side,
@@ -251,17 +253,26 @@ class Matcher:
                 known[how] = preprocess.again(shape, orient=orient, partial=partial)
             return known[how]
 
-        return choose(pair, extractors, seen, self.find)
+        return choose(pair, extractors, seen, self._draft)
 
     @torch.no_grad()
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        aligned = align_partial(orient(pair))
+        aligned, maps = self._maps(pair)
+        return Match.of(aligned, meet_landmarks(aligned, maps))
+
+    def _draft(self, pair: Pair) -> Match:
+        """A match before it is made to meet the landmarks: how it misses them tells of it."""
+        return Match.of(*self._maps(pair))
+
+    def _maps(self, pair: Pair) -> tuple[Pair, PointMaps]:
+        """The pair as it was matched, and its refined maps."""
+        aligned = guided(align_partial(orient(pair)))
         lent = {f"{name} of {one.name}": t for one in (aligned.x, aligned.y) for name, t in one.tensors().items()}
         with left_unchanged(f"method {aligned.method.name!r}", lent):
             maps = aligned.method(aligned)
-        return Match.of(aligned, refine(aligned, checked_maps(aligned, maps)))
+        return aligned, refine(aligned, checked_maps(aligned, maps))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result and their units; see ``match``."""
@@ -299,7 +310,7 @@ class Matcher:
 
     def _checked(self, pair: Pair, match: Match, units: tuple[str, ...]) -> Match:
         """A match of a pair, turned as it was matched, with all that there is to warn of."""
-        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
+        checks = (*guidance_warnings(pair), *part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
         doubts = low_confidence_warnings(match, self.settings.warnings, pair=pair)
         return replace(match, warnings=(*self.warnings, *units, *checks, *doubts))
 

@@ -17,6 +17,7 @@ import torch
 from homolog.core.errors import ShapeError
 from homolog.features import FeatureExtractor, Orienter
 from homolog.matching.choice import extractor_for, method_between
+from homolog.matching.guidance import landmark_misfit
 from homolog.matching.quality import MapQuality
 from homolog.matching.result import Match
 from homolog.methods import AUTO, as_method, find_method
@@ -47,7 +48,7 @@ def choose(pair: Pair, extractors: Sequence[FeatureExtractor], seen: Seen, find:
         pair: with the first features.
         extractors: features of several kinds of shapes, with an orienter each; the first ones are the usual ones.
         seen: gives a shape with other features.
-        find: makes the map of a pair.
+        find: makes the map of a pair, which need not meet its landmarks: one that misses them is believed less.
     """
     if len(extractors) < 2:
         return pair
@@ -126,7 +127,9 @@ def _mapped(ways: Iterable[_Way], find: Callable[[Pair], Match]) -> Iterator[_Wa
     """The ways that lead to a map, with what it tells."""
     for way in ways:
         with suppress(ShapeError):  # what cannot be matched one way may be another way
-            quality = find(way.pair).quality
+            match = find(way.pair)
+            quality = match.quality
             assert quality is not None
-            told = replace(way.candidate, map_misfit=map_misfit(quality, way.pair.settings.choice))
+            missed = way.pair.settings.guidance.choice * landmark_misfit(way.pair, match)
+            told = replace(way.candidate, map_misfit=map_misfit(quality, way.pair.settings.choice) + missed)
             yield replace(way, candidate=told)
