@@ -27,8 +27,8 @@ from homolog.evaluation.protocol import Protocol
 from homolog.evaluation.result import Evaluation, PairErrors
 from homolog.geometry import unit_frame
 from homolog.matching import Match, Matcher, check_point_map, low_confidence_warnings
-from homolog.pairs import SIDES, Pair, PairOptions, PreprocessedShape, Side, WarningSettings
-from homolog.shapes import Modality, Shape, add_noise, repair
+from homolog.pairs import SIDES, LandmarkPairs, Pair, PairOptions, PreprocessedShape, Side, WarningSettings
+from homolog.shapes import Modality, Shape, add_noise, farthest_points, repair
 
 # Name, side if that matters, whether it is a cloud, and whose scale it takes if not its own.
 _Variant = tuple[str, str, bool, str]
@@ -104,6 +104,8 @@ def evaluate(
     """
     _check_arguments(matcher, folder, match, match_pair, metrics)
     protocol = given_or_default("protocol", protocol, Protocol)
+    if protocol.landmarks and match is not None:
+        raise ArgumentError("landmarks guide a matcher, but match makes the maps; leave one of them out")
     folder = replace(folder, seed=protocol.seed)
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     if protocol.n_pairs is not None:
@@ -160,7 +162,9 @@ class _Run:
         self.ground_truth = folder.ground_truth(self.shape_of)
         own_clouds = protocol.is_cloud("target")  # full shapes, which lead the pairs, have none
         self.clouds = {name: folder.cloud(name) for name in names if own_clouds and folder.has_cloud(name)}
-        self.truths = [self._truth(pair) for pair in pairs]  # a fault of any is said before anything is computed
+        whole = [self._truth(pair) for pair in pairs]  # a fault of any is said before anything is computed
+        self.known = dict(zip(pairs, [self._landmarks(*each) for each in zip(pairs, whole, strict=True)], strict=True))
+        self.truths = [_without(truth, self.known[pair]) for pair, truth in zip(pairs, whole, strict=True)]
         self.euclidean = folder.description.holds == "clouds"  # without a surface that distances could run along
         self.exchanges = self._exchange_finder()
         self.total = self.done = 0
@@ -191,6 +195,25 @@ class _Run:
         """Points of source and target that are known to correspond."""
         cloud = self.clouds.get(pair[1])
         return self.ground_truth.between(*pair) if cloud is None else self.ground_truth.of_cloud(*pair, cloud)
+
+    def _landmarks(self, pair: PairOfNames, truth: Truth) -> Int[np.ndarray, " p"]:
+        """Which of the points that are known to correspond guide the match."""
+        count, points = self.protocol.landmarks, self.shapes[pair[0]].points[truth.source]
+        if not count:
+            return np.empty(0, dtype=int)
+        if count >= len(points):
+            raise ArgumentError(
+                f"landmarks is {count}, but {' - '.join(pair)} has {len(points)} points that are known to correspond, of "
+                "which others are scored; take fewer"
+            )
+        return farthest_points(points, count, seed=self.protocol.seed)
+
+    def landmark_pairs(self, pair: PairOfNames) -> LandmarkPairs | None:
+        """The landmarks that guide the match of a pair."""
+        if not len(self.known[pair]):
+            return None
+        truth = self._truth(pair)
+        return LandmarkPairs(truth.source[self.known[pair]], truth.target[self.known[pair]])  # type: ignore[arg-type]
 
     def given(self, pair: PairOfNames, side: Side) -> Shape:
         """A shape as the protocol has it, turned, with its noise and with its faces."""
@@ -291,6 +314,11 @@ class _Run:
         return geodesic_diameter(shape)
 
 
+def _without(truth: Truth, known: Int[np.ndarray, " p"]) -> Truth:
+    """The ground truth that is scored."""
+    return Truth(np.delete(truth.source, known), np.delete(truth.target, known)) if len(known) else truth
+
+
 def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) -> float:
     """What a metric of one's own gives for a pair, as a number."""
     found: Any = metric(scored)
@@ -356,7 +384,8 @@ class _ByMatcher:
         source, target = self._take(pair, "source"), self._take(pair, "target")
         self.run.tick(" - ".join(pair))
         with self.run.timed("match"):
-            found = self.find(self.matcher.paired(source, target, self.options))
+            options = replace(self.options, landmarks=self.run.landmark_pairs(pair))
+            found = self.find(self.matcher.paired(source, target, options))
         check_kind("what match_pair gave", found, Match)
         return found
 

@@ -271,9 +271,8 @@ class Samples:
         displacement = (x - y[x_to_y]).norm(dim=1).mean() + (y - x[y_to_x]).norm(dim=1).mean()
         cycle = cycle_error(x, x_to_y, y_to_x).mean() + cycle_error(y, y_to_x, x_to_y).mean()
         kept = (handedness(x, y[x_to_y]) + handedness(y, x[y_to_x])) / 2
-        return float(displacement + settings.cycle * cycle - self.handedness * kept) + self._missed(
-            x, y, x_to_y, y_to_x
-        )
+        told = float(displacement + settings.cycle * cycle - self.handedness * kept)
+        return told + self._missed(x, y, x_to_y, y_to_x)
 
     def _missed(
         self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]

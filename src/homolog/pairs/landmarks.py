@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from homolog.core.arguments import is_real
-from homolog.core.choices import Side
+from homolog.core.choices import Side, System
 from homolog.core.errors import ArgumentError, bad_value
 
 Place: TypeAlias = int | tuple[float, float, float]
@@ -33,6 +33,8 @@ class LandmarkPairs:
         uncertainties: how far from the target's landmark the source's may end, in the target's units, from 0; by
             default 0, which is met exactly.
         left_out: the names of landmarks that are on one shape alone.
+        axes: the anatomical axes of the positions on the source and on the target, where their files state them;
+            positions are then brought to those of the shapes, LPS if these state none.
 
     Raises:
         ArgumentError: if they are neither indices nor positions, of another number on either shape, or not 1 to 50.
@@ -50,6 +52,7 @@ class LandmarkPairs:
     weights: tuple[float, ...] = ()
     uncertainties: tuple[float, ...] = ()
     left_out: tuple[str, ...] = ()
+    axes: tuple[System | None, System | None] = (None, None)
 
     def __post_init__(self) -> None:
         source, target = (_places(side, getattr(self, side)) for side in ("source", "target"))
@@ -79,13 +82,7 @@ class LandmarkPairs:
             )
 
     @classmethod
-    def by_name(
-        cls,
-        source: Mapping[str, Place],
-        target: Mapping[str, Place],
-        *,
-        uncertainties: Mapping[str, float] | None = None,
-    ) -> LandmarkPairs:
+    def by_name(cls, source: Mapping[str, Place], target: Mapping[str, Place]) -> LandmarkPairs:
         """Pairs of the landmarks whose names are on both shapes; the others are left out.
 
         Examples:
@@ -104,16 +101,18 @@ class LandmarkPairs:
             source=tuple(source[name] for name in names),
             target=tuple(target[name] for name in names),
             names=tuple(names),
-            uncertainties=tuple((uncertainties or {}).get(name, 0.0) for name in names),
             left_out=tuple(alone),
         )
 
     def __len__(self) -> int:
         return len(self.source)
 
-    def of(self, side: Side) -> tuple[Place, ...]:
-        """The landmarks of a shape."""
-        return self.source if side == "source" else self.target
+    def on(self, side: Side, axes: System = "LPS") -> tuple[Place, ...]:
+        """The landmarks of a shape that is in these anatomical axes."""
+        places, own = (self.source, self.axes[0]) if side == "source" else (self.target, self.axes[1])
+        if own in (None, axes):
+            return places
+        return tuple(place if isinstance(place, int) else (-place[0], -place[1], place[2]) for place in places)
 
 
 def _places(side: str, given: Any) -> list[Place]:

@@ -181,7 +181,7 @@ class ChoiceSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class GuidanceSettings(Settings):
-    """How landmarks guide a match. New here; chosen on training pairs of animals. Without landmarks nothing of it counts.
+    """How landmarks guide a match. New here; chosen on training pairs of animals. Without landmarks it does nothing.
 
     Args:
         channels: weight of the distances from all landmarks along the surface against features of unit norm.

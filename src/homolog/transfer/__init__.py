@@ -7,6 +7,7 @@ from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.delivery import OUTPUT_NAMES, Delivery, Kind, check_output_names
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels, read_original
+from homolog.transfer.landmark_pairs import read_landmark_pairs
 from homolog.transfer.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
 from homolog.transfer.obj import write_obj
 from homolog.transfer.skin import Skin, read_skin
@@ -39,6 +40,7 @@ __all__ = [
     "read_appearance",
     "read_array",
     "read_labels",
+    "read_landmark_pairs",
     "read_landmarks",
     "read_original",
     "read_skin",

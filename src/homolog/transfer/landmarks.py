@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ LANDMARK_SUFFIXES = (".mrk.json", ".fcsv", ".csv", ".txt", ".xyz")
 
 _LPS_TO_RAS = np.array([-1.0, -1.0, 1.0])  # and back
 # Older .fcsv files have numbers for the systems.
+_FCSV_LABEL = 11
 # Beyond it floating-point numbers end.
 _LARGEST = 1e300
 _SYSTEMS: dict[str, System] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
@@ -43,11 +44,13 @@ class Landmarks:
         points: positions in the file's coordinates; NaN for a landmark that the file leaves undefined (p, 3).
         system: the coordinate system that the file states; None if it does not.
         write: writes the same file with other positions; a position that is NaN is written as undefined.
+        names: of the landmarks; empty where the file names none, or several alike.
     """
 
     points: Float[np.ndarray, "p 3"]
     system: System | None
     write: Callable[[Path, Float[np.ndarray, "p 3"]], None]
+    names: tuple[str, ...] = ()
 
     def points_in(self, system: System) -> Float[np.ndarray, "p 3"]:
         """Positions in a coordinate system; unchanged where the file does not state its own."""
@@ -100,7 +103,8 @@ def _read_markups(path: Path) -> Landmarks:
         with atomic_path(output) as temporary:
             temporary.write_text(json.dumps(changed, indent=4) + "\n", encoding="utf-8", newline="\n")
 
-    return Landmarks(points, _SYSTEMS[systems.pop()] if systems else "LPS", write)
+    names = _distinct(str(point.get("label", "")) for point in _control_points(content))
+    return Landmarks(points, _SYSTEMS[systems.pop()] if systems else "LPS", write, names)
 
 
 def _markups_content(text: str) -> dict[str, Any]:
@@ -152,7 +156,8 @@ def _read_fcsv(path: Path) -> Landmarks:
         with atomic_path(output) as temporary:
             temporary.write_text("\n".join(kept) + "\n", encoding="utf-8", newline="\n")
 
-    return Landmarks(points, system, write)
+    names = _distinct(_label_of(lines[number]) for number in rows)
+    return Landmarks(points, system, write, names)
 
 
 def _fcsv_system(lines: list[str]) -> System:
@@ -163,6 +168,12 @@ def _fcsv_system(lines: list[str]) -> System:
     if name not in _SYSTEMS:
         raise UnreadableError(f"its coordinate system is {shorten(name)}; save it in LPS or in RAS")
     return _SYSTEMS[name]
+
+
+def _label_of(line: str) -> str:
+    """The label of a row, the twelfth of its columns."""
+    cells = next(csv.reader([line]))
+    return cells[_FCSV_LABEL].strip() if len(cells) > _FCSV_LABEL else ""
 
 
 def _fcsv_row(line: str, position: Float[np.ndarray, " 3"]) -> str:
@@ -190,11 +201,39 @@ def _read_table(path: Path) -> Landmarks:
         with atomic_path(output) as temporary:
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
-    return Landmarks(points, _SYSTEMS.get(table.axes.upper()), write)
+    names = _names_of_rows(lines_of_rows, table.columns, table.delimiter)
+    return Landmarks(points, _SYSTEMS.get(table.axes.upper()), write, names)
+
+
+def _names_of_rows(rows: list[str], columns: list[int], delimiter: str | None) -> tuple[str, ...]:
+    """The first column of words of a table, where it tells all rows apart."""
+    cells = [_cells_of(row, delimiter) for row in rows]
+    width = min(map(len, cells))
+    others = (tuple(row[column].strip() for row in cells) for column in range(width) if column not in columns)
+    named = (_distinct(column) for column in others if not any(map(_is_number, column)))
+    return next((names for names in named if names), ())
+
+
+def _cells_of(row: str, delimiter: str | None) -> list[str]:
+    return row.split() if delimiter is None else next(csv.reader([row], delimiter=delimiter, skipinitialspace=True))
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _distinct(names: Iterable[str]) -> tuple[str, ...]:
+    """Names that tell landmarks apart; empty where one is missing, or occurs twice."""
+    found = tuple(names)
+    return found if all(found) and len(set(found)) == len(found) else ()
 
 
 def _table_row(line: str, position: Float[np.ndarray, " 3"], columns: list[int], delimiter: str | None) -> str:
-    cells = line.split() if delimiter is None else next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    cells = _cells_of(line, delimiter)
     for column, value in zip(columns, position, strict=True):
         cells[column] = repr(float(value))
     if delimiter is None:
