@@ -35,7 +35,8 @@ class Protocol(Settings):
         orient: whether the way round of full shapes is found, or trusted.
         landmarks: how many points of each pair's ground truth guide its match, by farthest point sampling on the source
             from a point that is drawn. The others are scored.
-        seed: of the landmarks, of the noise, of the turns, of the pairs drawn, and of the order of points in sets that are shuffled.
+        seed: of the landmarks, of the noise, of the turns, of the pairs drawn, and of the order of points in sets that
+            are shuffled.
     """
 
     modality: Modalities = "mesh"

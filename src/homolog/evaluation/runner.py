@@ -203,8 +203,8 @@ class _Run:
             return np.empty(0, dtype=int)
         if count >= len(points):
             raise ArgumentError(
-                f"landmarks is {count}, but {' - '.join(pair)} has {len(points)} points that are known to correspond, of "
-                "which others are scored; take fewer"
+                f"landmarks is {count}, but {' - '.join(pair)} has {len(points)} points that are known to correspond, "
+                "and others are scored; take fewer"
             )
         return farthest_points(points, count, seed=self.protocol.seed)
 
