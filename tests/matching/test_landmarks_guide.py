@@ -85,22 +85,20 @@ def test_with_them_a_map_that_no_features_know_is_right(blobs):
     assert off(found, blobs.target_to_source) < min(0.15, off(without, blobs.target_to_source))
 
 
-def test_uncertain_ones_are_met_to_their_uncertainty(blobs):
-    at, ends = np.array([111]), blobs.source_to_target[[111]]
-    far = np.argsort(np.linalg.norm(blobs.target.points - blobs.target.points[ends], axis=1))[[60]]
-    away = np.linalg.norm(blobs.target.points[far] - blobs.target.points[ends], axis=1)[0]
-    reached = {}
+def test_uncertain_ones_are_met_to_their_uncertainty(ellipsoid):
+    """A shape against itself, with one landmark where it does not belong."""
+    points, at = ellipsoid.points, np.array([111])
+    far = np.argsort(np.linalg.norm(points - points[at], axis=1))[[60]]
+    away = np.linalg.norm(points[far] - points[at], axis=1)[0]
+    missed = []
     for uncertainty in (0.0, away / 2, 10 * away):
         pairs = LandmarkPairs(at, far, uncertainties=[uncertainty])
-        found = homolog.match(blobs.source, blobs.target, method="axiomatic", landmarks=pairs)
-        reached[uncertainty] = np.linalg.norm(
-            blobs.target.points[found.source_to_target[at]] - blobs.target.points[far], axis=1
-        )[0]
-    nothing, half, all_of_it = reached.values()
+        found = homolog.match(ellipsoid, ellipsoid, method="axiomatic", orient="given", landmarks=pairs)
+        missed.append(np.linalg.norm(points[found.source_to_target[at]] - points[far], axis=1)[0])
     spacing = 0.2
-    assert nothing == 0
-    assert half <= away / 2 + spacing
-    assert all_of_it > away / 2
+    assert missed[0] == 0
+    assert missed[1] <= away / 2 + spacing
+    assert missed[2] == pytest.approx(away, abs=spacing)
 
 
 def test_without_them_the_stages_change_nothing(blobs):
@@ -134,7 +132,7 @@ def test_distances_along_a_sphere():
     found = distances_from(operators, torch.tensor([0]))[:, 0].numpy() * operators.scale
     angles = np.arccos(np.clip(mesh.vertices @ mesh.vertices[0], -1, 1))
     assert (found >= angles - 1e-2).all()  # chords of short edges are a little shorter than arcs
-    assert (found <= 1.2 * angles + 1e-6).all()
+    assert (found <= 1.25 * angles + 1e-6).all()
 
 
 def test_coordinates_lead_to_the_nearest_points_that_are_matched(blobs):

@@ -286,13 +286,14 @@ class _Run:
             quality=match.quality,
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
-            exchanged=self._exchanged(pair, mapped),
+            exchanged=self._exchanged(pair, match),
             chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
         )
 
-    def _exchanged(self, pair: PairOfNames, mapped: Int[np.ndarray, " p"]) -> Exchange | None:
+    def _exchanged(self, pair: PairOfNames, match: Match) -> Exchange | None:
         if self.exchanges is None:
             return None
+        mapped = match.target_to_source[self._truth(pair).target]  # of all points, landmarks as well
         return self.exchanges.exchange(pair, mapped, scale=self.frame(pair[0]).scale)
 
     def _errors(
@@ -316,7 +317,7 @@ class _Run:
 
 def _without(truth: Truth, known: Int[np.ndarray, " p"]) -> Truth:
     """The ground truth that is scored."""
-    return Truth(np.delete(truth.source, known), np.delete(truth.target, known)) if len(known) else truth
+    return Truth(target=np.delete(truth.target, known), source=np.delete(truth.source, known))
 
 
 def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) -> float:

@@ -42,7 +42,8 @@ def meet_landmarks(pair: Pair, maps: PointMaps) -> PointMaps:
     """Point maps that meet the landmarks, each to its uncertainty, without a tear; as they are without any.
 
     Each shape is deformed onto the other, as rigidly as may be, along both point maps and the landmarks. What a
-    landmark then misses is pulled there with its surroundings, and every point goes to the nearest one.
+    landmark then misses is pulled there with its surroundings, and every point goes to the nearest one. Of a method
+    whose maps are smooth, such as ``registration``, there is the pull alone, unless they miss the landmarks by far.
 
     Args:
         pair: with landmarks or without.
@@ -52,6 +53,8 @@ def meet_landmarks(pair: Pair, maps: PointMaps) -> PointMaps:
         return maps
     x, y = (_Surface(shape, at) for shape, at in ((pair.x, pair.guidance.x), (pair.y, pair.guidance.y)))
     meeting = _Meeting(pair, x, y)
+    if not pair.method.supports.refinement and meeting.missed(maps) < pair.settings.guidance.trusted:
+        return meeting.moved(maps)
     for _ in range(pair.settings.guidance.rounds):
         maps = meeting.deformed(maps)
     return maps
@@ -148,6 +151,20 @@ class _Meeting:
     def uncertainties(self) -> Float[np.ndarray, " p"]:
         assert self.pair.guidance is not None
         return self.pair.guidance.uncertainties.cpu().double().numpy()
+
+    def missed(self, maps: PointMaps) -> float:
+        """How far point maps miss the landmarks on average, in units of sqrt(area)."""
+        x, y = self.x, self.y
+        there = x.shape.operators.points[maps.y_to_x[y.landmarks]] - x.shape.operators.points[x.landmarks]
+        back = y.shape.operators.points[maps.x_to_y[x.landmarks]] - y.shape.operators.points[y.landmarks]
+        return float(torch.cat([there, back]).norm(dim=1).mean())
+
+    def moved(self, maps: PointMaps) -> PointMaps:
+        """The maps with what they miss made up for around the landmarks, and as they are elsewhere."""
+        to_y, to_x = maps.x_to_y.cpu().numpy(), maps.y_to_x.cpu().numpy()
+        x_on_y = self._pulled(self.y.projector.shape.points[to_y], self.x, self.y)
+        y_on_x = self._pulled(self.x.projector.shape.points[to_x], self.y, self.x)
+        return self._maps(self._nearest(x_on_y, self.x, self.y), self._nearest(y_on_x, self.y, self.x))
 
     def deformed(self, maps: PointMaps) -> PointMaps:
         """The maps once the shapes are deformed onto each other along them; a part alone is deformed onto its whole."""

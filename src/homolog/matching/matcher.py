@@ -259,20 +259,21 @@ class Matcher:
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        aligned, maps = self._maps(pair)
-        return Match.of(aligned, meet_landmarks(aligned, maps))
+        aligned = guided(align_partial(orient(pair)))
+        return Match.of(aligned, meet_landmarks(aligned, self._maps(aligned)))
 
     def _draft(self, pair: Pair) -> Match:
-        """A match before it is made to meet the landmarks: how it misses them tells of it."""
-        return Match.of(*self._maps(pair))
+        """A match by features alone, the right way round: how it misses the landmarks tells of the features."""
+        aligned = align_partial(orient(pair))
+        unguided = replace(aligned, options=replace(pair.options, landmarks=None))
+        return Match.of(unguided, self._maps(unguided))
 
-    def _maps(self, pair: Pair) -> tuple[Pair, PointMaps]:
-        """The pair as it was matched, and its refined maps."""
-        aligned = guided(align_partial(orient(pair)))
+    def _maps(self, aligned: Pair) -> PointMaps:
+        """The refined maps of a pair that is ready for its method."""
         lent = {f"{name} of {one.name}": t for one in (aligned.x, aligned.y) for name, t in one.tensors().items()}
         with left_unchanged(f"method {aligned.method.name!r}", lent):
             maps = aligned.method(aligned)
-        return aligned, refine(aligned, checked_maps(aligned, maps))
+        return refine(aligned, checked_maps(aligned, maps))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result and their units; see ``match``."""

@@ -11,10 +11,8 @@ def _point_maps(pair: Pair) -> PointMaps:
     x, y = pair.x.operators.points, pair.y.operators.points
     areas = {"areas_x": pair.x.operators.mass, "areas_y": pair.y.operators.mass}
     settings = pair.settings.registration
-    known = None if pair.guidance is None else pair.guidance.similarity(pair.x.operators, pair.y.operators)
-    if known is None and pair.options.orient == "auto":
-        known = registration_start(x, y, **areas, settings=settings)
-    on_y, on_x = registered_positions(x, y, **areas, start=known, settings=settings)
+    start = registration_start(x, y, **areas, settings=settings) if pair.options.orient == "auto" else None
+    on_y, on_x = registered_positions(x, y, **areas, start=start, settings=settings)
     return PointMaps(nearest_neighbour(on_y, y).index, nearest_neighbour(on_x, x).index)
 
 

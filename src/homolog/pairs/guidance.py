@@ -15,7 +15,7 @@ from torch import Tensor
 from homolog.core.choices import Side, System
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Operators, distances_from
-from homolog.maps import LandmarkRows, Similarity, best_similarity
+from homolog.maps import LandmarkRows
 from homolog.pairs.landmarks import LandmarkPairs, Place
 
 if TYPE_CHECKING:
@@ -93,13 +93,6 @@ class Guidance:
     def tells_rotation(self, x: Operators, y: Operators) -> bool:
         """Whether there are three landmarks at least, which do not lie on one line on either shape."""
         return all(_spread(operators.points[at]) > _LEAST_SPREAD for operators, at in ((x, self.x), (y, self.y)))
-
-    def similarity(self, x: Operators, y: Operators) -> Similarity | None:
-        """The similarity transform that takes the landmarks of x nearest to those of y; None where they tell none."""
-        if not self.tells_rotation(x, y):
-            return None
-        start, end = x.points[self.x].double(), y.points[self.y].double()
-        return best_similarity(start, end, self.weights.double())
 
     def rows(self, share: float) -> LandmarkRows:
         """The landmarks as rows of functional maps; see ``zoomout``."""

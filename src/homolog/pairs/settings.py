@@ -192,6 +192,8 @@ class GuidanceSettings(Settings):
         stiffness: of the deformed shape, in spacings of its points: what is smaller keeps its form.
         points: weight of the point maps in the deformation.
         rounds: of deformation, at least 1.
+        trusted: maps of methods that are not refined are smooth by themselves: nothing is deformed where they miss
+            landmarks by less than this on average, in units of sqrt(area). Chosen on vertebrae.
         reach: of the last pull towards a landmark, in units of sqrt(area).
     """
 
@@ -203,6 +205,7 @@ class GuidanceSettings(Settings):
     stiffness: Positive = 5.0
     points: Positive = 0.5
     rounds: Count = 2
+    trusted: NotNegative = 0.1
     reach: Positive = 0.1
 
 
