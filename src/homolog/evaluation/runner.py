@@ -213,7 +213,7 @@ class _Run:
         if not len(self.known[pair]):
             return None
         truth = self._truth(pair)
-        return LandmarkPairs(truth.source[self.known[pair]], truth.target[self.known[pair]])  # type: ignore[arg-type]
+        return LandmarkPairs(truth.source[self.known[pair]], truth.target[self.known[pair]])
 
     def given(self, pair: PairOfNames, side: Side) -> Shape:
         """A shape as the protocol has it, turned, with its noise and with its faces."""

@@ -202,7 +202,8 @@ class _Meeting:
         share = np.where(lengths > allowed, 1 - allowed / np.maximum(lengths, np.finfo(float).tiny), 0.0)
         reaching = np.exp(-0.5 * (one.distances / self.settings.reach) ** 2)
         among = reaching[one.at] + _RIDGE * np.eye(len(one.at))
-        return positions + reaching @ np.linalg.solve(among, share[:, None] * missed)
+        pulled: np.ndarray = positions + reaching @ np.linalg.solve(among, share[:, None] * missed)
+        return pulled
 
     def _nearest(self, positions: Float[np.ndarray, "n 3"], one: _Surface, other: _Surface) -> Int[np.ndarray, " n"]:
         return self._met(other.main[other.tree.query(positions)[1]], one, other)

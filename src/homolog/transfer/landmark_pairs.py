@@ -105,8 +105,9 @@ def _in_order(first: _Places, second: _Places) -> LandmarkPairs:
     """Pairs by order; those that the longer file has behind the end of the other are left out."""
     count = max(len(first.values), len(second.values))
     names = max(first.names, second.names, key=len)
-    given: Any = [_padded(one.values, count) for one in (first, second)]
-    return LandmarkPairs(*given, names=names if len(names) == count else ())
+    source, target = (_padded(one.values, count) for one in (first, second))
+    known: Any = {"source": source, "target": target, "names": names if len(names) == count else ()}
+    return LandmarkPairs(**known)
 
 
 def _padded(values: Num[np.ndarray, "p ..."], count: int) -> Num[np.ndarray, "q ..."]:
