@@ -688,3 +688,40 @@ def test_alternatives_have_figures_of_their_own(homolog, files, tmp_path):
         assert each["orientation"]["margin"] == pytest.approx(margin)
     shown = re.findall("Warning: alternative-[23]: ", ended.err)
     assert len(shown) == sum(len(set(each["warnings"]) - set(reports[0]["warnings"])) for each in reports[1:])
+
+
+def test_landmarks_of_two_files_are_met(homolog, files, tmp_path):
+    at = np.array([5, 60, 120])
+    np.savetxt(tmp_path / "a.txt", at, fmt="%d")
+    wanted = np.argsort(files.order)[at]
+    points = read_shape(files.other).points[wanted]
+    np.savetxt(tmp_path / "b.csv", points, delimiter=",", header="x,y,z", comments="")
+    out = tmp_path / "out"
+    guide = ["--landmarks", tmp_path / "a.txt", tmp_path / "b.csv"]
+    ended = homolog("match", files.mesh, files.other, "-o", out, "--method", "axiomatic", *guide)
+    assert ended.code == 0
+    np.testing.assert_array_equal(maps(out)["source_to_target"][at], wanted)
+    assert report(out)["options"]["landmarks"]["source"] == at.tolist()
+    # A way that has nothing to do with them is not the output's either.
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "a.txt", "--method", "axiomatic", *guide)
+    assert ended.is_one_line_of_complaint()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--landmark-uncertainty", "1"], "--landmark-uncertainty is 1.0, but is about landmarks"),
+        (["--axes", "RAS"], "--axes is RAS, but is about landmarks"),
+        (["--landmarks", "gone.csv", "gone.csv"], "gone.csv cannot be read as landmarks"),
+        (["--landmarks", "far.csv", "far.csv"], "the landmark '1' of the source is at (99, 99, 99)"),
+        (["--landmarks", "many.txt", "many.txt"], "must be one of 0 to 161"),
+    ],
+)
+def test_landmarks_that_cannot_guide_are_one_line(homolog, files, tmp_path, monkeypatch, options, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "far.csv").write_text("x,y,z\n99,99,99\n")
+    (tmp_path / "many.txt").write_text("162\n")
+    ended = homolog("match", files.mesh, files.other, "-o", "out", "--method", "axiomatic", *options)
+    assert ended.is_one_line_of_complaint()
+    assert said in ended.err
+    assert not (tmp_path / "out").exists()

@@ -634,3 +634,36 @@ def test_few_pairs_are_not_ranked_nor_those_that_say_nothing(family):
     assert "quality_rank_correlations" not in few.to_dict()
     silent = evaluate(Stub(family.truth), family.folder, ALL).to_dict()
     assert "quality" not in silent["pairs"][0]
+
+
+def test_landmarks_are_points_of_the_truth_that_are_not_scored(family):
+    known = {}
+
+    class Recording(Stub):
+        def find(self, pair):
+            known[pair.source.name, pair.target.name] = pair.options.landmarks
+            return super().find(pair)
+
+    stub, listed = Recording(lambda source, target: np.zeros(BASE_POINTS, dtype=int)), family.folder.root / "pairs.txt"
+    plain = evaluate(stub, family.folder, Protocol(pairs_file=str(listed)))
+    guided = evaluate(stub, family.folder, Protocol(landmarks=4, pairs_file=str(listed)))
+    for one, whole in zip(guided.pairs, plain.pairs, strict=True):
+        assert len(one.errors) == len(whole.errors) - 4
+        assert np.isin(one.errors, whole.errors).all()
+    landmarks = known["a", "b"]
+    assert len(set(landmarks.source)) == 4
+    np.testing.assert_array_equal(family.truth("a", "b")[list(landmarks.target)], landmarks.source)
+    # They lie far apart: farther than four neighbours would.
+    points = family.shapes["a"].points[list(landmarks.source)]
+    gaps = np.linalg.norm(points[:, None] - points[None], axis=2)[np.triu_indices(4, 1)]
+    assert gaps.min() > 0.3 * np.ptp(family.shapes["a"].points, axis=0).max()
+
+
+@pytest.mark.parametrize(
+    ("count", "match", "said"), [(31, None, "landmarks is 31, but d - e has 31 points"), (2, print, "landmarks guide")]
+)
+def test_landmarks_that_cannot_be_taken_are_refused(family, count, match, said):
+    protocol = Protocol(landmarks=count, pairs_file=str(family.folder.root / "pairs.txt"))
+    with pytest.raises(ArgumentError) as refused:
+        evaluate(None if match else Stub(None), family.folder, protocol, match=match)
+    assert said in str(refused.value)

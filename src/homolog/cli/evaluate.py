@@ -52,7 +52,18 @@ if TYPE_CHECKING:
     from homolog.pairs import Pair
 
 # Options that have no effect on maps that are there already.
-_OF_MAKING_MAPS = ("noise", "turn", "orient", "method", "weights", "adapt", "pre_aligned", "device", "no_cache")
+_OF_MAKING_MAPS = (
+    "noise",
+    "turn",
+    "orient",
+    "landmarks",
+    "method",
+    "weights",
+    "adapt",
+    "pre_aligned",
+    "device",
+    "no_cache",
+)
 
 
 def evaluate(
@@ -114,6 +125,16 @@ def evaluate(
         ),
     ] = "none",
     orient: OrientOption = "auto",
+    landmarks: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            help="Guide each match by N points of its ground truth that lie far apart; the others are scored.",
+            min=0,
+            max=50,
+            rich_help_panel=INPUT,
+        ),
+    ] = 0,
     method: MethodOption = AUTO,
     weights: Weights = None,
     adapt: Adapt = 0,
@@ -191,6 +212,8 @@ def evaluate(
 
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
 
+      homolog evaluate SMAL_r --landmarks 5
+
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -201,8 +224,7 @@ def evaluate(
     if maps is None and base is not None:
         raise ArgumentError(f"--base is {base}, but is about the files of --maps; add --maps DIR, or leave it out")
     check_inputs(weights=weights)
-    known = homolog.datasets
-    description = known.DatasetDescription() if dataset is None else known.read_description(dataset)
+    description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
     partial = description.partial if partial is None else partial
     protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
@@ -214,10 +236,11 @@ def evaluate(
         noise=noise,
         turn=turn,
         orient=orient,
+        landmarks=landmarks,
         seed=seed,
     )
     matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache)
-    folder = known.ShapeFolder.open(data, description, up=up)
+    folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     with progress_bar(quiet=quiet) as progress:
         evaluation = homolog.evaluation.evaluate(
             matcher,
@@ -325,4 +348,5 @@ def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     partial = (", partial, pre-aligned" if protocol.pre_aligned else ", partial") if protocol.partial else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
     turned = {"none": "", "vertical": ", turned about the vertical", "any": ", turned"}[protocol.turn]
-    return f"{name}, {protocol.modality}{partial}{noise}{turned}"
+    guided = f", {protocol.landmarks} landmarks" if protocol.landmarks else ""
+    return f"{name}, {protocol.modality}{partial}{noise}{turned}{guided}"

@@ -35,7 +35,8 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.cli.wording import in_options
-from homolog.core.choices import AsCloud, Side, Up
+from homolog.core.choices import AsCloud, Side, System, Up
+from homolog.core.errors import ArgumentError
 from homolog.core.files import expanded, refuse_overwriting_inputs, remove
 from homolog.core.method_names import AUTO
 from homolog.core.pretrained import AUTO_WEIGHTS
@@ -63,6 +64,33 @@ def match(
     ] = None,
     target_up: Annotated[
         Up | None, typer.Option(help="The axis that points up in the target, if it differs.", rich_help_panel=INPUT)
+    ] = None,
+    landmarks: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(
+            metavar="SOURCE_FILE TARGET_FILE",
+            help="Points that are known to correspond, 1 to 50: a file of the source's and one of the target's. Paired "
+            "by name where both have names, else by order.",
+            show_default=False,
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    landmark_uncertainty: Annotated[
+        float,
+        typer.Option(
+            metavar="LENGTH",
+            help="How far from the target's landmarks the source's may end, in the target's units.",
+            min=0.0,
+            rich_help_panel=INPUT,
+        ),
+    ] = 0.0,
+    axes: Annotated[
+        System | None,
+        typer.Option(
+            help="The shapes' coordinate system, for landmark files that have one.",
+            show_default="as the shapes' files say, or LPS",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     orient: OrientOption = "auto",
     mirror: Annotated[
@@ -129,6 +157,8 @@ def match(
 
       homolog match dancer.ply statue.ply -o result --html both.html --picture both.png --lines 20
 
+      homolog match a.ply b.ply -o result --landmarks a.mrk.json b.mrk.json
+
       homolog match old.ply new.ply -o result --weights people.safetensors --adapt 40
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -149,6 +179,7 @@ def match(
         orient=orient,
         mirror=mirror,
         strict=strict,
+        landmarks=known_points(landmarks, landmark_uncertainty, axes),
     )
     with progress_bar(quiet=quiet, form=progress_form) as progress:
         choices = weights in (None, AUTO_WEIGHTS) and method == AUTO
@@ -168,6 +199,18 @@ def match(
         say(f"Note: {len(matches)} of {alternatives} ways round were found.")
     if not quiet:
         _summary(matches, timings, paths, verbose=verbose)
+
+
+def known_points(
+    landmarks: tuple[Path, Path] | None, uncertainty: float, axes: System | None
+) -> homolog.pairs.LandmarkPairs | None:
+    """The landmarks that are to guide a match; None without any."""
+    if landmarks is not None:
+        return homolog.transfer.read_landmark_pairs(*landmarks, axes=axes, uncertainty=uncertainty)
+    for name, given in (("--landmark-uncertainty", uncertainty), ("--axes", axes)):
+        if given:
+            raise ArgumentError(f"{name} is {given}, but is about landmarks; add --landmarks, or leave it out")
+    return None
 
 
 def remove_alternatives(output: Path) -> None:

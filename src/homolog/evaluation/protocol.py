@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from annotated_types import Ge, Le
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from homolog.core.choices import Modalities, Orient, Side, Split, Turn
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Count, CountOrZero, NotNegative, Settings
+from homolog.pairs.landmarks import MOST_LANDMARKS
 from homolog.shapes import rotation_about
 
 
@@ -31,7 +33,10 @@ class Protocol(Settings):
             on source and target.
         turn: by which rotations the shapes are turned before anything sees them, each on its own.
         orient: whether the way round of full shapes is found, or trusted.
-        seed: of the noise, of the turns, of the pairs drawn, and of the order of points in sets that are shuffled.
+        landmarks: how many points of each pair's ground truth guide its match, by farthest point sampling on the source
+            from a point that is drawn. The others are scored.
+        seed: of the landmarks, of the noise, of the turns, of the pairs drawn, and of the order of points in sets that
+            are shuffled.
     """
 
     modality: Modalities = "mesh"
@@ -43,6 +48,7 @@ class Protocol(Settings):
     noise: Annotated[NotNegative, "in units of sqrt(area)"] = 0.0
     turn: Turn = "none"
     orient: Orient = "auto"
+    landmarks: Annotated[int, Ge(0), Le(MOST_LANDMARKS)] = 0
     seed: CountOrZero = 0
 
     def check(self) -> None:

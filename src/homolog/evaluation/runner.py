@@ -21,14 +21,14 @@ from homolog.core.progress import Progress, ignore
 from homolog.core.reprs import function_name
 from homolog.datasets import Pair as PairOfNames
 from homolog.datasets import ShapeFolder, Truth, drawn_pairs
-from homolog.evaluation.exchanges import ExchangeFinder
+from homolog.evaluation.exchanges import Exchange, ExchangeFinder
 from homolog.evaluation.metrics import Detection, geodesic_diameter, geodesic_errors
 from homolog.evaluation.protocol import Protocol
 from homolog.evaluation.result import Evaluation, PairErrors
 from homolog.geometry import unit_frame
 from homolog.matching import Match, Matcher, check_point_map, low_confidence_warnings
-from homolog.pairs import SIDES, Pair, PairOptions, PreprocessedShape, Side, WarningSettings
-from homolog.shapes import Modality, Shape, add_noise, repair
+from homolog.pairs import SIDES, LandmarkPairs, Pair, PairOptions, PreprocessedShape, Side, WarningSettings
+from homolog.shapes import Modality, Shape, add_noise, farthest_points, repair
 
 # Name, side if that matters, whether it is a cloud, and whose scale it takes if not its own.
 _Variant = tuple[str, str, bool, str]
@@ -104,6 +104,8 @@ def evaluate(
     """
     _check_arguments(matcher, folder, match, match_pair, metrics)
     protocol = given_or_default("protocol", protocol, Protocol)
+    if protocol.landmarks and match is not None:
+        raise ArgumentError("landmarks guide a matcher, but match makes the maps; leave one of them out")
     folder = replace(folder, seed=protocol.seed)
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     if protocol.n_pairs is not None:
@@ -160,10 +162,9 @@ class _Run:
         self.ground_truth = folder.ground_truth(self.shape_of)
         own_clouds = protocol.is_cloud("target")  # full shapes, which lead the pairs, have none
         self.clouds = {name: folder.cloud(name) for name in names if own_clouds and folder.has_cloud(name)}
-        between, of_cloud = self.ground_truth.between, self.ground_truth.of_cloud
-        self.truths = [  # a fault of any is said before anything is computed
-            of_cloud(*pair, self.clouds[pair[1]]) if pair[1] in self.clouds else between(*pair) for pair in pairs
-        ]
+        whole = [self._truth(pair) for pair in pairs]  # a fault of any is said before anything is computed
+        self.known = dict(zip(pairs, [self._landmarks(*each) for each in zip(pairs, whole, strict=True)], strict=True))
+        self.truths = [_without(truth, self.known[pair]) for pair, truth in zip(pairs, whole, strict=True)]
         self.euclidean = folder.description.holds == "clouds"  # without a surface that distances could run along
         self.exchanges = self._exchange_finder()
         self.total = self.done = 0
@@ -189,6 +190,30 @@ class _Run:
         if self.protocol.partial or self.clouds or not has_template:
             return None
         return ExchangeFinder(self.folder, self.ground_truth, self.shape_of)
+
+    def _truth(self, pair: PairOfNames) -> Truth:
+        """Points of source and target that are known to correspond."""
+        cloud = self.clouds.get(pair[1])
+        return self.ground_truth.between(*pair) if cloud is None else self.ground_truth.of_cloud(*pair, cloud)
+
+    def _landmarks(self, pair: PairOfNames, truth: Truth) -> Int[np.ndarray, " p"]:
+        """Which of the points that are known to correspond guide the match."""
+        count, points = self.protocol.landmarks, self.shapes[pair[0]].points[truth.source]
+        if not count:
+            return np.empty(0, dtype=int)
+        if count >= len(points):
+            raise ArgumentError(
+                f"landmarks is {count}, but {' - '.join(pair)} has {len(points)} points that are known to correspond, "
+                "and others are scored; take fewer"
+            )
+        return farthest_points(points, count, seed=self.protocol.seed)
+
+    def landmark_pairs(self, pair: PairOfNames) -> LandmarkPairs | None:
+        """The landmarks that guide the match of a pair."""
+        if not len(self.known[pair]):
+            return None
+        truth = self._truth(pair)
+        return LandmarkPairs(truth.source[self.known[pair]], truth.target[self.known[pair]])
 
     def given(self, pair: PairOfNames, side: Side) -> Shape:
         """A shape as the protocol has it, turned, with its noise and with its faces."""
@@ -251,9 +276,7 @@ class _Run:
         errors: Float[np.ndarray, " p"],
     ) -> PairErrors:
         known = self.ground_truth.counterparts(*pair) if self.protocol.partial else None
-        scored, exchanged = ScoredPair(match, truth, errors), None
-        if self.exchanges is not None:
-            exchanged = self.exchanges.exchange(pair, mapped, scale=self.frame(pair[0]).scale)
+        scored = ScoredPair(match, truth, errors)
         return PairErrors(
             pair=pair,
             errors=errors,
@@ -263,10 +286,16 @@ class _Run:
             quality=match.quality,
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
-            exchanged=exchanged,
+            exchanged=self._exchanged(pair, match),
             chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
             adaptation=match.report.get("adaptation"),
         )
+
+    def _exchanged(self, pair: PairOfNames, match: Match) -> Exchange | None:
+        if self.exchanges is None:
+            return None
+        mapped = match.target_to_source[self._truth(pair).target]  # of all points, landmarks as well
+        return self.exchanges.exchange(pair, mapped, scale=self.frame(pair[0]).scale)
 
     def _errors(
         self, shape: Shape, truth: Int[np.ndarray, " p"], mapped: Int[np.ndarray, " p"]
@@ -282,6 +311,11 @@ class _Run:
             diagonal = np.linalg.norm(np.ptp(shape.points, axis=0))
             errors[nowhere] = diagonal if self.euclidean else geodesic_diameter(shape)
         return errors
+
+
+def _without(truth: Truth, known: Int[np.ndarray, " p"]) -> Truth:
+    """The ground truth that is scored."""
+    return Truth(target=np.delete(truth.target, known), source=np.delete(truth.source, known))
 
 
 def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) -> float:
@@ -352,7 +386,8 @@ class _ByMatcher:
         source, target = self._take(pair, "source"), self._take(pair, "target")
         self.run.tick(" - ".join(pair))
         with self.run.timed("match"):
-            found = self.find(self.matcher.paired(source, target, self.options))
+            options = replace(self.options, landmarks=self.run.landmark_pairs(pair))
+            found = self.find(self.matcher.paired(source, target, options))
         check_kind("what match_pair gave", found, Match)
         return found
 

@@ -3,7 +3,7 @@
 from homolog.core.caches import cache_folder
 from homolog.geometry.basis import Basis, some_points
 from homolog.geometry.cache import OperatorCache
-from homolog.geometry.geodesics import Geodesics, edge_graph, geodesic_distances, pair_distances
+from homolog.geometry.geodesics import Geodesics, distances_from, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
@@ -38,6 +38,7 @@ __all__ = [
     "cloud_area",
     "cloud_laplacian",
     "compute_operators",
+    "distances_from",
     "edge_graph",
     "geodesic_distances",
     "lowest_eigenpairs",

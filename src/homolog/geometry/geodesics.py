@@ -7,11 +7,14 @@ from typing import Literal, get_args
 
 import numpy as np
 import scipy.sparse as sparse
+import torch
 from jaxtyping import Float, Int
 from scipy.sparse.csgraph import connected_components, dijkstra
+from torch import Tensor
 
 from homolog.core.arguments import check_choice
 from homolog.core.errors import ShapeError, bad_value, needs_extra
+from homolog.geometry.operators import Operators
 from homolog.geometry.tangent import mesh_edges
 
 # Points whose distances are computed together: bounds the dense rows that Dijkstra returns.
@@ -195,3 +198,35 @@ def _within(
         pairs = by_source[first:last]
         distances[pairs] = rows[group[pairs] - row * _ROWS, ends[pairs]]
     return distances
+
+
+def distances_from(operators: Operators, starts: Int[Tensor, " p"]) -> Float[Tensor, "n p"]:
+    """Distances along a shape, mesh or cloud, from some of its points to all of them, in units of sqrt(area).
+
+    Shortest paths along the edges of the Laplacian (Dijkstra). What no path leads to is as far away as the farthest
+    point that one leads to.
+
+    Args:
+        operators: of the shape.
+        starts: point indices (p,).
+
+    Examples:
+        >>> import torch, trimesh
+        >>> from homolog import Shape, compute_operators
+        >>> from homolog.geometry import distances_from
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> distances = distances_from(compute_operators(Shape(mesh.vertices, mesh.faces)), torch.tensor([0]))
+        >>> distances.shape, float(distances[0])
+        (torch.Size([642, 1]), 0.0)
+    """
+    laplacian, points = operators.laplacian.cpu(), operators.points.cpu().double()
+    rows = np.repeat(np.arange(operators.n_points), np.diff(laplacian.crow_indices().numpy()))
+    columns = laplacian.col_indices().numpy()
+    lengths = (points[rows] - points[columns]).norm(dim=1).numpy()
+    # The diagonal is no edge; points at one place are joined by an edge that has a length, however small.
+    lengths = np.where(rows == columns, 0.0, lengths.clip(min=np.finfo(float).tiny))
+    graph = sparse.csr_array((lengths, (rows, columns)), shape=(operators.n_points, operators.n_points))
+    distances = dijkstra(graph, directed=False, indices=starts.cpu().numpy()).T
+    reached = np.isfinite(distances)
+    farthest = np.where(reached, distances, 0.0).max(axis=0)
+    return torch.from_numpy(np.where(reached, distances, farthest)).to(operators.points)

@@ -33,10 +33,11 @@ from homolog.maps.rotations import (
     rotation_angle,
 )
 from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
-from homolog.maps.zoomout import RefinementSettings, zoomout, zoomout_partial
+from homolog.maps.zoomout import LandmarkRows, RefinementSettings, zoomout, zoomout_partial
 
 __all__ = [
     "ConfidenceSettings",
+    "LandmarkRows",
     "Nearest",
     "RefinementSettings",
     "RegistrationSettings",

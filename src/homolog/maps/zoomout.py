@@ -57,6 +57,33 @@ class RefinementSettings(Settings):
             yield n_left, size, self.guidance_end * fall ** (n_left / max(len(sizes) - 1, 1))
 
 
+@dataclass(frozen=True, eq=False)
+class LandmarkRows:
+    """Pairs of points that are known to correspond, as rows of the functional maps of ``zoomout``.
+
+    Args:
+        x: points of x (p,).
+        y: of y (p,).
+        shares: of each pair, relative to the number of all other rows (p,).
+    """
+
+    x: Int[Tensor, " p"]
+    y: Int[Tensor, " p"]
+    shares: Float[Tensor, " p"]
+
+    def times(self, n_rows: int) -> Int[Tensor, " r"]:
+        """Which pairs to append to so many rows, each as often as its share says."""
+        counts = (self.shares * n_rows).round().long()
+        return torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
+
+    def appended(
+        self, points_x: Int[Tensor, " n"], points_y: Int[Tensor, " n"]
+    ) -> tuple[Int[Tensor, " m"], Int[Tensor, " m"]]:
+        """Pairs of points with these behind them."""
+        which = self.times(len(points_x))
+        return torch.cat([points_x, self.x[which]]), torch.cat([points_y, self.y[which]])
+
+
 @takes_arrays
 def zoomout(
     y_to_x: Int[Tensor, " n_y"],
@@ -67,6 +94,7 @@ def zoomout(
     features_y: Float[Tensor, "n_y d"],
     *,
     settings: RefinementSettings | None = None,
+    landmarks: LandmarkRows | None = None,
 ) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
     """ZoomOut: spectral upsampling of the point maps of two full shapes, both directions at once, guided by features.
 
@@ -84,6 +112,7 @@ def zoomout(
         features_x: of unit length per point, see ``normalised`` (n_x, d).
         features_y: likewise (n_y, d).
         settings: sizes of the basis, samples, and how much features weigh.
+        landmarks: pairs of points that are known to correspond.
 
     Returns:
         Both refined maps, y to x first.
@@ -118,6 +147,8 @@ def zoomout(
     y_to_x, x_to_y = y_to_x[rows_y], x_to_y[rows_x]
     for n_left, size, weight in settings.rounds(largest):
         pairs_x, pairs_y = torch.cat([y_to_x, rows_x]), torch.cat([rows_y, x_to_y])
+        if landmarks is not None:
+            pairs_x, pairs_y = landmarks.appended(pairs_x, pairs_y)
         among_x, among_y = x.candidates(n_left), y.candidates(n_left)
         rows_x, rows_y = (x.all, y.all) if n_left == 0 else (x.samples, y.samples)
         y_to_x = _counterparts(y, x, (pairs_y, pairs_x), rows_y, among_x, size=size, weight=weight)
@@ -136,6 +167,7 @@ def zoomout_partial(
     features_y: Float[Tensor, "n_y d"],
     *,
     settings: RefinementSettings | None = None,
+    landmarks: LandmarkRows | None = None,
 ) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
     """ZoomOut for a partial shape y and a full one x: spectral upsampling with a slanted functional map.
 
@@ -153,6 +185,7 @@ def zoomout_partial(
         features_x: of unit length per point (n_x, d).
         features_y: likewise (n_y, d).
         settings: sizes of the basis, which are numbers of eigenvectors of x, samples, and how much features weigh.
+        landmarks: pairs of points that are known to correspond.
 
     Returns:
         The refined map, and the map back, which gives every point of x some point of y, even outside the overlap.
@@ -189,7 +222,8 @@ def zoomout_partial(
     for n_left, size, weight in settings.rounds(eigenvectors_x.shape[1]):
         k_y = max(int((eigenvalues_y <= eigenvalues_x[size - 1]).sum()), 1)
         phi_x, phi_y = x.eigenvectors[:, :size], y.eigenvectors[:, :k_y]
-        c_xy = _fitted(phi_x[y_to_x], phi_y[rows])
+        pairs_x, pairs_y = (y_to_x, rows) if landmarks is None else landmarks.appended(y_to_x, rows)
+        c_xy = _fitted(phi_x[pairs_x], phi_y[pairs_y])
         among = x.candidates(n_left)
         rows = y.all if n_left == 0 else y.samples
         in_y, in_x = y.guided(rows, phi_y[rows] @ c_xy, weight), x.guided(among, phi_x[among], weight)

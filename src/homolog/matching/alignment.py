@@ -19,7 +19,7 @@ from torch import Tensor
 
 from homolog.features import FeatureExtractor
 from homolog.geometry import Basis, Operators, some_points
-from homolog.maps import best_rotation, best_similarity, most_similar, normalised, rigid_motion
+from homolog.maps import Similarity, best_rotation, best_similarity, most_similar, normalised, rigid_motion
 from homolog.pairs import AlignmentSettings, Pair, PreprocessedShape, Preprocessor
 from homolog.shapes import rotation_about
 
@@ -66,7 +66,7 @@ def align_partial(pair: Pair) -> Pair:
         full.needed_features(),
         search=extractor.info.partial,
         settings=settings,
-        starts=tuple(_oriented_starts(full, partial, given, settings)),
+        starts=tuple(_oriented_starts(full, partial, given, settings, _of_landmarks(pair))),
     )
     if found.points is basis.points:
         return pair
@@ -77,10 +77,24 @@ def align_partial(pair: Pair) -> Pair:
     return replace(aligned, alignment=alignment)
 
 
+def _of_landmarks(pair: Pair) -> Similarity | None:
+    """What takes the partial shape as it was given onto the full one by their landmarks."""
+    if pair.guidance is None or not pair.guidance.tells_rotation(pair.x.operators, pair.y.operators):
+        return None
+    starts, ends = pair.y.points_as_given[pair.guidance.y], pair.x.operators.points[pair.guidance.x]
+    return best_similarity(starts, ends, pair.guidance.weights)
+
+
 def _oriented_starts(
-    full: PreprocessedShape, partial: PreprocessedShape, given: Float[Tensor, "n 3"], settings: AlignmentSettings
+    full: PreprocessedShape,
+    partial: PreprocessedShape,
+    given: Float[Tensor, "n 3"],
+    settings: AlignmentSettings,
+    known: Similarity | None,
 ) -> Iterator[Start]:
-    """Where the features' orienter puts the partial shape on the full one, in the size that it finds, and as given."""
+    """Where landmarks and the features' orienter put the partial shape on the full one, in their size and as given."""
+    if known is not None:
+        yield from _both_sizes(known(given), known.scale)
     if not full.orientations or full.orientations[0].upright is None:
         return
     onto_full = full.orientations[0].upright.inverse()
@@ -88,10 +102,14 @@ def _oriented_starts(
         if orientation.upright is None:
             continue
         points = onto_full(orientation.upright(given)) @ full.rotation.to(given).T
-        scale = orientation.upright.scale * onto_full.scale
-        yield points, scale
-        centre = points.mean(dim=0)
-        yield (points - centre) / scale + centre, 1.0
+        yield from _both_sizes(points, orientation.upright.scale * onto_full.scale)
+
+
+def _both_sizes(points: Float[Tensor, "n 3"], scale: float) -> Iterator[Start]:
+    """Positions in the size that was found, and in the given one."""
+    yield points, scale
+    centre = points.mean(dim=0)
+    yield (points - centre) / scale + centre, 1.0
 
 
 def best_alignment(

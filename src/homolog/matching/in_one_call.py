@@ -43,7 +43,7 @@ def match(
         method: name of a method, or one of one's own, in place of that of the settings; see ``MatcherSettings``.
         settings: how maps are made.
         device: where to compute.
-        **options: the fields of ``PairOptions``, such as ``partial="source"`` or ``as_cloud="both"``.
+        **options: the fields of ``PairOptions``, such as ``partial="source"``, ``as_cloud="both"`` or ``landmarks``.
 
     Raises:
         ArgumentError: if something given is of another kind, or both weights and features are given.
@@ -54,6 +54,12 @@ def match(
         >>> source, target = homolog.demo_shapes()
         >>> match = homolog.match(source, target)
         >>> paths = match.save("result")
+
+        Two points that are known to correspond guide the match, and are met exactly:
+
+        >>> guided = homolog.match(source, target, landmarks=([191, 602], [190, 4987]))
+        >>> guided.source_to_target[[191, 602]].tolist()
+        [190, 4987]
     """
     if weights is not None and features is not None:
         raise ArgumentError("both weights and features are given, but only one of them can be compared; leave one out")

@@ -29,6 +29,7 @@ from homolog.matching.choice import (
     method_between,
     operators_expected,
 )
+from homolog.matching.guidance import guidance_warnings, guided, meet_landmarks
 from homolog.matching.inputs import check_two_arrays, options_of, read_inputs, with_inputs
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.recognition import choose
@@ -51,6 +52,7 @@ from homolog.pairs import (
     OperatorSource,
     Pair,
     PairOptions,
+    PointMaps,
     PreprocessedShape,
     Preprocessor,
     Side,
@@ -296,17 +298,27 @@ class Matcher:
                 known[how] = preprocess.again(shape, orient=options.orient, partial=partial)
             return known[how]
 
-        return choose(pairs, extractors, seen, self.find)
+        return choose(pairs, extractors, seen, self._draft)
 
     @torch.no_grad()
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
+        aligned = guided(align_partial(orient(pair)))
+        return Match.of(aligned, meet_landmarks(aligned, self._maps(aligned)))
+
+    def _draft(self, pair: Pair) -> Match:
+        """A match by features alone, the right way round: how it misses the landmarks tells of the features."""
         aligned = align_partial(orient(pair))
+        unguided = replace(aligned, options=replace(pair.options, landmarks=None))
+        return Match.of(unguided, self._maps(unguided))
+
+    def _maps(self, aligned: Pair) -> PointMaps:
+        """The refined maps of a pair that is ready for its method."""
         lent = {f"{name} of {one.name}": t for one in (aligned.x, aligned.y) for name, t in one.tensors().items()}
         with left_unchanged(f"method {aligned.method.name!r}", lent):
             maps = aligned.method(aligned)
-        return Match.of(aligned, refine(aligned, checked_maps(aligned, maps)))
+        return refine(aligned, checked_maps(aligned, maps))
 
     def match_pair(self, pair: Pair, *, timings: Timings | None = None) -> Match:
         """Match a pair, and check the result and their units; see ``match``."""
@@ -344,7 +356,7 @@ class Matcher:
 
     def _checked(self, pair: Pair, match: Match, units: tuple[str, ...]) -> Match:
         """A match of a pair, turned as it was matched, with all that there is to warn of."""
-        checks = (*part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
+        checks = (*guidance_warnings(pair), *part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
         doubts = low_confidence_warnings(match, self.settings.warnings, pair=pair)
         return replace(match, warnings=(*self.warnings, *units, *checks, *doubts))
 

@@ -17,6 +17,7 @@ import torch
 from homolog.core.errors import ShapeError
 from homolog.features import FeatureExtractor, Orienter
 from homolog.matching.choice import extractor_for, method_between
+from homolog.matching.guidance import landmark_misfit
 from homolog.matching.quality import MapQuality
 from homolog.matching.result import Match
 from homolog.methods import AUTO, as_method, find_method
@@ -51,7 +52,7 @@ def choose(
         pairs: with the first features, and with the same options.
         extractors: features of several kinds of shapes, with an orienter each; the first ones are the usual ones.
         seen: gives a shape with other features.
-        find: makes the map of a pair.
+        find: makes the map of a pair, which need not meet its landmarks: one that misses them is believed less.
     """
     if len(extractors) < 2:
         return list(pairs)
@@ -144,8 +145,9 @@ def _mapped(ways: Iterable[_Way], find: Callable[[Pair], Match]) -> Iterator[_Wa
 
 def _misfit_of_map(pair: Pair, find: Callable[[Pair], Match]) -> float:
     try:
-        quality = find(pair).quality
+        match = find(pair)
     except ShapeError:  # what cannot be matched one way may be another way
         return math.inf
-    assert quality is not None
-    return map_misfit(quality, pair.settings.choice)
+    assert match.quality is not None
+    missed = pair.settings.guidance.choice * landmark_misfit(pair, match)
+    return map_misfit(match.quality, pair.settings.choice) + missed

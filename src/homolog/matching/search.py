@@ -9,6 +9,7 @@ rigid bodies.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -20,6 +21,7 @@ from homolog.features import FeatureExtractor, Orientation
 from homolog.geometry import Basis, some_points
 from homolog.maps import (
     RefinementSettings,
+    best_rotation,
     closest_point_rotations,
     cycle_error,
     handedness,
@@ -103,11 +105,12 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
     settings = pair.settings.orientation
     if not _has_orientations(pair):
         samples = Samples.of(pair)
-        ranked = samples.ranked(_of_rigid_bodies(samples, settings))
+        ranked = samples.ranked([*_of_rigid_bodies(samples, settings), *_of_landmarks(pair)])
         ranked = _small_turn_left(samples, ranked) if pair.method.supports.small_turns else ranked
         return _given_first(ranked, settings.margin)
     both = pair.source.orientations, pair.target.orientations
-    likely = _of_orienter(*both, settings, settings.orienter_margin)
+    # What landmarks say of a way round is worth more than what the orienter does.
+    likely = _of_orienter(*both, settings, settings.orienter_margin if pair.guidance is None else math.inf)
     all_of_them = _of_orienter(*both, settings, math.inf) if unlikely_too else likely
     if len(all_of_them) == 1:
         return likely
@@ -152,6 +155,14 @@ def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hy
     return [Hypothesis(torch.eye(3), torch.eye(3)), *others]
 
 
+def _of_landmarks(pair: Pair) -> Iterator[Hypothesis]:
+    """The source turned to bring its landmarks nearest to the target's, where there are enough to tell."""
+    if pair.guidance is None or not pair.guidance.tells_rotation(pair.x.operators, pair.y.operators):
+        return
+    source, target = pair.x.points_as_given[pair.guidance.x], pair.y.points_as_given[pair.guidance.y]
+    yield Hypothesis(best_rotation(source, target, pair.guidance.weights).cpu().float(), torch.eye(3))
+
+
 def _small_turn_left(samples: Samples, ranked: list[Hypothesis]) -> list[Hypothesis]:
     """With the shapes as they are given in place of the best, where that is nearly so: the method does the rest.
 
@@ -189,6 +200,8 @@ class Samples:
         refined: whether coarse maps are refined by ZoomOut.
         handedness: weight of the handedness.
         settings: of the judgement.
+        landmarks: how many of the last samples of both are each other's counterparts.
+        guidance: weight of the distance by which a coarse map misses these.
     """
 
     x: Basis
@@ -197,6 +210,8 @@ class Samples:
     refined: bool
     handedness: float
     settings: OrientationSettings
+    landmarks: int = 0
+    guidance: float = 0.0
 
     @classmethod
     def of(cls, pair: Pair) -> Samples:
@@ -204,10 +219,14 @@ class Samples:
         settings = pair.settings.orientation
         # Each has samples of its own, or shapes of one numbering would have exact counterparts at one way round alone.
         draw = _sampled if pair.extractor is not None else _drawn_by_area
-        x, y = (draw(shape, settings.samples, seed) for seed, shape in enumerate((pair.source, pair.target)))
+        known = [None, None] if pair.guidance is None else [pair.guidance.x, pair.guidance.y]
+        shapes = zip((pair.source, pair.target), known, strict=True)
+        x, y = (draw(shape, settings.samples, seed, at) for seed, (shape, at) in enumerate(shapes))
         weight = settings.handedness_upright if _has_orientations(pair) else settings.handedness
         refined = pair.near_isometric and pair.method.supports.refinement
-        return cls(x, y, pair.extractor, refined, weight, settings)
+        n_landmarks = 0 if pair.guidance is None else len(pair.guidance)
+        guidance = pair.settings.guidance.orientation
+        return cls(x, y, pair.extractor, refined, weight, settings, n_landmarks, guidance)
 
     def ranked(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Hypotheses with what their coarse maps tell, the least misfit first."""
@@ -252,19 +271,34 @@ class Samples:
         displacement = (x - y[x_to_y]).norm(dim=1).mean() + (y - x[y_to_x]).norm(dim=1).mean()
         cycle = cycle_error(x, x_to_y, y_to_x).mean() + cycle_error(y, y_to_x, x_to_y).mean()
         kept = (handedness(x, y[x_to_y]) + handedness(y, x[y_to_x])) / 2
-        return float(displacement + settings.cycle * cycle - self.handedness * kept)
+        told = float(displacement + settings.cycle * cycle - self.handedness * kept)
+        return told + self._missed(x, y, x_to_y, y_to_x)
+
+    def _missed(
+        self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]
+    ) -> float:
+        """What it counts that a coarse map misses the landmarks."""
+        if not self.landmarks:
+            return 0.0
+        at_x, at_y = slice(len(x) - self.landmarks, None), slice(len(y) - self.landmarks, None)
+        there, back = (y[x_to_y[at_x]] - y[at_y]).norm(dim=1), (x[y_to_x[at_y]] - x[at_x]).norm(dim=1)
+        return self.guidance * float(there.mean() + back.mean())
 
 
-def _sampled(shape: PreprocessedShape, count: int, seed: int) -> Basis:
-    """The basis of a shape as it was given, at some of its points."""
+def _sampled(shape: PreprocessedShape, count: int, seed: int, landmarks: Int[Tensor, " p"] | None) -> Basis:
+    """The basis of a shape as it was given, at some of its points, and at the landmarks behind them."""
     kept = some_points(shape.operators.n_points, count, seed=seed).to(shape.operators.points.device)
-    basis = shape.operators.basis.sampled(kept)
+    basis = shape.operators.basis.sampled(_with(kept, landmarks))
     return basis.turned(shape.rotation.T.to(basis.points))
 
 
-def _drawn_by_area(shape: PreprocessedShape, count: int, seed: int) -> Basis:
+def _drawn_by_area(shape: PreprocessedShape, count: int, seed: int, landmarks: Int[Tensor, " p"] | None) -> Basis:
     """The same about its centre, at points drawn by their area: positions alone are compared, of unlike sampling."""
     mass = shape.operators.mass.cpu().double()
     drawn = torch.multinomial(mass, min(count, len(mass)), generator=torch.Generator().manual_seed(seed))
-    basis = shape.operators.basis.sampled(drawn.to(shape.operators.points.device))
+    basis = shape.operators.basis.sampled(_with(drawn.to(shape.operators.points.device), landmarks))
     return replace(basis, points=basis.points - basis.points.mean(dim=0)).turned(shape.rotation.T.to(basis.points))
+
+
+def _with(kept: Int[Tensor, " n"], landmarks: Int[Tensor, " p"] | None) -> Int[Tensor, " m"]:
+    return kept if landmarks is None else torch.cat([kept, landmarks])

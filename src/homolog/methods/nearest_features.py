@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from homolog.maps import most_similar, normalised, sinkhorn_matches
+from homolog.maps import most_similar, sinkhorn_matches
 from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import Pair, PointMaps
 
@@ -11,7 +11,7 @@ def _point_maps(pair: Pair) -> PointMaps:
     x, y = pair.x.needed_features(), pair.y.needed_features()
     settings = pair.settings.soft_map
     if settings.normalise:
-        x, y = normalised(x), normalised(y)
+        x, y = pair.x.unit_features(), pair.y.unit_features()
     if pair.is_partial:
         # The softmax over the full shape: its argmax is the most similar point, at any temperature.
         return PointMaps(most_similar(x, y).index, most_similar(y, x).index)

@@ -9,6 +9,8 @@ from homolog.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from homolog.core.choices import AsCloud, Device, Side
+    from homolog.pairs.guidance import Guidance
+    from homolog.pairs.landmarks import LandmarkPairs
     from homolog.pairs.method import Method, Supports, check_supported
     from homolog.pairs.options import SIDES, PairOptions
     from homolog.pairs.pair import Candidate, Pair, PairAdaptation, PairOrientation, PointMaps
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
         AxiomaticSettings,
         ChoiceSettings,
         FunctionalMapSettings,
+        GuidanceSettings,
         MatcherSettings,
         OrientationSettings,
         SoftMapSettings,
@@ -34,6 +37,9 @@ __all__ = [
     "ChoiceSettings",
     "Device",
     "FunctionalMapSettings",
+    "Guidance",
+    "GuidanceSettings",
+    "LandmarkPairs",
     "MatcherSettings",
     "Method",
     "OperatorSource",
@@ -62,6 +68,9 @@ _MODULES = {
     "ChoiceSettings": "settings",
     "Device": "settings",
     "FunctionalMapSettings": "settings",
+    "Guidance": "guidance",
+    "GuidanceSettings": "settings",
+    "LandmarkPairs": "landmarks",
     "MatcherSettings": "settings",
     "Method": "method",
     "OperatorSource": "preprocessing",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 from homolog.core.choices import AsCloud, Orient, Side, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Positive, Settings
+from homolog.pairs.landmarks import LandmarkPairs
 
 SIDES: tuple[Side, Side] = ("source", "target")
 
@@ -28,6 +29,8 @@ class PairOptions(Settings):
         orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
         mirror: which of the two is a mirror image of what it should be, if one is, and is reflected first.
         strict: fail if a shape needs repair or a warning would be issued.
+        landmarks: points that are known to correspond: ``LandmarkPairs``, or two arrays, of the source and the target,
+            of indices (p,) or positions in the files' coordinates (p, 3).
 
     Raises:
         ArgumentError: if a word is none of those allowed, or an option needs a partial shape and there is none.
@@ -47,6 +50,11 @@ class PairOptions(Settings):
     orient: Orient = "auto"
     mirror: Side | None = None
     strict: bool = False
+    landmarks: Annotated[LandmarkPairs, "or two arrays, of indices or positions"] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "landmarks", _landmarks(self.landmarks))
+        super().__post_init__()
 
     def check(self) -> None:
         """Refuse what is about a partial shape where there is none."""
@@ -65,3 +73,9 @@ class PairOptions(Settings):
     def up(self, side: Side) -> Up:
         """Which axis of a shape points up."""
         return self.source_up if side == "source" else self.target_up
+
+
+def _landmarks(given: Any) -> Any:
+    """Landmark pairs of two arrays; anything else as it is."""
+    several = isinstance(given, tuple | list) and len(given) == 2
+    return LandmarkPairs(*given) if several else given

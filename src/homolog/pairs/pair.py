@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -16,6 +17,7 @@ from homolog.core.errors import ArgumentError
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo
 from homolog.maps import Similarity
+from homolog.pairs.guidance import Guidance
 from homolog.pairs.method import Method, check_supported
 from homolog.pairs.options import SIDES, PairOptions
 from homolog.pairs.preprocessing import PreprocessedShape, Preprocessor
@@ -207,6 +209,18 @@ class Pair:
     def y(self) -> PreprocessedShape:
         """The target, or the partial shape where one is."""
         return self.source if self.options.partial == "source" else self.target
+
+    @cached_property
+    def guidance(self) -> Guidance | None:
+        """The landmarks that guide the match; None without any.
+
+        Raises:
+            ArgumentError: if they are not those of these shapes.
+        """
+        if self.options.landmarks is None:
+            return None
+        sides: tuple[Side, Side] = ("target", "source") if self.options.partial == "source" else SIDES
+        return Guidance.of(self.options.landmarks, self.x, self.y, sides)
 
     @property
     def is_partial(self) -> bool:

@@ -20,7 +20,7 @@ from homolog.core.reprs import function_name
 from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, Orientation, checked_features
 from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, unit_frame
-from homolog.maps import rotation_angle
+from homolog.maps import normalised, rotation_angle
 from homolog.pairs.settings import OrientationSettings
 from homolog.shapes import Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
 
@@ -43,6 +43,7 @@ class PreprocessedShape:
         up: the axis of the shape as given that was turned to +y.
         orientations: ways to turn the shape from there that its features' orienter found, the best first.
         rotation: the one that the operators' positions were turned by (3, 3).
+        channels: what landmarks add to features of unit norm (n, c), of one norm everywhere; None without landmarks.
     """
 
     given: Shape
@@ -52,6 +53,7 @@ class PreprocessedShape:
     up: Up = "y"
     orientations: tuple[Orientation, ...] = ()
     rotation: Float[Tensor, "3 3"] = field(default_factory=lambda: torch.eye(3))
+    channels: Float[Tensor, "n c"] | None = None
 
     @property
     def name(self) -> str:
@@ -75,17 +77,31 @@ class PreprocessedShape:
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors that methods are lent, by their names."""
-        return {**self.operators.tensors(), **({} if self.features is None else {"features": self.features})}
+        own = {"features": self.features, "landmark channels": self.channels}
+        return {**self.operators.tensors(), **{name: tensor for name, tensor in own.items() if tensor is not None}}
 
     def needed_features(self) -> Float[Tensor, "n d"]:
-        """The features, where a method cannot do without them.
+        """The features, where a method cannot do without them; with landmarks their channels, in the size of features.
 
         Raises:
             ArgumentError: if there are none.
         """
         if self.features is None:
             raise ArgumentError(f"{self.name} has no features, but the method needs them; give weights or features")
-        return self.features
+        if self.channels is None:
+            return self.features
+        size = self.features.square().sum(dim=1).mean().sqrt()
+        return torch.cat([self.features, size * self.channels], dim=1)
+
+    def unit_features(self) -> Float[Tensor, "n d"]:
+        """Features of unit norm, with the channels of landmarks behind them.
+
+        Where there are no features, what is the same everywhere and tells no points apart.
+        """
+        found = self.operators.points.new_zeros(self.operators.n_points, 1)
+        if self.features is not None:
+            found = normalised(self.features)
+        return found if self.channels is None else torch.cat([found, self.channels], dim=1)
 
     def turned(self, rotation: Float[Tensor, "3 3"], extractor: FeatureExtractor | None) -> PreprocessedShape:
         """The shape turned by another rotation than it is now, with the features of that pose.

@@ -180,6 +180,36 @@ class ChoiceSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class GuidanceSettings(Settings):
+    """How landmarks guide a match. New here; chosen on training pairs of animals. Without landmarks it does nothing.
+
+    Args:
+        channels: weight of the distances from all landmarks along the surface against features of unit norm.
+        rows: of the rows of landmarks in the functional maps of the refinement, as a share of all rows.
+        orientation: weight of the mean distance by which a way round misses the landmarks, in its misfit.
+        choice: the same in the misfit of a map, where features are chosen.
+        pull: of a landmark on the deformed shape, as a share of the weight of all its points.
+        stiffness: of the deformed shape, in spacings of its points: what is smaller keeps its form.
+        points: weight of the point maps in the deformation.
+        rounds: of deformation, at least 1.
+        trusted: maps of methods that are not refined are smooth by themselves: nothing is deformed where they miss
+            landmarks by less than this on average, in units of sqrt(area). Chosen on vertebrae.
+        reach: of the last pull towards a landmark, in units of sqrt(area).
+    """
+
+    channels: NotNegative = 9.0
+    rows: NotNegative = 0.1
+    orientation: NotNegative = 2.0
+    choice: NotNegative = 20.0
+    pull: Positive = 0.02
+    stiffness: Positive = 5.0
+    points: Positive = 0.5
+    rounds: Count = 2
+    trusted: NotNegative = 0.1
+    reach: Positive = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
 class WarningSettings(Settings):
     """When a match is said to be doubtful.
 
@@ -211,6 +241,7 @@ class MatcherSettings(Settings):
         alignment: of a partial shape with the full one before matching; None for none.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
             nearly isometric are never refined.
+        guidance: by landmarks, where there are any.
         confidence: of the point maps, and the overlap of a full shape with a partial one.
         warnings: when a match is said to be doubtful.
         operators: what operators to compute; by default those that the features were trained with.
@@ -233,6 +264,7 @@ class MatcherSettings(Settings):
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
     alignment: Annotated[AlignmentSettings, "or None"] | None = field(default_factory=AlignmentSettings)
     refinement: Annotated[RefinementSettings, "or None"] | None = field(default_factory=RefinementSettings)
+    guidance: GuidanceSettings = field(default_factory=GuidanceSettings)
     confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
     warnings: WarningSettings = field(default_factory=WarningSettings)
     operators: Annotated[OperatorSettings, "or None"] | None = None

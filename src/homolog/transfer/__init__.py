@@ -1,14 +1,15 @@
 """Transfer along a match: smooth maps between surfaces; arrays, labels, landmarks, colours, textures and skins."""
 
 from homolog.core.choices import TEXTURE_SIZE, System
+from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.transfer.appearance import NO_COLOUR, Appearance, Checkerboard, Texture, read_appearance
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.delivery import FAR_LANDMARK, OUTPUT_NAMES, Delivery, Kind, check_output_names
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels, read_original
+from homolog.transfer.landmark_pairs import read_landmark_pairs
 from homolog.transfer.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks, system_of
 from homolog.transfer.obj import write_obj
-from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 from homolog.transfer.skin import Skin, read_skin
 from homolog.transfer.smooth_map import SurfaceMap, surface_map
 from homolog.transfer.transfer import Transfer
@@ -40,6 +41,7 @@ __all__ = [
     "read_appearance",
     "read_array",
     "read_labels",
+    "read_landmark_pairs",
     "read_landmarks",
     "read_original",
     "read_skin",

@@ -17,13 +17,13 @@ from homolog.core.errors import DataError, HomologError, needs_extra
 from homolog.core.files import read_bytes
 from homolog.core.memory import expansion_fault
 from homolog.core.messages import shorten
+from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.shapes import Shape
 from homolog.shapes.formats.ply import read_ply_colours
 from homolog.transfer.gltf import linear, read_gltf_look, srgb
 from homolog.transfer.gltf import looks_left_out as _left_out_of_gltf
 from homolog.transfer.obj import looks_left_out as _left_out_of_obj
 from homolog.transfer.obj import obj_files, read_obj_colours, read_obj_texture, tells_colours
-from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 
 NO_COLOUR = (160, 160, 160)
 """The colour of what has no counterpart: grey."""

@@ -17,8 +17,8 @@ from scipy.ndimage import distance_transform_edt
 from homolog.core.choices import TEXTURE_SIZE
 from homolog.core.errors import needs_extra
 from homolog.geometry.grouping import runs
+from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.transfer.appearance import NO_COLOUR
-from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 
 # Texels between charts, so that filtering does not mix them.
 _PADDING = 4

@@ -20,6 +20,7 @@ from homolog.core.files import (
     write_json,
     write_npy,
 )
+from homolog.geometry.projection import SurfaceProjector
 from homolog.shapes import drawable, write_shape
 from homolog.transfer.appearance import Appearance, Checkerboard, left_out
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
@@ -27,7 +28,6 @@ from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels
 from homolog.transfer.landmarks import read_landmarks, system_of
 from homolog.transfer.obj import write_obj
-from homolog.transfer.projection import SurfaceProjector
 from homolog.transfer.skin import Skin
 from homolog.transfer.transfer import Transfer, no_counterpart_label
 

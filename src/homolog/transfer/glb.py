@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from homolog.core.errors import needs_extra
 from homolog.core.files import atomic_path
 from homolog.geometry import unit
+from homolog.geometry.projection import SurfaceProjector
 from homolog.shapes import Shape, drawable
 from homolog.shapes.cleaning import clean
 from homolog.shapes.formats.gltf import GlbWriter
 from homolog.transfer.appearance import Texture
 from homolog.transfer.atlas import Atlas
 from homolog.transfer.gltf import linear
-from homolog.transfer.projection import SurfaceProjector
 from homolog.transfer.skin import Skin, strongest_influences
 
 Image = UInt8[np.ndarray, "h w 3"]

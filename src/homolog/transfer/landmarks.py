@@ -30,6 +30,7 @@ LANDMARK_SUFFIXES = (".mrk.json", ".json", ".fcsv", ".csv", ".txt", ".xyz")
 
 _LPS_TO_RAS = np.array([-1.0, -1.0, 1.0])  # and back
 # Older .fcsv files have numbers for the systems.
+_FCSV_LABEL = 11
 # Beyond it floating-point numbers end.
 _LARGEST = 1e300
 _SYSTEMS: dict[str, System] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}

@@ -1,7 +1,7 @@
 """Smooth maps between surfaces: for each point of one shape a point on the other's surface, made from point maps.
 
 A point map leads from vertex to vertex, so that it folds and tears at the size of the triangles. Here the source is
-registered non-rigidly to the target along both point maps (``homolog.transfer.deformation``), and then projected onto
+registered non-rigidly to the target along both point maps (``homolog.geometry.deformation``), and then projected onto
 the target's surface.
 """
 
@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float, Int
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, unit
+from homolog.geometry.deformation import DeformedTemplate, WeightedPairs
+from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.matching import Match
 from homolog.shapes import Shape
-from homolog.transfer.deformation import DeformedTemplate, WeightedPairs
-from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 
 _LEAST_CONFIDENCE = 0.01
 

@@ -9,11 +9,11 @@ from jaxtyping import Float, Int, Num, UInt8
 
 from homolog.core.choices import TEXTURE_SIZE
 from homolog.core.errors import ArgumentError
+from homolog.geometry.projection import SurfaceProjector
 from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer.appearance import Appearance, Checkerboard
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
-from homolog.transfer.projection import SurfaceProjector
 from homolog.transfer.skin import Skin, transfer_skin
 from homolog.transfer.smooth_map import SurfaceMap, surface_map
 

@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 
 from homolog.core.errors import ArgumentError
 from homolog.core.memory import row_tiles
-from homolog.geometry import ReferenceSurface, SplitSurface, Surface, split_long, surface_area, unit
+from homolog.geometry.scale import surface_area
+from homolog.geometry.surface import ReferenceSurface, SplitSurface, Surface, split_long, unit
 from homolog.shapes import Repaired, Shape, repair
 from homolog.shapes.cleaning import clean
 

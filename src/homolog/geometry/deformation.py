@@ -16,11 +16,12 @@ import scipy.sparse as sparse
 from jaxtyping import Bool, Float, Int
 from scipy.sparse.linalg import splu
 
-from homolog.geometry import Surface, cloud_laplacian, mesh_laplacian
-from homolog.transfer.projection import SurfaceProjector
+from homolog.geometry.laplacian import cloud_laplacian, mesh_laplacian
+from homolog.geometry.projection import SurfaceProjector
+from homolog.geometry.surface import Surface
 
 # Lengths are in spacings of the deformed shape's points.
-_STIFFNESS = 3.0  # below this length the template keeps its form, above it the point maps decide
+_STIFFNESS = 3.0
 _ROTATION_SMOOTHING = 2.0  # radius over which rotations are averaged
 _SCALE_SMOOTHING = 10.0  # radius over which scales are averaged
 _SCALES = (0.2, 5.0)  # bounds of the local scale, relative to the global one
@@ -36,11 +37,19 @@ _ONE_SIDED = 0.5
 
 @dataclass(frozen=True)
 class WeightedPairs:
-    """Correspondences that pull: points of the source, their positions on the target, and their weights."""
+    """Correspondences that pull.
+
+    Args:
+        points: of the source (p,).
+        positions: where each belongs on the target (p, 3).
+        weights: of each (p,).
+        n_certain: how many of the last ones are certain: their weights do not fall where they lie far away.
+    """
 
     points: Int[np.ndarray, " p"]
     positions: Float[np.ndarray, "p 3"]
     weights: Float[np.ndarray, " p"]
+    n_certain: int = 0
 
 
 class DeformedTemplate:
@@ -52,10 +61,13 @@ class DeformedTemplate:
         source: the shape that is deformed.
         target: the shape that it is deformed onto.
         pairs: correspondences between the repaired shapes.
+        stiffness: in spacings of the source's points: what is smaller keeps its form, what is larger the pairs decide.
     """
 
-    def __init__(self, source: SurfaceProjector, target: SurfaceProjector, pairs: WeightedPairs) -> None:
-        self.source, self.target, self.pairs = source, target, pairs
+    def __init__(
+        self, source: SurfaceProjector, target: SurfaceProjector, pairs: WeightedPairs, *, stiffness: float = _STIFFNESS
+    ) -> None:
+        self.source, self.target, self.pairs, self.stiffness = source, target, pairs, stiffness
         shape = source.shape
         self.count = shape.n_points
         laplacian, mass = (
@@ -84,7 +96,7 @@ class DeformedTemplate:
         positions = pulled / np.where(pull > 0, pull, 1.0)[:, None]
         known = (pull > 0)[self.ends].all(axis=0)
         for number in range(_ROUNDS):
-            stiffness = self._length(_STIFFNESS) ** 2
+            stiffness = self._length(self.stiffness) ** 2
             bent = stiffness * self._edge_forces(positions, known if number == 0 else np.ones_like(known))
             total, right = pull + _HOLD * self.mass, pulled + bent
             if number >= _FREE_ROUNDS:
@@ -97,7 +109,9 @@ class DeformedTemplate:
             # Geman and McClure's robust weights: pairs far from the deformed template count less.
             away = np.linalg.norm(self.pairs.positions - positions[self.pairs.points], axis=1)
             far = max(_FAR * float(np.median(away)), self.target.spacing)
-            pull, pulled = self._pulled(weights * (1.0 / (1.0 + (away / far) ** 2) ** 2))
+            trust = 1.0 / (1.0 + (away / far) ** 2) ** 2
+            trust[len(trust) - self.pairs.n_certain :] = 1.0
+            pull, pulled = self._pulled(weights * trust)
         return orientation, positions
 
     @cached_property
