@@ -1,11 +1,13 @@
-"""Render synthetic people or animals as one contact sheet, coloured by position on the common template.
+"""Render synthetic people, animals, hands or heads as one contact sheet, coloured by position on the common template.
 
 Run from the root of the checkout::
 
     homolog synth people -n 64 -o people
     python tools/render_bodies.py people docs/images/people.png
     homolog synth animals -n 64 -o animals
-    python tools/render_bodies.py animals docs/images/animals.png --from-the-side
+    python tools/render_bodies.py animals docs/images/animals.png --from side
+    homolog synth hands -n 64 -o hands
+    python tools/render_bodies.py hands docs/images/hands.png --from near
 """
 
 from __future__ import annotations
@@ -20,9 +22,13 @@ import pyvista
 from homolog.datasets import ShapeFolder
 from homolog.shapes import read_shape
 
-# From the front, bodies are drawn at one scale, so that children are small; from the side, each fills its picture.
-_FRONT, _SIDE = np.array([1.3, 0.6, 4.0]), np.array([4.0, 0.9, 1.8])
-_FRONT_SIZE, _SIDE_SIZE = (150, 200), (150, 128)
+# Where the camera is, and the size of a picture. From the front, bodies are drawn at one scale, so that children are
+# small; from the side and from nearby, each fills its picture.
+_VIEWS = {
+    "front": (np.array([1.3, 0.6, 4.0]), (150, 200)),
+    "side": (np.array([4.0, 0.9, 1.8]), (150, 128)),
+    "near": (np.array([1.3, 0.3, 4.0]), (128, 150)),
+}
 _HALF_HEIGHT = 1.2
 
 
@@ -36,11 +42,11 @@ def colours(folder: ShapeFolder, name: str) -> np.ndarray:
     return np.asarray((50 + 200 * (at - low) / (high - low)).astype(np.uint8))
 
 
-def render(folder: ShapeFolder, picture: Path, columns: int, count: int, *, from_the_side: bool) -> None:
+def render(folder: ShapeFolder, picture: Path, columns: int, count: int, view: str) -> None:
     """Draw the first bodies in rows."""
     names = folder.names[:count]
     rows = -(-len(names) // columns)
-    width, height = _SIDE_SIZE if from_the_side else _FRONT_SIZE
+    camera, (width, height) = _VIEWS[view]
     size = [columns * width, rows * height]
     # pyvista's own annotations mislead the type checker here.
     plotter: Any = pyvista.Plotter(off_screen=True, shape=(rows, columns), window_size=size, border=False)
@@ -53,11 +59,13 @@ def render(folder: ShapeFolder, picture: Path, columns: int, count: int, *, from
         plotter.view_xy()
         middle = (shape.points.min(axis=0) + shape.points.max(axis=0)) / 2
         plotter.camera.focal_point = middle
-        plotter.camera.position = middle + (_SIDE if from_the_side else _FRONT)
+        plotter.camera.position = middle + camera
         plotter.camera.up = (0.0, 1.0, 0.0)
         plotter.enable_parallel_projection()
-        tall, deep = np.ptp(shape.points[:, 1]) / 2 * 1.05, np.ptp(shape.points[:, 2]) / 2 * 1.05
-        plotter.camera.parallel_scale = max(tall, deep * height / width) if from_the_side else max(tall, _HALF_HEIGHT)
+        across = np.ptp(shape.points[:, 2 if view == "side" else 0])
+        tall = np.ptp(shape.points[:, 1]) / 2 * 1.05
+        wide = across / 2 * 1.05 * height / width
+        plotter.camera.parallel_scale = max(tall, _HALF_HEIGHT if view == "front" else wide)
         plotter.reset_camera_clipping_range()
     plotter.set_background("white")
     plotter.screenshot(picture)
@@ -66,14 +74,14 @@ def render(folder: ShapeFolder, picture: Path, columns: int, count: int, *, from
 def main() -> None:
     """Read the arguments and render."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("bodies", type=Path, help="folder that homolog synth people or homolog synth animals wrote")
+    parser.add_argument("bodies", type=Path, help="folder that homolog synth wrote")
     parser.add_argument("picture", type=Path, help="PNG to write")
     parser.add_argument("--columns", type=int, default=16)
     parser.add_argument("--count", type=int, default=64)
-    parser.add_argument("--from-the-side", action="store_true")
+    parser.add_argument("--from", dest="view", choices=_VIEWS, default="front", help="where the camera is")
     arguments = parser.parse_args()
     folder = ShapeFolder.open(arguments.bodies)
-    render(folder, arguments.picture, arguments.columns, arguments.count, from_the_side=arguments.from_the_side)
+    render(folder, arguments.picture, arguments.columns, arguments.count, arguments.view)
 
 
 if __name__ == "__main__":

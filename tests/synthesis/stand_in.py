@@ -48,3 +48,34 @@ class Crossing(StandIn):
         if turned > np.deg2rad(70.0):
             vertices[::2, 0] *= -1.0
         return vertices
+
+
+def hand_skeleton():
+    """A left hand whose fingers point to +y; its thumb is at +x, and its palm looks to -z."""
+    heads = {"wrist.L": (0.0, 0.0, 0.0), "finger1-1.L": (0.02, 0.02, -0.01)}
+    heads |= {"finger1-2.L": (0.045, 0.04, -0.02), "finger1-3.L": (0.06, 0.06, -0.03)}
+    for number, across in zip(range(2, 6), (0.03, 0.0, -0.02, -0.04), strict=True):
+        for joint in (1, 2, 3):
+            heads[f"finger{number}-{joint}.L"] = (across, 0.06 + 0.03 * joint, -0.002 * (joint - 1))
+    return {name: np.array(head) for name, head in heads.items()}
+
+
+class PartStandIn:
+    """Parts that are ellipsoids cut off at the bottom, as high as their build says."""
+
+    local_changes = ("l-ear-scale-incr", "r-ear-scale-incr", "nose-hump-incr", "l-hand-scale-incr")
+
+    def __init__(self):
+        self._vertices, self._faces = sphere(3)
+        self.skeleton = hand_skeleton()
+        self.at_joints = np.zeros(len(self._vertices), dtype=bool)
+        self.seen = []
+
+    def part(self, label):
+        outer = self._faces[(self._vertices[self._faces][:, :, 1] > -0.8).all(axis=1)]
+        assert label in ("hand.L", "head")
+        return Template.of_outer_faces(outer, self.vertices({}, {}), np.ones(len(self._vertices)), cut=True)
+
+    def vertices(self, build, linear, changes=None, actions=None):
+        self.seen.append((dict(build), dict(linear), dict(changes or {}), dict(actions or {})))
+        return self._vertices * [0.3, 0.5 + 0.5 * build.get("height", 0.5), 0.2]

@@ -6,6 +6,8 @@ synth = lazy_typer(
     "synth",
     help="Make shapes for training and tests, with ground truth.",
     people="homolog.cli.synth_people:people",
+    hands="homolog.cli.synth_hands:hands",
+    heads="homolog.cli.synth_heads:heads",
     animals="homolog.cli.synth_animals:animals",
     views="homolog.cli.synth_views:views",
     part="homolog.cli.synth_part:part",

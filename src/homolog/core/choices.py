@@ -18,6 +18,8 @@ Turn = Literal["none", "vertical", "any"]
 """Which rotations are drawn: none, about the vertical axis, or any, all of them as likely."""
 Poses = Literal["natural", "wide"]
 """Which poses synthetic people have."""
+HandSides = Literal["both", "left", "right"]
+"""Which hands are made."""
 Split = Literal["train", "test", "all"]
 """Which shapes of a dataset."""
 System = Literal["LPS", "RAS"]

@@ -1,4 +1,4 @@
-"""Synthetic data with exact ground truth: people, animals, and partial shapes (cuts, holes, views) of full ones."""
+"""Synthetic data with exact ground truth: people, hands, heads, animals; partial shapes."""
 
 from homolog.synthesis.animals import Animals
 from homolog.synthesis.bodies import Body, BodySettings, Kind, MeshedBody, make_body, mesh_body
@@ -6,9 +6,16 @@ from homolog.synthesis.body_folder import BodyFolder, write_shape_files
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.cutting import cut, cut_holes
 from homolog.synthesis.degradation import add_outliers, subsample
+from homolog.synthesis.hands import Hands
+from homolog.synthesis.heads import Heads
 from homolog.synthesis.partial_shape import PartialShape
 from homolog.synthesis.people import People
-from homolog.synthesis.production import synthesize_animals, synthesize_people
+from homolog.synthesis.production import (
+    synthesize_animals,
+    synthesize_hands,
+    synthesize_heads,
+    synthesize_people,
+)
 from homolog.synthesis.remeshing import MeshSettings
 from homolog.synthesis.view_dataset import write_view_dataset
 from homolog.synthesis.views import Camera, View, ViewSettings, sample_camera, view, view_from
@@ -20,6 +27,8 @@ __all__ = [
     "BodyModel",
     "BodySettings",
     "Camera",
+    "Hands",
+    "Heads",
     "Kind",
     "MeshSettings",
     "MeshedBody",
@@ -35,6 +44,8 @@ __all__ = [
     "sample_camera",
     "subsample",
     "synthesize_animals",
+    "synthesize_hands",
+    "synthesize_heads",
     "synthesize_people",
     "view",
     "view_from",

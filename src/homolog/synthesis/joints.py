@@ -120,78 +120,86 @@ def bone_rotations(angles: Angles, skeleton: Skeleton) -> dict[str, Float[np.nda
     }
 
 
-def _about(axis: Float[np.ndarray, " 3"], degrees: float) -> Rotation:
+def about(axis: Float[np.ndarray, " 3"], degrees: float) -> Rotation:
+    """The rotation about an axis of unit length."""
     return Rotation.from_rotvec(np.deg2rad(degrees) * axis)
 
 
 def _middle(angles: Angles) -> dict[str, Rotation]:
     """Trunk, neck, and the orientation of the whole body."""
-    stand = _about(_Y, angles["heading"]) * _about(_X, angles["lean"]) * _about(_Z, -angles["sway"])
+    stand = about(_Y, angles["heading"]) * about(_X, angles["lean"]) * about(_Z, -angles["sway"])
     shares = zip(_SPINE + _NECK, _SPINE_BENDS + _NECK_SHARES, _SPINE_ROTATIONS + _NECK_SHARES, strict=True)
     rotations = {"root": stand}
     for bone, bends, twists in shares:
         region = "trunk" if bone in _SPINE else "neck"
-        twist = _about(_Y, twists * angles[f"{region}_rotation"])
-        bend = _about(_Z, -bends * angles[f"{region}_bend"])
-        rotations[bone] = twist * bend * _about(_X, bends * angles[f"{region}_flexion"])
+        twist = about(_Y, twists * angles[f"{region}_rotation"])
+        bend = about(_Z, -bends * angles[f"{region}_bend"])
+        rotations[bone] = twist * bend * about(_X, bends * angles[f"{region}_flexion"])
     return rotations
+
+
+def neck_rotations(angles: Angles) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """The rotations of the bones of trunk and neck for angles of the neck alone."""
+    turned = _middle({**dict.fromkeys(MIDDLE_RANGES, 0.0), **angles})
+    return {bone: rotation.as_matrix() for bone, rotation in turned.items()}
 
 
 def _arm(angles: Angles, skeleton: Skeleton) -> dict[str, Rotation]:
     """The left shoulder girdle, shoulder, elbow and forearm."""
-    upper, fore = _direction(skeleton, "upperarm01.L", "lowerarm01.L"), _direction(skeleton, "lowerarm01.L", "wrist.L")
+    upper, fore = direction(skeleton, "upperarm01.L", "lowerarm01.L"), direction(skeleton, "lowerarm01.L", "wrist.L")
     elbow_axis = _unit(np.cross(upper, fore))
     bent_at_rest = np.rad2deg(np.arccos(upper @ fore))
     plane, elevation = np.deg2rad(angles["shoulder_plane"]), angles["shoulder_elevation"]
     axis = np.cos(plane) * _Z - np.sin(plane) * _X
     hanging = Rotation.from_matrix(smallest_rotation(upper, -_Y))
-    half_axial = _about(upper, angles["shoulder_rotation"] / 2.0)
+    half_axial = about(upper, angles["shoulder_rotation"] / 2.0)
     lifted = max(elevation - _GIRDLE_FROM, 0.0)
-    rotations = {bone: _about(axis, share * lifted) for bone, share in _GIRDLE.items()}
+    rotations = {bone: about(axis, share * lifted) for bone, share in _GIRDLE.items()}
     girdle = rotations["clavicle"] * rotations["shoulder01"]
-    rotations["upperarm01"] = girdle.inv() * _about(axis, elevation) * hanging * half_axial
+    rotations["upperarm01"] = girdle.inv() * about(axis, elevation) * hanging * half_axial
     rotations["upperarm02"] = half_axial
-    rotations["lowerarm01"] = _about(elbow_axis, angles["elbow_flexion"] - bent_at_rest)
-    rotations["lowerarm02"] = _about(fore, 0.6 * angles["forearm_pronation"])
+    rotations["lowerarm01"] = about(elbow_axis, angles["elbow_flexion"] - bent_at_rest)
+    rotations["lowerarm02"] = about(fore, 0.6 * angles["forearm_pronation"])
     return rotations
 
 
 def _hand(angles: Angles, skeleton: Skeleton) -> dict[str, Rotation]:
     """The left wrist, with the rest of the forearm's pronation, and fingers."""
-    fore, ahead = _direction(skeleton, "lowerarm01.L", "wrist.L"), _direction(skeleton, "wrist.L", "finger3-1.L")
-    curls = {i: _curl_axis(skeleton, i) for i in range(1, 6)}
+    fore, ahead = direction(skeleton, "lowerarm01.L", "wrist.L"), direction(skeleton, "wrist.L", "finger3-1.L")
+    curls = {i: curl_axis(skeleton, i) for i in range(1, 6)}
     flexion_axis = _unit(curls[3] - (curls[3] @ ahead) * ahead)
     palm = np.cross(flexion_axis, ahead)
-    twist = _about(fore, 0.4 * angles["forearm_pronation"])
-    bend = _about(palm, -angles["wrist_deviation"]) * _about(flexion_axis, angles["wrist_flexion"])
+    twist = about(fore, 0.4 * angles["forearm_pronation"])
+    bend = about(palm, -angles["wrist_deviation"]) * about(flexion_axis, angles["wrist_flexion"])
     rotations = {"wrist": twist * bend}
     for i, axis in curls.items():
         shares = (0.0, 0.5, 0.5) if i == 1 else (0.8, 1.0, 0.7)
         for joint, share in enumerate(shares, 1):
-            rotations[f"finger{i}-{joint}"] = _about(axis, share * angles["finger_curl"])
+            rotations[f"finger{i}-{joint}"] = about(axis, share * angles["finger_curl"])
     return rotations
 
 
 def _leg(angles: Angles) -> dict[str, Rotation]:
     """The left hip, knee, ankle and toes."""
-    hip = _about(_X, -angles["hip_flexion"]) * _about(_Z, angles["hip_abduction"])
-    toes = {f"toe{i}-1": _about(_X, -angles["toe_extension"]) for i in range(1, 6)}
+    hip = about(_X, -angles["hip_flexion"]) * about(_Z, angles["hip_abduction"])
+    toes = {f"toe{i}-1": about(_X, -angles["toe_extension"]) for i in range(1, 6)}
     return {
-        "upperleg01": hip * _about(_Y, angles["hip_rotation"]),
-        "lowerleg01": _about(_X, angles["knee_flexion"]),
-        "foot": _about(_X, -angles["ankle_dorsiflexion"]),
+        "upperleg01": hip * about(_Y, angles["hip_rotation"]),
+        "lowerleg01": about(_X, angles["knee_flexion"]),
+        "foot": about(_X, -angles["ankle_dorsiflexion"]),
         **toes,
     }
 
 
-def _direction(skeleton: Skeleton, start: str, end: str) -> Float[np.ndarray, " 3"]:
+def direction(skeleton: Skeleton, start: str, end: str) -> Float[np.ndarray, " 3"]:
+    """The unit vector from the origin of a bone to that of another."""
     return _unit(skeleton[end] - skeleton[start])
 
 
-def _curl_axis(skeleton: Skeleton, finger: int) -> Float[np.ndarray, " 3"]:
+def curl_axis(skeleton: Skeleton, finger: int) -> Float[np.ndarray, " 3"]:
     """The axis about which a left finger, a little bent at rest, bends further."""
-    first = _direction(skeleton, f"finger{finger}-1.L", f"finger{finger}-2.L")
-    return _unit(np.cross(first, _direction(skeleton, f"finger{finger}-2.L", f"finger{finger}-3.L")))
+    first = direction(skeleton, f"finger{finger}-1.L", f"finger{finger}-2.L")
+    return _unit(np.cross(first, direction(skeleton, f"finger{finger}-2.L", f"finger{finger}-3.L")))
 
 
 def _unit(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:

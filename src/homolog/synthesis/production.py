@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import get_args
 
 from homolog.core.arguments import check_choice, check_count
-from homolog.core.choices import Poses
+from homolog.core.choices import HandSides, Poses
 from homolog.core.progress import Progress, ignore
 from homolog.core.tasks import run_tasks
 from homolog.geometry.surface import BarycentricPoints
@@ -17,6 +17,8 @@ from homolog.synthesis.animals import Animals
 from homolog.synthesis.bodies import BodySettings, Kind, make_body
 from homolog.synthesis.body_folder import BodyFolder
 from homolog.synthesis.body_model import BodyModel
+from homolog.synthesis.hands import Hands
+from homolog.synthesis.heads import Heads
 from homolog.synthesis.people import People
 from homolog.synthesis.template import sample_evenly
 
@@ -88,6 +90,73 @@ def synthesize_animals(
     return _synthesize(Animals, output, n, settings, processes=processes, progress=progress)
 
 
+def synthesize_hands(
+    output: str | Path,
+    n: int,
+    settings: BodySettings | None = None,
+    *,
+    sides: HandSides = "both",
+    processes: int = 1,
+    progress: Progress = ignore,
+) -> BodyFolder:
+    """Write a dataset of synthetic hands, as ``synthesize_people`` writes people.
+
+    Four bodies in a row are one individual in different poses; every second one is open at the wrist.
+
+    Args:
+        output: the folder; it may hold hands made with the same settings, which are kept.
+        n: number of hands.
+        settings: seed and meshing.
+        sides: ``"left"``, ``"right"``, or ``"both"``: individuals of which every second one is a right hand.
+        processes: number of worker processes; the hands do not depend on it.
+        progress: called with the number of finished hands, their total and the current hand's name.
+
+    Returns:
+        The folder, which ``ShapeFolder`` reads.
+
+    Raises:
+        ArgumentError: if an argument is out of range, or the folder holds something else or cannot be written to.
+        MissingExtraError: if the package anny is not installed.
+
+    Examples:
+        >>> synthesize_hands("hands", 400, BodySettings(seed=1), processes=4)  # doctest: +SKIP
+    """
+    check_choice("sides", sides, get_args(HandSides))
+    return _synthesize(partial(_hands, sides), output, n, settings, processes=processes, progress=progress)
+
+
+def synthesize_heads(
+    output: str | Path,
+    n: int,
+    settings: BodySettings | None = None,
+    *,
+    processes: int = 1,
+    progress: Progress = ignore,
+) -> BodyFolder:
+    """Write a dataset of synthetic heads, as ``synthesize_people`` writes people.
+
+    Four bodies in a row are one individual with different expressions; every second one is open at the neck.
+
+    Args:
+        output: the folder; it may hold heads made with the same settings, which are kept.
+        n: number of heads.
+        settings: seed and meshing.
+        processes: number of worker processes; the heads do not depend on it.
+        progress: called with the number of finished heads, their total and the current head's name.
+
+    Returns:
+        The folder, which ``ShapeFolder`` reads.
+
+    Raises:
+        ArgumentError: if an argument is out of range, or the folder holds something else or cannot be written to.
+        MissingExtraError: if the package anny is not installed.
+
+    Examples:
+        >>> synthesize_heads("heads", 400, BodySettings(seed=1), processes=4)  # doctest: +SKIP
+    """
+    return _synthesize(_heads, output, n, settings, processes=processes, progress=progress)
+
+
 def _synthesize(
     kind_of_process: Callable[[], Kind],
     output: str | Path,
@@ -107,7 +176,7 @@ def _synthesize(
     progress(0, n, "checking the existing files")
     missing = [index for index, name in enumerate(names) if not folder.has_all_files(name)]
     if missing or not folder.has_template():
-        points = sample_evenly(template.rest, TEMPLATE_POINTS)
+        points = sample_evenly(template.rest, TEMPLATE_POINTS, without=template.lid)
         folder.write_template(template.rest, points)
     if missing:
         make = _Making(kind_of_process, points, settings, folder)
@@ -142,7 +211,20 @@ def _people(poses: Poses) -> People:
     return People(_body_model(), poses)
 
 
+def _hands(sides: HandSides) -> Hands:
+    return Hands(_detailed_model(), sides)
+
+
+def _heads() -> Heads:
+    return Heads(_detailed_model())
+
+
 @cache
 def _body_model() -> BodyModel:
     """The body model of this process; loading it takes seconds."""
     return BodyModel()
+
+
+@cache
+def _detailed_model() -> BodyModel:
+    return BodyModel(details=True)

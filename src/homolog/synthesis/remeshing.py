@@ -91,7 +91,7 @@ def _improved(
 def relax(mesh: Surface, reference: ReferenceSurface) -> Surface:
     """Tangential Laplacian smoothing: move vertices halfway to their neighbours' mean, where that folds nothing."""
     old, normals = mesh.vertices, mesh.vertex_normals
-    step = 0.5 * (_neighbours_middle(mesh) - old)
+    step = 0.5 * (neighbours_middle(mesh) - old)
     step -= np.einsum("nk,nk->n", step, normals)[:, None] * normals
     new = reference.onto_tangent_planes(old + step, normals)
     has_area = mesh.face_normals.any(axis=1)
@@ -105,7 +105,8 @@ def relax(mesh: Surface, reference: ReferenceSurface) -> Surface:
     return mesh
 
 
-def _neighbours_middle(mesh: Surface) -> Float[np.ndarray, "n 3"]:
+def neighbours_middle(mesh: Surface) -> Float[np.ndarray, "n 3"]:
+    """The mean position of each vertex's neighbours, of a closed mesh."""
     count = len(mesh.vertices)
     edges = edges_of(mesh.faces, count)
     here, there = np.concatenate([edges.a, edges.b]), np.concatenate([edges.b, edges.a])

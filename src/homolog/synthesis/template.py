@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
@@ -27,6 +27,7 @@ class Template:
         faces: triangles over the kept vertices and the centres.
         detail: the target edge length at each vertex, relative to the trunk's.
         rest: the mean body in the rest pose.
+        lid: triangles that close a cut, where there is one; they may be taken away.
     """
 
     kept: Int[np.ndarray, " k"]
@@ -34,10 +35,16 @@ class Template:
     faces: Int[np.ndarray, "m 3"]
     detail: Float[np.ndarray, " n"]
     rest: Surface
+    lid: Int[np.ndarray, " l"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @classmethod
     def of_outer_faces(
-        cls, faces: Int[np.ndarray, "m 3"], vertices: Float[np.ndarray, "v 3"], detail: Float[np.ndarray, " v"]
+        cls,
+        faces: Int[np.ndarray, "m 3"],
+        vertices: Float[np.ndarray, "v 3"],
+        detail: Float[np.ndarray, " v"],
+        *,
+        cut: bool = False,
     ) -> Template:
         """Close the holes of a model's outer surface.
 
@@ -45,6 +52,7 @@ class Template:
             faces: triangles of the model's vertices.
             vertices: all the model's vertices, of the mean body in the rest pose.
             detail: the relative target edge length at each of them.
+            cut: whether the longest hole is where the surface was cut.
         """
         kept, renumbered = np.unique(faces, return_inverse=True)
         open_faces = renumbered.reshape(-1, 3)
@@ -54,11 +62,19 @@ class Template:
         ]
         closed = np.concatenate([open_faces, *fans])
         rest = Surface(_with_centres(vertices[kept], rims), closed)
-        return cls(kept, rims, closed, _with_centres(detail[kept], rims), rest)
+        lid = np.arange(len(open_faces), len(closed))
+        if cut:
+            longest = int(np.argmax([_length(vertices[kept][rim]) for rim in rims]))
+            lid = np.split(lid, np.cumsum([len(rim) for rim in rims])[:-1])[longest]
+        return cls(kept, rims, closed, _with_centres(detail[kept], rims), rest, lid if cut else lid[:0])
 
     def surface(self, vertices: Float[np.ndarray, "v 3"]) -> Surface:
         """The closed surface of a body, from all the model's vertices."""
         return Surface(_with_centres(vertices[self.kept], self.rims), self.faces)
+
+
+def _length(rim: Float[np.ndarray, "r 3"]) -> float:
+    return float(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1).sum())
 
 
 def _with_centres(values: np.ndarray, rims: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -82,10 +98,19 @@ def boundary_loops(faces: Int[np.ndarray, "m 3"]) -> list[Int[np.ndarray, " r"]]
     return loops
 
 
-def sample_evenly(surface: Surface, count: int) -> BarycentricPoints:
-    """Sample a surface evenly: farthest point sampling (Y. Eldar et al., 1997) of uniform random points."""
+def sample_evenly(surface: Surface, count: int, *, without: Int[np.ndarray, " l"] | None = None) -> BarycentricPoints:
+    """Sample a surface evenly: farthest point sampling (Y. Eldar et al., 1997) of uniform random points.
+
+    Args:
+        surface: to sample.
+        count: number of points.
+        without: triangles that get no points.
+    """
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=False)
-    points, triangle_of = trimesh.sample.sample_surface(mesh, _CANDIDATES_PER_POINT * count, seed=_SEED)
+    weights = np.array(mesh.area_faces)
+    weights[[] if without is None else without] = 0.0
+    candidates = _CANDIDATES_PER_POINT * count
+    points, triangle_of = trimesh.sample.sample_surface(mesh, candidates, face_weight=weights, seed=_SEED)
     chosen = farthest_points(np.asarray(points), count, seed=_SEED)
     triangles = np.asarray(triangle_of)[chosen].astype(np.int64)
     corners = surface.vertices[surface.faces[triangles]]
