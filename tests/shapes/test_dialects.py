@@ -299,8 +299,8 @@ def test_tables_with_a_byte_order_mark(tmp_path, encoding):
         (",x,y\n0,1.5,2.5\n1,2,3\n", "its columns are named x, y; a z is missing"),
         ("x|y\n1.5|2.5\n", "its columns are named x, y; a z is missing"),
         ("x\n1.5\n", "its columns are named x; y and z are missing"),
-        ("1.5,2.5\n3.5,4.5\n", "it has 2 columns, but three are needed"),
-        ("1.5 2.5\n3.5 4.5\n", "it has 2 columns, but three are needed"),
+        ("1.5,2.5\n3.5,4.5\n", "its first row '1.5,2.5' has 2 values, but three columns are needed"),
+        ("1.5 2.5\n3.5 4.5\n", "its first row '1.5 2.5' has 2 values, but three columns are needed"),
         ("1.5~2.5~3.5\n" * 2, "the line '1.5~2.5~3.5' is one value, but x, y and z are needed, separated by commas"),
     ],
 )

@@ -83,6 +83,20 @@ def checked_json(text: str, kind: Any) -> dict[str, Any]:
     return dict(content)
 
 
+def check_record(content: Any, kind: Any) -> None:
+    """Refuse an object of JSON, which others wrote, where it is not as a model says.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    from pydantic import ValidationError
+
+    try:
+        _model(kind).validate_python(content)
+    except ValidationError as error:
+        raise ValueError(reason_of(error)) from None
+
+
 def _writer(content: dict[str, Any]) -> str:
     """What may have written a file that lacks an entry: an older version, by its number where the file tells it."""
     told = content.get("versions")

@@ -172,7 +172,8 @@ def _check_width(names: list[str], row: str, cells: list[str]) -> None:
             f"the line {shorten(row)!r} is one value, but x, y and z are needed, separated by commas, semicolons, "
             "tabs, | or blanks"
         )
-    raise UnreadableError(f"it has {n_cells} columns, but three are needed, x, y and z; add what is missing")
+    found = f"its first row {shorten(row)!r} has {n_cells} values"
+    raise UnreadableError(f"{found}, but three columns are needed, x, y and z; add what is missing")
 
 
 def _other_columns(cells: list[str], taken: str) -> tuple[Finding, ...]:
