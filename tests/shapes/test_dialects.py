@@ -373,6 +373,14 @@ def test_faces_as_columns_are_refused(tmp_path):
         as_shape((POINTS, faces))
 
 
+@pytest.mark.parametrize("face", [[0, 1, 0.5], [0, 1, np.nan]])
+def test_npz_faces_that_are_no_indices_name_the_path(tmp_path, face):
+    np.savez(tmp_path / "a.npz", points=POINTS, faces=np.array([face]))
+    with pytest.raises(ShapeError) as caught:
+        read_shape(tmp_path / "a.npz")
+    assert str(caught.value).startswith(f"{tmp_path / 'a.npz'} could not be read as NPZ: faces hold {face[2]}")
+
+
 def test_npz_with_quadrilaterals(tmp_path):
     np.savez(tmp_path / "a.npz", points=POINTS, faces=[[0, 1, 2, 3]])
     assert check(read_shape(tmp_path / "a.npz")).area == pytest.approx(1)
