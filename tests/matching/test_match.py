@@ -16,6 +16,7 @@ from homolog.core.errors import ArgumentError, DataError
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.maps import confidence, overlap
 from homolog.matching import Match, align_partial, mat_process, read_point_map, refine, result_files
+from homolog.matching.inputs import options_of
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, repair
 
@@ -504,3 +505,14 @@ def test_what_makes_no_match_is_one_line(given, changes, said):
         replace(given, **changes)
     with pytest.raises(ArgumentError, match="side is 'both', but must be one of source, target"):
         given.matched("both")
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [("partail", "; did you mean 'partial'?"), ("sourc_up", "; did you mean 'source_up'?"), ("q", "landmarks")],
+)
+def test_options_that_do_not_exist_are_named_with_the_nearest(word, said):
+    with pytest.raises(ArgumentError) as caught:
+        options_of(None, {word: "source"})
+    assert f"an option is {word!r}, but must be one of as_cloud, partial" in str(caught.value)
+    assert str(caught.value).endswith(said)
