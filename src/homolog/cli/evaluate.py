@@ -16,6 +16,7 @@ from homolog.cli.options import (
     OUTPUT,
     PARTIAL,
     Adapt,
+    ClutterOption,
     DatasetOption,
     DeviceOption,
     Json,
@@ -37,7 +38,7 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import progress_bar, say
 from homolog.cli.wording import in_options
-from homolog.core.choices import Modalities, Split, Turn, Up
+from homolog.core.choices import Background, Modalities, OutlierKind, Split, Turn, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import write_csv
 from homolog.core.versions import versions
@@ -52,7 +53,20 @@ if TYPE_CHECKING:
     from homolog.pairs import Pair
 
 # Options that have no effect on maps that are there already.
-_OF_MAKING_MAPS = ("noise", "turn", "orient", "method", "weights", "adapt", "pre_aligned", "device", "no_cache")
+_OF_MAKING_MAPS = (
+    "noise",
+    "outliers",
+    "background",
+    "clutter",
+    "turn",
+    "orient",
+    "method",
+    "weights",
+    "adapt",
+    "pre_aligned",
+    "device",
+    "no_cache",
+)
 
 
 def evaluate(
@@ -98,6 +112,27 @@ def evaluate(
             rich_help_panel=INPUT,
         ),
     ] = 0.0,
+    outliers: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Outliers added to every cloud, relative to the number of its points.",
+            min=0.0,
+            rich_help_panel=INPUT,
+        ),
+    ] = 0.0,
+    outlier_kind: Annotated[
+        OutlierKind,
+        typer.Option(
+            help="Where outliers lie: anywhere in the bounding box, in clusters there, or near the surface.",
+            rich_help_panel=INPUT,
+        ),
+    ] = "box",
+    background: Annotated[
+        Background,
+        typer.Option(help="Put every cloud on a floor with as many points.", rich_help_panel=INPUT),
+    ] = "none",
+    clutter: ClutterOption = "remove",
     up: Annotated[
         Up | None,
         typer.Option(
@@ -191,6 +226,8 @@ def evaluate(
 
       homolog evaluate SCAPE_r --weights people.safetensors --modality cloud --noise 0.01 --json scape.json
 
+      homolog evaluate FAUST_r --modality cloud --outliers 0.1 --background floor
+
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -212,6 +249,10 @@ def evaluate(
         partial=partial,
         pre_aligned=(description.pre_aligned and partial) if pre_aligned is None else pre_aligned,
         noise=noise,
+        outliers=outliers,
+        outlier_kind=outlier_kind,
+        background=background,
+        clutter=clutter,
         turn=turn,
         orient=orient,
         seed=seed,
@@ -298,6 +339,8 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
         table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
     if evaluation.missing is not None:
         table.add_row("points without a counterpart", _described_detection(evaluation.missing))
+    if evaluation.clutter is not None:
+        table.add_row("points that were added", _described_detection(evaluation.clutter))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
         without = found[f"mean_{kind}_error_of_matched_points"]
@@ -320,6 +363,8 @@ def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     name = folder.description.name or folder.root.name
     partial = (", partial, pre-aligned" if protocol.pre_aligned else ", partial") if protocol.partial else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
+    noise += f", {protocol.outliers:g} outliers ({protocol.outlier_kind})" if protocol.outliers else ""
+    noise += "" if protocol.background == "none" else f", {protocol.background}"
     turned = {"none": "", "vertical": ", turned about the vertical", "any": ", turned"}[protocol.turn]
     return f"{name}, {protocol.modality}{partial}{noise}{turned}"
 

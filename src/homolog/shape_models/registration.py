@@ -109,7 +109,9 @@ class Template:
         check_template(shape)
         self.projector = SurfaceProjector(shape)
         self.matcher, self.orient = matcher, orient
-        self.prepared = matcher.preprocess(shape, up=up, as_cloud=as_cloud, orient=orient, label="template")
+        self.prepared = matcher.preprocess(
+            shape, up=up, as_cloud=as_cloud, orient=orient, clutter="keep", label="template"
+        )
 
     def registered_to(self, shape: Shape, *, up: Up = "y", as_cloud: bool = False, strict: bool = False) -> Registered:
         """Match a shape, and register the template's surface to it smoothly.

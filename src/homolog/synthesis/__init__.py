@@ -5,7 +5,7 @@ from homolog.synthesis.bodies import Body, BodySettings, Kind, MeshedBody, make_
 from homolog.synthesis.body_folder import BodyFolder, write_shape_files
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.cutting import cut, cut_holes
-from homolog.synthesis.degradation import add_outliers, subsample
+from homolog.synthesis.degradation import add_floor, add_outliers, add_strays, subsample
 from homolog.synthesis.partial_shape import PartialShape
 from homolog.synthesis.people import People
 from homolog.synthesis.production import synthesize_animals, synthesize_people
@@ -27,7 +27,9 @@ __all__ = [
     "People",
     "View",
     "ViewSettings",
+    "add_floor",
     "add_outliers",
+    "add_strays",
     "cut",
     "cut_holes",
     "make_body",
