@@ -233,10 +233,7 @@ def evaluate(
     set_verbosity(quiet=quiet, verbose=verbose)
     check_json(json)
     check_files(csv, plot)
-    if maps is not None:
-        _refuse_unused(context)
-    if maps is None and base is not None:
-        raise ArgumentError(f"--base is {base}, but is about the files of --maps; add --maps DIR, or leave it out")
+    _check_maps(context, maps, base)
     check_inputs(weights=weights)
     known = homolog.datasets
     description = known.DatasetDescription() if dataset is None else known.read_description(dataset)
@@ -274,6 +271,14 @@ def evaluate(
     write_figures(json, figures)
     if not quiet:
         _tell(evaluation, figures, _title(folder, protocol), table=not on_stdout(json))
+
+
+def _check_maps(context: typer.Context, maps: Path | None, base: int | None) -> None:
+    """Refuse options that do not go with maps that are there, or not there."""
+    if maps is not None:
+        _refuse_unused(context)
+    elif base is not None:
+        raise ArgumentError(f"--base is {base}, but is about the files of --maps; add --maps DIR, or leave it out")
 
 
 def _refuse_unused(context: typer.Context) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
 from homolog.core.arguments import check_kind, given_or_default
 from homolog.core.errors import ArgumentError, DataError, bad_value
@@ -281,10 +282,16 @@ class _Run:
             yield self._pair(pair, matches[number], self.truths[number], mapped[number], errors[number])
 
     def _mapped(self, pair: PairOfNames, match: Match, truth: Truth) -> Int[np.ndarray, " p"]:
-        """Where points with a known counterpart are mapped to; -1 for points that were added to the source."""
+        """Where points with a known counterpart are mapped to; for an added point the nearest of the source's own."""
         mapped = match.target_to_source[truth.target]
-        found: np.ndarray = np.where(mapped < self.n_own_points(pair, "source"), mapped, -1)
-        return found
+        n_own = self.n_own_points(pair, "source")
+        is_added = mapped >= n_own
+        if not is_added.any():
+            return mapped
+        points = match.source.points
+        own = mapped.copy()
+        own[is_added] = KDTree(points[:n_own]).query(points[mapped[is_added]])[1]
+        return own
 
     def _pair(
         self,

@@ -249,7 +249,8 @@ class _Neighbourhoods:
         off = self.residual - 2 * self.usual > (_RESIDUAL_NOISY if noisy else residual)
         sparse = self.sparsity > (_SPARSE_NOISY if noisy else _SPARSE)
         sparse = (sparse & (self.relative > _SPARSER_THAN_NEAR)) | (self.sparsity > _SPARSE_ALONE)
-        return off | (sparse & (self.thickness > _THICK))
+        found: np.ndarray = off | (sparse & (self.thickness > _THICK))
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +274,8 @@ class _Plane:
 
     def holds(self, points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Which points lie in it (n,)."""
-        return np.abs(self.heights(points)) <= self.band
+        held: np.ndarray = np.abs(self.heights(points)) <= self.band
+        return held
 
     def is_sharp(self, points: Float[np.ndarray, "n 3"]) -> bool:
         """Whether points lie in it and not beside it, as they do around a plane through a curved surface."""
