@@ -77,7 +77,15 @@ def bodies(tmp_path_factory, demo):
     return folder
 
 
-@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.name)
+# Those that take longer than some five seconds.
+SLOW = ("testing/method_checks.check_method",)
+
+
+def marked(example):
+    return pytest.param(example, id=example.name, marks=[pytest.mark.slow] if example.name in SLOW else [])
+
+
+@pytest.mark.parametrize("example", map(marked, EXAMPLES))
 def test_examples_print_what_they_say(example, bodies, tmp_path, monkeypatch):
     shutil.copytree(bodies, tmp_path / "here")
     monkeypatch.chdir(tmp_path / "here")

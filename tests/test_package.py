@@ -66,7 +66,8 @@ FLOORS = CORE | {
     "viewing": GROUND | {"shapes", "geometry", "pairs", "matching", "datasets", "evaluation"},
     "serving": GROUND | {"shapes", "pairs", "matching", "viewing"},
     "statistics": GROUND,
-    "shape_models": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "viewing", "statistics"},
+    "shape_models": GROUND
+    | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"},
     "cli": GROUND
     | BENEATH_EVALUATION
     | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "shape_models"}

@@ -324,12 +324,13 @@ def _mutants(seeds: Sequence[Seed], number: int, campaign: int) -> list[Task]:
 
 
 def _given(files: Sequence[Path]) -> list[Task]:
-    """Files as they are, those in folders too; a folder with a report is a result."""
+    """Files as they are, those in folders too; one with a report is a result, and one of a failure names its reader."""
     found = list[Task]()
     for path in files:
         is_result = path.is_dir() and (path / "report.json").exists()
         held = [path] if is_result or not path.is_dir() else [file for file in sorted(path.iterdir()) if file.is_file()]
-        found += [Task(0, Seed(file, _BY_SUFFIX.get(file.suffix, "shape")), None) for file in held]
+        named = next((word for word in path.name.split("-")[1:2] if word in READERS), None)
+        found += [Task(0, Seed(file, named or _BY_SUFFIX.get(file.suffix, "shape")), None) for file in held]
     return [task._replace(number=number) for number, task in enumerate(found)]
 
 

@@ -5,7 +5,7 @@ Meshes and point clouds, full or partial, in any mix::
     import homolog
 
     source, target = homolog.read_shape("a.ply"), homolog.read_shape("b.obj")
-    matcher = homolog.Matcher.from_weights()  # pretrained on people; or give a file
+    matcher = homolog.Matcher.from_weights()  # pretrained; or give a file
     found = matcher.match(source, target)
     found.source_to_target  # for each source point the index of its target point
 

@@ -15,6 +15,7 @@ pytest.importorskip("matplotlib")
 pytest.importorskip("PIL")
 LOOKED_AT = [
     "shapes",
+    "matches",
     "points.npy",
     "quality.csv",
     "contact_sheet.png",
@@ -76,6 +77,32 @@ def test_files_to_a_folder_and_on(homolog, shapes, tmp_path):
     assert homolog("collection", *shapes, "-o", out, *OPTIONS, "-q").err == ""
     ended = homolog("collection", *shapes, "-o", out, *OPTIONS, "--orient", "given")
     assert ended.is_one_line_of_complaint() and "made in another way (matching)" in ended.err
+
+
+def test_landmarks_and_the_page_of_each_shape(homolog, shapes, tmp_path):
+    out, marks, page = tmp_path / "out", tmp_path / "marks.json", tmp_path / "page.html"
+    top = read_shape(shapes[0]).points.max(axis=0)
+    marks.write_text(json.dumps([{"id": "far", "coordinates": [50, 0, 0]}, {"id": "top", "coordinates": top.tolist()}]))
+    ended = homolog("collection", *shapes, "-o", out, *OPTIONS, "--landmarks", marks)
+    assert ended.code == 0 and "Warning: a landmark of marks.json is" in ended.err
+    assert str(out / "landmarks.csv") in ended.out.splitlines()
+    assert [each["id"] for each in json.loads((out / "landmarks" / "2.json").read_text())] == ["far", "top"]
+    ended = homolog("view", out, "--shape", "2", "--html", page)
+    assert (ended.code, ended.out) == (0, f"{page}\n")
+    alone = tmp_path / "alone.html"
+    assert homolog("view", out / "matches" / "2", "--html", alone).code == 0
+    assert alone.read_bytes() == page.read_bytes()
+    for arguments, told in (
+        ([out], "is a collection; say which of its shapes"),
+        ([out, "--shape", "3"], "'3'"),
+        ([shapes[0].parent, "--shape", "2"], "is no collection"),
+        ([out / "matches" / "2", "--shape", "2"], "is no collection"),
+    ):
+        ended = homolog("view", *arguments, "--html", page)
+        assert ended.is_one_line_of_complaint() and told in ended.err
+    ended = homolog("collection", *shapes, "-o", tmp_path / "no", *OPTIONS, "--landmarks", tmp_path / "none.csv")
+    assert ended.is_one_line_of_complaint() and "none.csv cannot be read as landmarks" in ended.err
+    assert not (tmp_path / "no").exists()
 
 
 def test_a_bad_shape_is_a_line_and_the_exit_code(homolog, shapes, files, tmp_path):
@@ -156,7 +183,8 @@ def test_an_interrupt_keeps_what_is_done(homolog, shapes, tmp_path):
     assert (process.returncode, shown) == (130, "")
     assert complaint == "Interrupted; nothing was left half-written.\n"
     files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
-    assert files == ["manifest.json", "records/1.json", "shapes/1.ply"]
+    match = [f"matches/1/{name}" for name in ("correspondence.npz", "report.json", "source.ply", "target.ply")]
+    assert files == ["manifest.json", *match, "records/1.json", "shapes/1.ply"]
     written = (out / "shapes" / "1.ply").stat().st_mtime_ns
     assert homolog("collection", *shapes, "-o", out, *OPTIONS).code == 0
     assert (out / "shapes" / "1.ply").stat().st_mtime_ns == written

@@ -14,7 +14,7 @@ import trimesh
 from homolog import shapes
 from homolog.core.errors import ShapeError
 from homolog.datasets import demo_folder
-from homolog.matching import Matcher
+from homolog.matching import Matcher, map_misfit
 from homolog.matching import matcher as matcher_module
 from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
@@ -111,7 +111,7 @@ def test_report(homolog, files, tmp_path):
         "target_up": "y",
         "strict": False,
     }
-    assert found["adapt"] == 0
+    assert found["adapt"] == 0 and found["adaptation"] is None
     assert found["features"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
     assert (found["features"]["name"], found["features"]["licence"]) == ("untrained", "none")
     assert found["settings"]["method"] == "auto"
@@ -271,18 +271,30 @@ def test_weights_that_the_method_does_not_use_are_said_and_leave_no_trace(homolo
     assert homolog("match", files.mesh, files.other, "-o", tmp_path / "no", *options, "--strict").code == 2
 
 
-def test_the_map_is_that_of_the_adapted_network(homolog, files, tmp_path):
+def test_the_map_is_that_of_the_adapted_network_where_it_contradicts_itself_less(homolog, files, tmp_path):
     before = files.weights.read_bytes()
     options = "--weights", files.weights, "--method", "nearest-features", "--adapt", 3
-    assert homolog("match", files.mesh, files.other, "-o", tmp_path, *options).code == 0
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path, *options)
+    assert ended.code == 0
     matcher = Matcher.from_weights(files.weights, settings=MatcherSettings(method="nearest-features"))
     pair, _ = matcher.pair(files.mesh, files.other)
-    adapted, pair = adapt_to_pair(matcher, pair, AdaptationSettings(steps=3))
-    expected, found = adapted.find(pair), maps(tmp_path)
+    adapted, after = adapt_to_pair(matcher, pair, AdaptationSettings(steps=3))
+    plain, other = matcher.find(pair), adapted.find(after)
+    misfits = map_misfit(plain.quality), map_misfit(other.quality)
+    kept = misfits[1] < misfits[0]
+    expected, found, told = (other if kept else plain), maps(tmp_path), report(tmp_path)
     assert np.array_equal(found["source_to_target"], expected.source_to_target)
     assert np.array_equal(found["source_confidence"], expected.source_confidence)
-    assert report(tmp_path)["adapt"] == 3
-    assert "adapt" in [step["name"] for step in report(tmp_path)["timings"]]
+    assert told["adapt"] == 3
+    assert told["adaptation"] == {
+        "steps": 3,
+        "map_misfit": misfits[0],
+        "adapted_map_misfit": misfits[1],
+        "kept": kept,
+    }
+    figures = f"{misfits[1]:.2f} with it and {misfits[0]:.2f} without"
+    assert f"Adaptation {'kept' if kept else 'not kept'}: the map's misfit is {figures}." in ended.err
+    assert "adapt" in [step["name"] for step in told["timings"]]
     assert files.weights.read_bytes() == before
 
 

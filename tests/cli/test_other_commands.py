@@ -19,7 +19,7 @@ from homolog.core.errors import DataError
 from homolog.matching import Match, Matcher
 from homolog.pairs import Preprocessor
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
-from homolog.training import adapt_to_pair
+from homolog.training import adapt_if_better
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -121,13 +121,16 @@ def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatc
 
     def noted(matcher, pair, settings):
         adapted.append((matcher.extractor.info.name, settings.steps, pair.options.partial))
-        return adapt_to_pair(matcher, pair, settings)
+        return adapt_if_better(matcher, pair, settings)
 
-    monkeypatch.setattr(homolog_package.training, "adapt_to_pair", noted)
+    monkeypatch.setattr(homolog_package.training, "adapt_if_better", noted)
     options = "-q", "--weights", files.weights, "--adapt", 2, "--json", tmp_path / "adapted.json"
     assert homolog("evaluate", data, *options).code == 0
     assert adapted == [("untrained", 2, None)] * 4
-    assert json.loads((tmp_path / "adapted.json").read_text())["adapt"] == 2
+    figures = json.loads((tmp_path / "adapted.json").read_text())
+    told = [pair["adaptation"] for pair in figures["pairs"]]
+    assert figures["adapt"] == 2 and figures["adapted_pairs"] == sum(each["kept"] for each in told)
+    assert all(each["kept"] == (each["adapted_map_misfit"] < each["map_misfit"]) for each in told)
     assert homolog("evaluate", data, "--partial", *options).code == 0
     assert adapted[4:] == [("untrained", 2, "target")] * 4
 

@@ -162,7 +162,7 @@ def test_mistakes_are_one_line(homolog, result, rows, tmp_path):
     half = tmp_path / "half.npy"
     for arguments, told in (
         (["--array", tmp_path / "short.npy"], f"one row for each of the {rows} points of {given}"),
-        (["--array", tmp_path / "objects.npy"], "but real numbers are needed; write it anew"),
+        (["--array", tmp_path / "objects.npy"], "but real numbers are needed; save it as numbers"),
         (["--labels", tmp_path / "whole.npy", "--array", tmp_path / "whole.npy"], "whole.npy is given twice"),
         (["--array", tmp_path / "words.npy"], "must be one array of numbers"),
         (["--array", tmp_path / "rubbish.npy"], "cannot be read as an NPY array"),

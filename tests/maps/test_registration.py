@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
-from scipy.spatial import KDTree
+import trimesh
+from scipy.spatial import ConvexHull, KDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from homolog.maps import (
     RegistrationSettings,
+    RegistrationStart,
     Similarity,
+    closest_point_similarity,
     registered_positions,
     registration_start,
     rotation_angle,
@@ -170,18 +175,100 @@ def lobed(points: Tensor) -> Tensor:
 def test_the_start_turns_a_distinct_form_back() -> None:
     turn, y = rotation_about_z(12), 2 * lobed(skin(1700, seed=1)) + 5
     start = registration_start(lobed(skin(1500)) @ turn.T, y)
-    assert rotation_angle(start.rotation @ turn) < 3
-    assert abs(start.scale - 2) < 0.05
+    assert rotation_angle(start.similarity.rotation @ turn) < 3
+    assert abs(start.similarity.scale - 2) < 0.05
 
 
 def test_the_start_leaves_a_form_that_is_smooth_all_round_as_it_stands() -> None:
     """Two spheres: nothing tells a turn."""
     x, y = (skin(1200, seed=seed) / torch.tensor([1, 1.4, 2]) for seed in (0, 1))
-    assert rotation_angle(registration_start(x, y).rotation) < 2
+    assert rotation_angle(registration_start(x, y).similarity.rotation) < 2
 
 
 def test_a_start_that_is_given_is_taken() -> None:
     x, turn = bent(skin(700)), rotation_about_z(60)
     start = Similarity(turn, 3.0, torch.ones(3).double())
-    on_y, on_x = registered_positions(x, start(x), start=start)
+    on_y, on_x = registered_positions(x, start(x), start=RegistrationStart(start))
     assert off(on_y, start(x)) < 0.15 and off(on_x, x) < 0.05
+
+
+def horned(points: Tensor) -> tuple[Tensor, Tensor]:
+    """With three lobes and a horn, which shifts its centre and its size; and which points are on the horn."""
+    along = (points / points.norm(dim=1, keepdim=True)) @ torch.tensor([0, 0.6, 0.8], dtype=points.dtype)
+    on_horn = along > 0.9
+    return lobed(points) * (1 + 12 * (along - 0.9) * on_horn)[:, None], on_horn
+
+
+def surface(seed: int) -> trimesh.Trimesh:
+    """An ellipsoid, which is to become something else, in triangles of its own."""
+    points = skin(2500, seed=seed).numpy()
+    return trimesh.Trimesh(points, ConvexHull(points).simplices, process=False)
+
+
+def normals_of(points: Tensor, mesh: trimesh.Trimesh) -> Tensor:
+    """Outward, of a surface whose points were moved along rays from the middle."""
+    mesh = trimesh.Trimesh(points.numpy(), mesh.faces, process=False)
+    normals = torch.tensor(np.array(mesh.face_normals))
+    outward = (normals * torch.tensor(np.array(mesh.triangles_center))).sum(dim=1).sign()
+    summed = torch.zeros_like(points)
+    for corner in torch.tensor(np.array(mesh.faces)).T.long():
+        summed.index_add_(0, corner, normals * outward[:, None])
+    return summed / summed.norm(dim=1, keepdim=True)
+
+
+@pytest.mark.parametrize("degrees", [0, 12])
+def test_a_part_that_one_lacks_misleads_no_start_with_normals(degrees: float) -> None:
+    """Truth: y is x with a horn, turned, shifted and made larger; most of it is a copy."""
+    turn, meshes = rotation_about_z(degrees), (surface(0), surface(1))
+    x, (y, _) = lobed(torch.tensor(np.array(meshes[0].vertices))), horned(torch.tensor(np.array(meshes[1].vertices)))
+    normals: dict[str, Any] = {"normals_x": normals_of(x, meshes[0]), "normals_y": normals_of(y, meshes[1]) @ turn.T}
+    y = 1.3 * y @ turn.T + 5
+    goal, on_horn = horned(torch.tensor(np.array(meshes[0].vertices)))
+    goal = 1.3 * goal @ turn.T + 5
+    start, plain = registration_start(x, y, **normals), registration_start(x, y)
+    assert start.near_rigid and not plain.near_rigid
+    errors = [off(each.similarity(x)[~on_horn], goal[~on_horn]) for each in (start, plain)]
+    assert errors[0] < 0.05 and errors[0] < 0.5 * errors[1]
+    on_y, _ = registered_positions(x, y, **normals, start=start)
+    assert off(on_y[~on_horn], goal[~on_horn]) < 0.08
+
+
+def test_a_smooth_form_that_differs_is_no_rigid_copy() -> None:
+    meshes = surface(0), surface(1)
+    x, y = (torch.tensor(np.array(mesh.vertices)) for mesh in meshes)
+    y = bent(y)
+    assert not registration_start(
+        x, y, normals_x=normals_of(x, meshes[0]), normals_y=normals_of(y, meshes[1])
+    ).near_rigid
+
+
+def test_what_is_nearly_rigid_does_not_shrink() -> None:
+    """Of a copy that lies where it belongs: a mean of positions draws what the other lacks into it."""
+    x = lobed(skin(1500))
+    there = Similarity(torch.eye(3), 1.0, torch.zeros(3))
+    y = lobed(skin(1700, seed=1))
+    y, cut = y[y[:, 2] < 0.5], x[:, 2] > 0.7
+    rigid, drawn = (registered_positions(x, y, start=RegistrationStart(there, rigid))[0] for rigid in (True, False))
+    assert off(rigid[cut], x[cut]) < 0.7 * off(drawn[cut], x[cut])
+
+
+def test_closest_points_leave_out_what_the_other_lacks() -> None:
+    """A tenth of the points more, far off, on one of them."""
+    whole = lobed(skin(2000))
+    turn = rotation_about_z(8)
+    true = Similarity(turn, 1.1, torch.ones(3).double())
+    more = torch.cat([true(whole), true(whole[:200]) + 10])
+    assert off(closest_point_similarity(whole, more, kept=0.9)(whole), true(whole)) < 1e-6
+    assert off(closest_point_similarity(whole, more, kept=1.0)(whole), true(whole)) > 0.05
+
+
+def test_normals_tell_the_sides_of_a_thin_plate() -> None:
+    """It begins one thickness off, where each side lies nearest to the other side of the other plate."""
+    flat = torch.rand(800, 2, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    side = torch.where(torch.arange(800) % 2 == 0, 1.0, -1.0).double()[:, None]
+    plate, normals = torch.cat([flat, 0.05 * side], dim=1), torch.cat([torch.zeros(800, 2).double(), side], dim=1)
+    moved = plate + torch.tensor([0, 0, 0.08], dtype=torch.float64)
+    told = closest_point_similarity(moved, plate, normals_x=normals, normals_y=normals)
+    assert off(told(moved), plate) < 1e-6
+    first = closest_point_similarity(moved, plate, normals_x=normals, normals_y=normals, steps=1)
+    assert off(first(moved), plate) < 0.3 * off(closest_point_similarity(moved, plate, steps=1)(moved), plate)

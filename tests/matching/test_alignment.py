@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from homolog.features import DiffusionNet
 from homolog.geometry import compute_operators, some_points, unit_frame
+from homolog.geometry.tangent import normals_of
+from homolog.maps import best_rotation
 from homolog.matching import Matcher, align_partial, best_alignment
 from homolog.pairs import AlignmentSettings, MatcherSettings
 from homolog.shapes import Shape
@@ -49,14 +51,14 @@ def matcher_of(upper):
     return build
 
 
-def displaced(upper, pre_aligned, matcher, degrees=25.0, away=0.1):
+def displaced(upper, pre_aligned, matcher, degrees=25.0, away=0.1, as_cloud=None):
     """Where the points of a rotated and moved partial shape come to lie, and the full shape's points that they are."""
     body, part, kept = upper
     scale = unit_frame(body).scale
     turn = Rotation.from_rotvec(np.deg2rad(degrees) * np.array([0.6, 0.0, 0.8])).as_matrix()
     middle = part.points.mean(axis=0)
     turned = Shape((part.points - middle) @ turn.T + middle + away * scale, part.faces)
-    pair, _ = matcher.pair(body, turned, partial="target", pre_aligned=pre_aligned)
+    pair, _ = matcher.pair(body, turned, partial="target", pre_aligned=pre_aligned, as_cloud=as_cloud)
     return align_partial(pair).y, pair.y, pair.x.operators.points[kept]
 
 
@@ -69,6 +71,22 @@ def test_a_partial_shape_is_rotated_and_moved_to_where_it_belongs(upper, matcher
     torch.testing.assert_close(found.features, matcher.extractor.network(found.operators.points, None))
     lengths = [torch.pdist(each.operators.points[:200]) for each in (found, given)]
     torch.testing.assert_close(*lengths, atol=1e-4, rtol=0)
+
+
+def test_the_sides_of_a_cloud_follow_its_alignment_and_a_mesh_keeps_its_own(upper, matcher_of):
+    matcher = matcher_of()
+    mesh, mesh_before, _ = displaced(upper, True, matcher)
+    assert not torch.equal(mesh.operators.points, mesh_before.operators.points)
+    assert torch.equal(mesh.operators.gradient_x.values(), mesh_before.operators.gradient_x.values())
+    cloud, before, _ = displaced(upper, True, matcher, as_cloud="target")
+    # Of a cloud, the sign of a normal follows from its direction, and with it the first tangent direction.
+    normals = [normals_of(shape.operators.scatter.numpy()) for shape in (before, cloud)]
+    rotation = best_rotation(before.operators.points, cloud.operators.points).double().numpy()
+    signs = np.sign(np.einsum("nk,nk->n", normals[0] @ rotation.T, normals[1]))
+    assert 0 < (signs < 0).sum() < len(signs)
+    rows = before.operators.gradient_x.crow_indices().diff()
+    expected = before.operators.gradient_x.values() * torch.from_numpy(signs).float().repeat_interleave(rows)
+    assert torch.equal(cloud.operators.gradient_x.values(), expected)
 
 
 def test_the_better_of_two_beginnings_is_kept(upper, matcher_of):

@@ -145,10 +145,13 @@ def test_twice_is_bit_equal_and_inputs_stay(results, build, blobs, method, modal
 
 @every_case
 def test_swapping_the_shapes_swaps_the_maps(results, build, blobs, method, modality):
-    """Exactly for functional maps; Sinkhorn's last step normalises one side, so nearly for features."""
+    """Exactly for functional maps; Sinkhorn's last step normalises one side, so nearly for features.
+
+    Nearly for registration, too: it begins from samples, and each shape has its own.
+    """
     source, target = blobs.of(modality)
     plain, found = results[method, modality], build(method).match(target, source).inverse()
-    enough = 0.9 if method == "nearest-features" else 0.995
+    enough = 0.9 if method in ("nearest-features", "registration") else 0.995
     assert share_equal(found.source_to_target, plain.source_to_target) > enough
     assert share_equal(found.target_to_source, plain.target_to_source) > enough
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from dirty_shapes import dirtied
 from homolog.core.errors import ArgumentError, DataError
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.maps import confidence, overlap
-from homolog.matching import Match, align_partial, read_point_map, refine
+from homolog.matching import Match, align_partial, mat_process, read_point_map, refine, result_files
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, repair
 
@@ -81,6 +82,17 @@ def test_all_arrays_are_those_of_the_pieces(build, blobs, method, partial):
 
 
 # ---- what is given
+
+
+@pytest.fixture
+def matlab_here(monkeypatch):
+    """MATLAB files are read in this process: each process of a reader takes a quarter of a second to start."""
+
+    def read(script, path, *, library):
+        assert library == "SciPy" and script == Path(mat_process.__file__)
+        return mat_process.read(str(path))
+
+    monkeypatch.setattr(result_files, "read_in_process", read)
 
 
 @pytest.fixture
@@ -171,6 +183,7 @@ def test_a_folder_has_neither_base_nor_direction(given, tmp_path, words):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("matlab_here")
 @pytest.mark.parametrize("direction", ["target_to_source", "source_to_target"])
 @pytest.mark.parametrize("base", [None, 0, 1])
 @pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
@@ -378,6 +391,7 @@ def test_its_repr_is_short_and_says_what_it_is(given, build, blobs):
         assert "array(" not in repr(each) and "tensor(" not in repr(each)
 
 
+@pytest.mark.usefixtures("matlab_here")
 @pytest.mark.parametrize("base", [7, -1, "a", 1.0, True, None])
 @pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
 def test_the_first_index_is_checked_as_a_map_is_read(given, tmp_path, suffix, base):

@@ -17,6 +17,7 @@ from homolog.core.versions import versions
 from homolog.matching import Match, matched_colours, position_colours, read_point_map, write_folder
 from homolog.shapes import Shape, read_shape
 from homolog.shapes.formats import formats
+from homolog.transfer.inputs import read_original
 
 NAMES = ["correspondence.npz", "source.ply", "target.ply", "report.json"]
 GREY = [160, 160, 160]
@@ -183,8 +184,22 @@ QUALITY = dict.fromkeys(("coverage", "cycle_error", "dirichlet_energy", "flipped
         {"orientation": {"source": {"rotation": [[1, 0], [0, 1, 0], [0, 0, 1]]}}},
         {"orientation": {"target": {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}}},
         {"orientation": {"target": {"rotation": [[2, 0, 0], [0, 1, 0], [0, 0, 0.5]]}}},
+        {"orientation": {"target": {"rotation": [[1, 0, 1e308], [0, 1, 0], [0, 0, 1]]}}},
+        {"alignment": {"rotation": [[-1e200, 0, 0], [0, -1e200, 0], [0, 0, 1e200]]}},
         {"alignment": {"rotation": [[0, 0, 0], [0, 0, 0], [0, 0, 0]]}},
         {"alignment": {"rotation": "none"}},
+        {"orientation": {"target": {"rotation": [[1e200, 0, 0], [0, 1e200, 0], [0, 0, 1e200]]}}},
+        {"matched": []},
+        {"matched": None},
+        {"matched": {"source_points": 7}},
+        {"matched": {"target_points": "all"}},
+        {"matched": {"target_points": True}},
+        {"matched": {"source_points_left_out": 10**17}},
+        {"matched": {"source_points_left_out": 0.5}},
+        {"matched": {"target_points_without_counterpart": 10**6}},
+        {"matched": {"target_points_without_counterpart": -1}},
+        {"matched": {"source_mean_confidence": 1.5}},
+        {"matched": {"target_mean_confidence": None}},
         {"options": 7},
         {"options": {"source_up": ["y"]}},
         {"options": {"source_up": "up"}},
@@ -262,6 +277,33 @@ def test_no_shape_is_replaced_by_its_own_result(found, tmp_path):
     assert given.read_text() == "precious" and [path.name for path in tmp_path.iterdir()] == ["source.ply"]
 
 
+def test_a_name_of_a_file_that_is_too_long_is_that_of_none(found, tmp_path):
+    given = replace(found, report={"inputs": {"source": {"file": "y" * 5000}}})
+    given.save(tmp_path)
+    again = Match.load(tmp_path)
+    again.save(tmp_path)
+    with pytest.raises(DataError, match="the source of this match, is not there"):
+        read_original(again, "source")
+
+
+def test_further_inputs_are_passed_over(found, tmp_path):
+    found.save(tmp_path)
+    path = tmp_path / "report.json"
+    report = json.loads(path.read_text())
+    path.write_text(json.dumps({**report, "inputs": {**report["inputs"], "third": 5}}))
+    inputs = Match.load(tmp_path).inverse().report["inputs"]
+    assert (inputs["target"]["name"], inputs["third"]) == (report["inputs"]["source"]["name"], 5)
+
+
+def test_points_that_a_changed_map_knows_are_not_left_out(found):
+    n = found.source.n_points
+    filled = replace(
+        found, source_to_target=np.zeros(n, dtype=int), report={"inputs": {"source": {"points_left_out": 3}}}
+    )
+    told = filled.matched("source")
+    assert (told["points_left_out"], told["points_without_counterpart"]) == (0, 0)
+
+
 def test_a_report_may_tell_more_than_is_read(found, tmp_path):
     more = {"inputs": {"source": {"colour": None}}, "options": {"of_another_version": [1]}, "more": {"a": [None, 0.5]}}
     given = replace(found, report=more)
@@ -284,6 +326,11 @@ def test_a_report_may_tell_more_than_is_read(found, tmp_path):
         (lambda folder: change_maps(folder, source_to_target=np.array([{}], object)), "cannot be read as the arrays"),
         (lambda folder: change_maps(folder, source_confidence=np.full(162, np.nan)), "must lie between 0 and 1"),
         (lambda folder: change_maps(folder, target_confidence=np.full(42, 7.0)), "must lie between 0 and 1"),
+        (lambda folder: change_maps(folder, source_confidence=np.zeros(162, complex)), "not those of a match"),
+        (lambda folder: change_maps(folder, source_confidence=np.zeros((162, 1))), "not those of a match"),
+        (lambda folder: change_maps(folder, source_to_target=np.array(0)), "not those of a match"),
+        (lambda folder: change_maps(folder, source_to_target=np.zeros(162, "m8[s]")), "not those of a match"),
+        (lambda folder: change_maps(folder, source_to_target=np.zeros(162, [("x", "i4")])), "not those of a match"),
         (lambda folder: (folder / "correspondence.npz").write_bytes(b"PK"), "is not the file that report.json belongs"),
         (lambda folder: (folder / "source.ply").write_bytes(b"ply"), "is not the file that report.json belongs to"),
     ],
@@ -294,6 +341,17 @@ def test_results_that_are_spoilt_are_one_line(shapes, found, tmp_path, spoil, sa
     with pytest.raises(DataError, match=said) as error:
         Match.load(tmp_path)
     assert "\n" not in str(error.value) and str(tmp_path) in str(error.value)
+
+
+def test_arrays_of_other_types_become_the_usual_ones(shapes, found, tmp_path):
+    """Not every library computes with the other byte order, or with other precisions."""
+    write_folder(tmp_path, found)
+    others = {"source_to_target": ">i4", "source_confidence": ">f8", "target_confidence": "g"}
+    change_maps(tmp_path, **{name: getattr(found, name).astype(kind) for name, kind in others.items()})
+    again = Match.load(tmp_path)
+    for name in others:
+        assert getattr(again, name).dtype in (np.int64, np.float64) and getattr(again, name).dtype.isnative
+        np.testing.assert_array_equal(getattr(again, name), getattr(found, name))
 
 
 def test_writing_is_a_step_of_the_report(shapes, found, tmp_path):

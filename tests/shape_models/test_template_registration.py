@@ -187,7 +187,7 @@ def test_no_folder_is_left_in_which_nothing_was_made(tmp_path, make):
         1 / 0  # noqa: B018
     with pytest.raises(ZeroDivisionError), ShapeModelFolder.opened(new, {"template": {}}):
         1 / 0  # noqa: B018
-    assert sorted(path.name for path in new.iterdir()) == ["manifest.json", "records", "shapes"]
+    assert sorted(path.name for path in new.iterdir()) == ["manifest.json", "matches", "records", "shapes"]
 
 
 @pytest.mark.parametrize("faces", [True, False])

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from homolog.core.errors import ShapeError
+from homolog.core.errors import DataError, ShapeError
 from homolog.shapes import check, read_shape
-from homolog.transfer import read_appearance
+from homolog.transfer import read_appearance, read_landmarks
 
 pytestmark = pytest.mark.reference
 
@@ -98,3 +98,25 @@ def test_textures(cases, name, colours):
     texture = read_appearance(path, read_shape(path)).texture
     assert [tuple(image[0, 0].tolist()) for image in texture.images] == colours
     assert set(np.unique(texture.image_of)) == set(range(len(colours)))
+
+
+@pytest.mark.parametrize(
+    ("name", "system", "count"),
+    [
+        *((f"{name}.mrk.json", "LPS", 3) for name in ("ok", "nosystem", "missing_status")),
+        ("number_system.mrk.json", "RAS", 3),
+        ("v410.fcsv", "RAS", 3),
+        ("v411.fcsv", "LPS", 3),
+        ("comma_label.fcsv", "LPS", 3),
+        ("names.csv", None, 2),
+    ],
+)
+def test_landmarks(cases, name, system, count):
+    found = read_landmarks(cases / "lm" / name)
+    assert (found.system, len(found.points)) == (system, count)
+
+
+@pytest.mark.parametrize(("name", "reason"), [("two.mrk.json", "are LPS, RAS"), ("ijk.fcsv", "coordinate system is 2")])
+def test_landmarks_that_are_refused(cases, name, reason):
+    with pytest.raises(DataError, match=reason):
+        read_landmarks(cases / "lm" / name)

@@ -233,6 +233,11 @@ NUMBERED = {
     "decimal commas and blanks": decimal_commas("", "  "),
     "what separates cells": "sep=;\nx;y;z\n" + decimal_commas("", ";"),
     "a count and names": "6\nx y z\n" + rows(POINTS),
+    "a title": "skull\n" + rows(POINTS),
+    "a title of two words, and names": "my skull\n" + rows(POINTS, "name {}"),
+    "names that lost their beginning": "y,z\n" + rows(POINTS, "name {}").replace(" ", ","),
+    "quotes behind blanks": "i,name,x,y,z\n"
+    + rows(POINTS, '1,#"a,b"#{}').replace(" ", ",").replace("#", " ").replace('" ', '",'),
     "a comma at the end": "x,y,z\n" + "".join(f"{','.join(map(str, p))},\n" for p in POINTS),
 }
 
@@ -329,6 +334,16 @@ def test_faces_as_columns_are_refused(tmp_path):
 def test_npz_with_quadrilaterals(tmp_path):
     np.savez(tmp_path / "a.npz", points=POINTS, faces=[[0, 1, 2, 3]])
     assert check(read_shape(tmp_path / "a.npz")).area == pytest.approx(1)
+
+
+@pytest.mark.parametrize("kind", ["<f8", "<f2", ">f4", ">i2", "u1", "<u8"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_npz_numbers_of_any_type(tmp_path, kind, order):
+    for faces in ([[0, 1, 2], [0, 1, 4]], [[0, 1, 2, 3]]):
+        np.savez(tmp_path / "a.npz", points=np.asarray(POINTS, order=order), faces=np.array(faces, kind, order=order))
+        shape = read_shape(tmp_path / "a.npz")
+        np.testing.assert_array_equal(shape.points, POINTS)
+        assert check(shape).area == pytest.approx(1)
 
 
 def test_faces_that_count_from_one(tmp_path):

@@ -236,6 +236,9 @@ def test_meshopt_buffers_without_content(tmp_path, file):
     tree["buffers"] += [{"byteLength": 60}]
     tree["bufferViews"][0]["buffer"] = 1
     path.write_text(json.dumps(tree))
+    with pytest.raises(ShapeError, match="its buffer 1 holds nothing; the file is cut off or damaged"):
+        read_shape(path)
+    path.write_text(json.dumps(tree | {"extensionsUsed": ["EXT_meshopt_compression"]}))
     with pytest.raises(ShapeError, match="compressed with EXT_meshopt_compression"):
         read_shape(path)
 
@@ -248,6 +251,126 @@ def test_version_one(tmp_path, file):
     (tmp_path / "a.glb").write_bytes(b"glTF" + np.array([1, 40, 20, 0], "<u4").tobytes() + bytes(20))
     with pytest.raises(ShapeError, match="it is glTF 1, but glTF 2 is needed"):
         read_shape(tmp_path / "a.glb")
+
+
+def chunk(kind, content, length=None):
+    return np.array([len(content) if length is None else length, kind], "<u4").tobytes() + content
+
+
+def binary(tmp_path, *chunks, more=0, end=b""):
+    """A GLB of chunks, whose header announces so many bytes more than they have, and bytes behind its end."""
+    length = 12 + sum(map(len, chunks)) + more
+    content = b"glTF" + np.array([2, length], "<u4").tobytes() + b"".join(chunks) + end
+    (tmp_path / "a.glb").write_bytes(content)
+    return tmp_path / "a.glb"
+
+
+JSON, BIN, OTHER = 0x4E4F534A, 0x004E4942, 0x12345678
+
+
+@pytest.fixture
+def chunks(file):
+    """The JSON of a plain file, and its buffer."""
+    file.primitive(POINTS, FACES)
+    tree = json.dumps(file.tree | {"buffers": [{"byteLength": len(file.buffer)}]}).encode()
+    return tree + b" " * (-len(tree) % 4), file.buffer
+
+
+def test_chunks_of_other_kinds_are_passed_over(tmp_path, chunks):
+    head, body = chunk(JSON, chunks[0]), chunk(BIN, chunks[1])
+    others = chunk(OTHER, b"other"), chunk(JSON, chunks[0])
+    for found in ([head, body], [head, *others, body], [head, body, *others], [head, body, chunk(BIN, bytes(60))]):
+        shape = read_shape(binary(tmp_path, *found))
+        is_plain(shape)
+        assert not shape.notes
+    is_plain(read_shape(binary(tmp_path, chunk(JSON, chunks[0] + bytes(4)), body)))
+    is_plain(read_shape(binary(tmp_path, head, chunk(BIN, chunks[1] + bytes(3)))))
+    # A length of the whole that is too small loses nothing.
+    for more in (-4, -len(body), -12 - len(head + body)):
+        is_plain(read_shape(binary(tmp_path, head, body, more=more)))
+
+
+def test_bytes_after_the_end_are_noted(tmp_path, chunks):
+    for end in (b"more", bytes(100), b"glTF" + bytes(30)):
+        shape = read_shape(binary(tmp_path, chunk(JSON, chunks[0]), chunk(BIN, chunks[1]), end=end))
+        is_plain(shape)
+        assert [(note.rule, note.count) for note in shape.notes] == [("bytes after its end", len(end))]
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda head, body: [chunk(BIN, body), chunk(JSON, head)], "first chunk is not JSON"),
+        (lambda head, body: [chunk(OTHER, head), chunk(BIN, body)], "first chunk is not JSON"),
+        (lambda head, body: [chunk(JSON, head)], "its buffer 0 holds nothing"),
+        (lambda head, body: [chunk(JSON, head), chunk(OTHER, body)], "its buffer 0 holds nothing"),
+        (lambda head, body: [chunk(JSON, head), chunk(BIN, body, len(body) + 4)], "a chunk announces 82 bytes, but 78"),
+        (lambda head, body: [chunk(JSON, head), chunk(BIN, body, 2**32 - 1)], "a chunk announces 4294967295 bytes"),
+        (lambda head, body: [chunk(JSON, head, 10**6), chunk(BIN, body)], "a chunk announces 1000000 bytes"),
+        (lambda head, body: [chunk(JSON, head), chunk(BIN, body, 20)], "a buffer ends after 20 bytes, too early"),
+        (lambda head, body: [chunk(JSON, head, 20), chunk(BIN, body)], "a chunk announces|no valid JSON"),
+        (lambda head, body: [chunk(JSON, head + body)], "no valid JSON"),
+        (lambda head, body: [b"JSON"], "it has only 16 bytes"),
+        (lambda head, body: [], "it has only 12 bytes"),
+    ],
+)
+def test_chunks_that_do_not_fit(tmp_path, chunks, make, reason):
+    with pytest.raises(ShapeError, match=reason):
+        read_shape(binary(tmp_path, *make(*chunks)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "number", "changes", "reason"),
+    [
+        ("accessors", 0, {"bufferView": -1}, "number -1 of its bufferViews, but has 2"),
+        ("accessors", 0, {"bufferView": 9}, "number 9 of its bufferViews, but has 2"),
+        ("bufferViews", 0, {"buffer": -1}, "number -1 of its buffers, but has 1"),
+        ("bufferViews", 0, {"byteStride": 4}, "rows of an accessor take 12 bytes, but begin every 4"),
+        ("accessors", 0, {"type": "VEC4"}, "holds 'VEC4' where VEC3 is needed"),
+        ("accessors", 1, {"type": "VEC3"}, "holds 'VEC3' where SCALAR is needed"),
+        ("accessors", 1, {"componentType": 5126, "count": 4}, "indices are not whole numbers from 0"),
+        ("nodes", 0, {"mesh": -1}, "number -1 of its meshes, but has 1"),
+        ("nodes", 0, {"mesh": 3}, "number 3 of its meshes, but has 1"),
+        ("nodes", 0, {"mesh": True}, "number True of its meshes, but has 1"),
+        ("nodes", 0, {"children": [-1]}, "number -1 of its nodes, but has 1"),
+        ("nodes", 0, {"matrix": [1] * 15}, "the matrix of a node must be 16 numbers"),
+        ("nodes", 0, {"rotation": [0, 0, 1]}, "the rotation of a node must be 4 numbers"),
+        ("nodes", 0, {"scale": 2}, "the scale of a node must be 3 numbers"),
+        ("nodes", 0, {"translation": 5}, "the translation of a node must be 3 numbers"),
+        ("nodes", 0, {"translation": [0, "1", 0]}, "the translation of a node must be 3 numbers"),
+        ("scenes", 0, {"nodes": [-1]}, "number -1 of its nodes, but has 1"),
+        ("meshes", 0, {"primitives": [{"attributes": {"POSITION": 1}}]}, "holds 'SCALAR' where VEC3 is needed"),
+        ("meshes", 0, {"primitives": [{"attributes": {"POSITION": -2}}]}, "number -2 of its accessors, but has 2"),
+        *(
+            ("meshes", 0, {"primitives": [{"attributes": {"POSITION": 0}, "mode": mode}]}, "has the mode")
+            for mode in (7, -1, "4", [])
+        ),
+    ],
+)
+def test_references_that_lead_nowhere(tmp_path, file, kind, number, changes, reason):
+    """A negative number leads nowhere as well, though Python would count it from the end."""
+    file.primitive(POINTS, FACES)
+    file.tree[kind][number] |= changes
+    with pytest.raises(ShapeError, match=reason):
+        read_shape(file.put(tmp_path))
+
+
+def test_a_stride_of_zero_is_none(tmp_path, file):
+    file.primitive(POINTS, FACES)
+    file.tree["bufferViews"][0]["byteStride"] = 0
+    is_plain(read_shape(file.put(tmp_path)))
+
+
+@pytest.mark.parametrize("base", [np.array([0, -1, 1], "<i2"), np.array([0, 1, 2], "<f4")])
+def test_sparse_indices_that_are_none(tmp_path, file, base):
+    number = file.accessor(POINTS)
+    entries = {"indices": file.view(base), "values": file.view(POINTS[:3])}
+    sparse = {name: {"bufferView": view} for name, view in entries.items()} | {"count": 3}
+    sparse["indices"]["componentType"] = CODES[base.dtype.str]
+    file.tree["accessors"][number]["sparse"] = sparse
+    file.primitive(number, FACES)
+    with pytest.raises(ShapeError, match="indices are not whole numbers from 0"):
+        read_shape(file.put(tmp_path))
 
 
 @pytest.mark.parametrize(

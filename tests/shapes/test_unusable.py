@@ -259,6 +259,8 @@ def test_blanks_cost_no_more_than_their_number(tmp_path):
     blanks = " " * 120_000
     refused(put(tmp_path, "a.csv", f"x{blanks}y,b,c,d\n" + "1,2,3,4\n" * 9))
     refused(put(tmp_path, "b.csv", "x [" * 60_000 + "\n" + "1,2,3,4\n" * 9))
+    refused(put(tmp_path, "c.csv", f"x;y;z\n3;1;{blanks}\n" + "1;2;3\n" * 9))
+    refused(put(tmp_path, "d.csv", f"x;y;z\n3;1;{blanks}NA{blanks}x\n" + "1;2;3\n" * 9))
     refused(put(tmp_path, "a.pcd", f"SIZE{blanks[:90_000]}x\nPOINTS 1\nDATA binary\n"), "no header")
     refused(put(tmp_path, "b.pcd", f"SIZE 4{blanks[:90_000]}x\nPOINTS 1\nDATA binary\n"), "no header")
     refused(put(tmp_path, "a.ply", b"ply " + b"\n" * 200_000 + b"end_heade"), "no header")
@@ -325,7 +327,9 @@ def test_no_code_in_arrays_runs(tmp_path):
     np.save(tmp_path / "a.npy", objects, allow_pickle=True)
     refused(tmp_path / "a.npy", "object")
     np.savez(tmp_path / "a.npz", points=objects)
-    refused(tmp_path / "a.npz", "object")
+    refused(
+        tmp_path / "a.npz", "points.npy holds values of type object, but real numbers are needed; save it as numbers"
+    )
     refused(put(tmp_path, "b.npy", pickle.dumps(Bomb())))
     refused(put(tmp_path, "b.npz", pickle.dumps(Bomb())))
 
@@ -349,6 +353,15 @@ def test_arrays_of_the_wrong_kind(tmp_path):
     refused(npz(cloud=points, weight=points), "cloud, weight", "'points'")
     refused(npz(points=points, faces=points + 0.5), "whole numbers")
     refused(npz(points=points, faces=np.zeros((2, 2), int)), "faces has shape (2, 2)")
+    refused(npz(points=points, faces=np.array(1)), "faces has shape ()")
+    refused(npz(points=points, faces=np.arange(9)), "faces has shape (9,)")
+    refused(npz(points=points, faces=np.arange(12).reshape(4, 3) % 5 > 2), "truth values")
+    refused(npz(points=points, faces=np.arange(4) + 0.5), "faces has shape (4,)")
+    refused(npz(points=points, faces=np.array([[0, 1, 2, 3.5]])), "faces has shape (1, 4)")
+    refused(npz(points=points, faces=np.array([[0, 1, 2, np.inf]])), "faces has shape (1, 4)")
+    refused(npz(points=points, faces=np.array([[0, 1, 2]]).astype("M8[s]")), "datetime64[s]")
+    refused(npz(points=points.reshape((5, 3) + (1,) * 40)), "points has shape (5, 3, 1, 1")
+    refused(npy(np.zeros(4, [("x" * 300, "f4")])), "values of type [('xxx")
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".xyz", ".txt"])
@@ -459,6 +472,7 @@ def test_missing_package_names_its_extra(tmp_path, monkeypatch, suffix, module, 
     assert not (tmp_path / f"b{suffix}").exists()
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("suffix", [".vtk", ".vtp", ".ply", ".glb", ".stl"])
 def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
     """Some libraries set up their logging when they are first imported."""
@@ -470,4 +484,5 @@ def test_nothing_on_stderr_of_a_fresh_process(tmp_path, suffix):
 
 
 def test_cells_that_are_too_long(tmp_path):
-    refused(put(tmp_path, "a.csv", "name,x,y,z\n" + "a" * 200_000 + ",1,2,3\n" + "b,1,2,3\n" * 9), "no row of a table")
+    said = "is no row of a table (it has a cell of more than 131072 characters); correct or remove it"
+    refused(put(tmp_path, "a.csv", "name,x,y,z\n" + "a" * 200_000 + ",1,2,3\n" + "b,1,2,3\n" * 9), said)

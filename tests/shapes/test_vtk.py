@@ -1,5 +1,7 @@
 """Surfaces of VTK's grids: over the file's own points, whatever the cells."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -217,3 +219,68 @@ def test_lines_beside_triangles_are_noted(tmp_path, suffix):
     shape = read_shape(tmp_path / f"a{suffix}")
     assert shape.n_faces == 2
     assert [(note.rule, note.count) for note in shape.notes] == [("lines", 2)]
+
+
+def written(path, data, mode, *, compressed=False, raw=False):
+    """What VTK writes of a data set, with words of eight bytes where it is compressed."""
+    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter, vtkXMLUnstructuredGridWriter
+
+    writer = vtkXMLPolyDataWriter() if path.suffix == ".vtp" else vtkXMLUnstructuredGridWriter()
+    writer.SetInputData(data)
+    writer.SetFileName(str(path))
+    getattr(writer, f"SetDataModeTo{mode}")()
+    writer.SetEncodeAppendedData(not raw)
+    writer.SetBlockSize(1024)
+    if compressed:
+        writer.SetHeaderTypeToUInt64()
+        writer.SetByteOrderToBigEndian()
+    else:
+        writer.SetCompressorTypeToNone()
+        writer.SetHeaderTypeToUInt32()
+    writer.Write()
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("mode", ["Ascii", "Binary", "Appended"])
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("raw", [False, True])
+@pytest.mark.parametrize("suffix", [".vtp", ".vtu"])
+def test_other_counts_than_the_arrays_hold_are_refused(tmp_path, mode, compressed, raw, suffix):
+    """VTK itself passes over what is more, so that faces and points would be lost."""
+    ball = pyvista.Icosphere(nsub=2)
+    path = tmp_path / f"a{suffix}"
+    cells = "Polys" if suffix == ".vtp" else "Cells"
+    data = ball if suffix == ".vtp" else ball.cast_to_unstructured_grid()
+    content = written(path, data, mode, compressed=compressed, raw=raw)
+    if raw or mode == "Ascii":
+        assert (read_shape(path).n_points, read_shape(path).n_faces) == (162, 320)
+    for name, count in (("Points", 162), (cells, 320)):
+        entry = re.search(rb"NumberOf%s=\"\s*%d" % (name.encode(), count), content)[0]
+        for other in (count - 1, count + 1, 0):
+            path.write_bytes(content.replace(entry, b'NumberOf%s="%d' % (name.encode(), other)))
+            said = f"announces {other} {name.lower()}, but holds {count}; correct the count"
+            with pytest.raises(ShapeError, match=said):
+                read_shape(path)
+
+
+def test_damaged_words_before_an_array_are_one_line(tmp_path):
+    content = written(tmp_path / "a.vtu", pyvista.Icosphere(nsub=1).cast_to_unstructured_grid(), "Appended")
+    start = content.index(b"_", content.index(b"<AppendedData")) + 1
+    for word in (b"!!!!!!!!", b"====", b"AAAAAA==", b"//////8=", b"<"):
+        (tmp_path / "a.vtu").write_bytes(content[:start] + word + content[start + len(word) :])
+        with pytest.raises(ShapeError) as error:
+            read_shape(tmp_path / "a.vtu")
+        assert str(error.value).isprintable()
+    offsets = list(re.finditer(rb'offset="(\d+)"', content))
+    for entry, other in ((offsets[0], b"1"), (offsets[1], b"9" * 30), (offsets[-2], b"0")):
+        (tmp_path / "a.vtu").write_bytes(content[: entry.start(1)] + other + content[entry.end(1) :])
+        with pytest.raises(ShapeError) as error:
+            read_shape(tmp_path / "a.vtu")
+        assert str(error.value).isprintable()
+
+
+def test_elements_that_do_not_end_cost_no_more_than_their_number(tmp_path):
+    for text in ("<Piece>", "<Piece ", "<DataArray ", "<AppendedData ", "<AppendedData>" + " " * 1000):
+        (tmp_path / "a.vtp").write_text(f'<VTKFile type="PolyData">{text * 100_000}</VTKFile>')
+        with pytest.raises(ShapeError):
+            read_shape(tmp_path / "a.vtp")

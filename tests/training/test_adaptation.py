@@ -10,11 +10,20 @@ from scipy.spatial.transform import Rotation
 from homolog.core.errors import ArgumentError, TrainingError
 from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, Orientation
 from homolog.geometry import OperatorSettings
-from homolog.matching import Matcher, search
+from homolog.matching import Matcher, map_misfit, search
 from homolog.matching.search import Hypothesis
 from homolog.pairs import FunctionalMapSettings, MatcherSettings
 from homolog.shapes import Shape, rotation_about
-from homolog.training import AdaptationSettings, LossSettings, TrainingShape, adapt_to_pair, adaptation, pair_losses
+from homolog.training import (
+    AdaptationSettings,
+    LossSettings,
+    TrainingShape,
+    adapt_if_better,
+    adapt_to_pair,
+    adaptation,
+    pair_losses,
+    read_recipe,
+)
 from homolog.training.settings import OptimiserSettings, SampleSettings
 
 SIZES = FunctionalMapSettings(n_eigenpairs_partial=10)
@@ -45,25 +54,88 @@ def loss_of(matcher, pair):
         return float(pair_losses(matcher.extractor.network, x, y, settings=settings, partial=partial)["total"])
 
 
-def test_weights_for_shapes_that_keep_no_areas_are_not_adapted_by_losses_for_those_that_do(matcher, shapes):
-    for_organs = Matcher(
-        matcher.extractor.network,
-        replace(matcher.extractor.info, name="organs", near_isometric=False),
-        settings=matcher.settings,
+def test_weights_for_shapes_that_keep_no_areas_are_adapted_by_losses_without_any_for_those_that_do(
+    matcher, shapes, monkeypatch
+):
+    info = replace(matcher.extractor.info, name="organs", near_isometric=False, temperature=0.05)
+    for_organs = matcher.with_extractor(replace(matcher.extractor, info=info))
+    used = []
+
+    def losses(network, x, y, **options):
+        used.append((options["settings"], options["augmentation"]))
+        return pair_losses(network, x, y, **options)
+
+    monkeypatch.setattr(adaptation, "pair_losses", losses)
+    adapted = adapt_to_pair(for_organs, for_organs.pair(*shapes)[0], replace(SETTINGS, steps=1))[0]
+    ((settings, augmentation),) = used
+    organs = read_recipe("organs")
+    assert settings.weights == organs.loss.weights and settings.soft_temperature == 0.05
+    assert augmentation == organs.augmentation
+    assert not same_weights(adapted, matcher)
+    given = LossSettings(weights={"infonce": 1.0, "orthogonality": 0.5})
+    adapt_to_pair(for_organs, for_organs.pair(*shapes)[0], replace(SETTINGS, steps=1, loss=given))
+    assert used[1][0].weights == given.weights
+
+
+def same_weights(one, other):
+    return all(
+        torch.equal(*both)
+        for both in zip(one.extractor.network.parameters(), other.extractor.network.parameters(), strict=True)
     )
-    pair = for_organs.pair(*shapes)[0]
-    with pytest.raises(ArgumentError, match="the weights 'organs' are for shapes that are not near-isometric"):
-        adapt_to_pair(for_organs, pair, SETTINGS)
-    registration = replace(
-        SETTINGS,
-        steps=1,
-        loss=LossSettings(weights={"bijectivity": 0, "orthogonality": 0, "alignment": 0, "registration": 1.0}),
-    )
-    adapted = adapt_to_pair(for_organs, pair, registration)[0]
-    assert any(
-        not torch.equal(*both)
-        for both in zip(adapted.extractor.network.parameters(), matcher.extractor.network.parameters(), strict=True)
-    )
+
+
+def misfits(*matches):
+    return [map_misfit(found.quality) for found in matches]
+
+
+@pytest.mark.parametrize("partial", [None, "source", "target"])
+def test_the_map_that_contradicts_itself_less_is_kept(matcher, shapes, partial):
+    """Whichever learning rate is given, the result is the better one of the two maps, and both scores are told."""
+    pair, _ = matcher.pair(*shapes, partial=partial)
+    plain, kept = matcher.match_pair(pair), []
+    for rate in (1e-3, 3e-3, 1e-2, 3e-1):
+        settings = replace(SETTINGS, optimiser=OptimiserSettings(learning_rate=rate))
+        other = adapt_to_pair(matcher, pair, settings)
+        adapted = other[0].match_pair(other[1])
+        chosen, after = adapt_if_better(matcher, pair, settings)
+        found = chosen.match_pair(after)
+        told = found.report["adaptation"]
+        assert [told["map_misfit"], told["adapted_map_misfit"]] == misfits(plain, adapted)
+        assert told["steps"] == 8 and told["kept"] == (misfits(adapted) < misfits(plain))
+        best = adapted if told["kept"] else plain
+        assert np.array_equal(found.source_to_target, best.source_to_target)
+        assert np.array_equal(found.target_to_source, best.target_to_source)
+        kept.append(told["kept"])
+    assert plain.report["adaptation"] is None
+    if partial is None:
+        assert True in kept and False in kept
+
+
+def test_one_pair_leaves_nothing_behind_for_the_next(matcher, shapes, make):
+    """Each begins with a network and an optimiser of its own."""
+    pair, other = (matcher.pair(*both)[0] for both in (shapes, (shapes[0], make.blob(2))))
+    alone = adapt_to_pair(matcher, pair, SETTINGS)[0]
+    adapt_if_better(matcher, other, SETTINGS)
+    assert same_weights(adapt_to_pair(matcher, pair, SETTINGS)[0], alone)
+
+
+def test_the_features_that_were_chosen_for_the_pair_are_adapted(matcher, shapes):
+    """Those that know the pair, and not the usual ones; a method without a network is left as it is."""
+    knows, does_not = ({"orienter": Guess(np.eye(3), misfit), "info": matcher.extractor.info} for misfit in (0.01, 0.5))
+    first = replace(matcher.extractor, **does_not, network=DiffusionNet(matcher.extractor.network.settings).eval())
+    second = replace(matcher.extractor, **knows)
+    several = Matcher([first, second], settings=matcher.settings)
+    pair, _ = several.pair(*shapes)
+    adapted = adapt_to_pair(several, pair, SETTINGS)[0]
+    alone = matcher.with_extractor(second)
+    assert same_weights(adapted, adapt_to_pair(alone, alone.pair(*shapes)[0], SETTINGS)[0])
+    nobody = Matcher([first, replace(second, orienter=Guess(np.eye(3), 0.5))], settings=matcher.settings)
+    pair, _ = nobody.pair(*shapes)
+    assert pair.choice[0].name in ("axiomatic", "registration")
+    same, after = adapt_if_better(nobody, pair, SETTINGS)
+    assert same is nobody
+    told = same.match_pair(after).report["adaptation"]
+    assert told == {"steps": 0, "map_misfit": None, "adapted_map_misfit": None, "kept": False}
 
 
 @pytest.mark.parametrize("as_cloud", [None, "source", "both"])
@@ -115,11 +187,11 @@ def test_every_step_is_reported(matcher, shapes):
 class Guess:
     """An orienter that has one answer for all shapes."""
 
-    def __init__(self, rotation):
-        self.rotation = torch.tensor(rotation).float()
+    def __init__(self, rotation, misfit=0.1):
+        self.rotation, self.misfit = torch.tensor(rotation).float(), misfit
 
     def __call__(self, operators):
-        return (Orientation(self.rotation, 0.1),)
+        return (Orientation(self.rotation, self.misfit),)
 
     def to(self, device):
         return self

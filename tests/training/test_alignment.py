@@ -10,14 +10,24 @@ from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import ArgumentError, DataError, TrainingError
 from homolog.datasets import ShapeFolder
-from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, load_weights
-from homolog.geometry import OperatorSettings
+from homolog.features import (
+    ORIENTER_NETWORK,
+    DiffusionNet,
+    FeatureInfo,
+    NetworkSettings,
+    Orienter,
+    load_weights,
+    save_weights,
+)
+from homolog.geometry import OperatorSettings, compute_operators
 from homolog.maps import rotation_angle
 from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.training import alignment, loop
+from homolog.training.data import TrainingSet
 from homolog.training.sampling import SampledShape
+from homolog.training.store import unit_mesh
 from homolog.training.validation import scores
 
 
@@ -93,6 +103,24 @@ def test_a_training_scores_shapes_as_it_turned_them(meshes, small, tmp_path, mon
     assert {name: rotation.tolist() for name, rotation in rotations.items()} == {
         name: how["rotation"] for name, how in listed.items()
     }
+
+
+def test_shapes_are_turned_as_the_weights_know_them_that_a_training_starts_from(turned, small, tmp_path, monkeypatch):
+    """And their orienter is kept: what it turned is what the new weights know."""
+    torch.manual_seed(0)
+    recipe = small(data={"align": True}, training={"steps": 1})
+    orienter = Orienter(DiffusionNet(ORIENTER_NETWORK).eval())
+    save_weights(tmp_path / "start.safetensors", DiffusionNet(recipe.network), FeatureInfo(), orienter=orienter)
+    monkeypatch.setattr(loop, "train_orienter", None)
+    monkeypatch.setattr(alignment, "joint_rotations", None)
+    run = tmp_path / "run"
+    loop.train(recipe, turned[0], run, device="cpu", weights=tmp_path / "start.safetensors")
+    for name, how in json.loads((run / "alignment.json").read_text()).items():
+        shape = unit_mesh(TrainingSet.open(turned[0], recipe), name)[0]
+        best = orienter(compute_operators(shape, settings=recipe.operators))[0]
+        assert rotation_angle(torch.tensor(how["rotation"]).float() @ best.rotation.T) < 0.1
+    kept = load_weights(run / "weights.safetensors").orienter.network.state_dict()
+    assert all(torch.equal(kept[key], weight) for key, weight in orienter.network.state_dict().items())
 
 
 def test_a_resumed_training_reads_how_shapes_were_turned(trained, turned, monkeypatch):

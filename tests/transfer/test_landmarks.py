@@ -112,6 +112,96 @@ def test_tables_go_round(tmp_path):
     assert (tmp_path / "b.xyz").read_text() == "1.0 2.0 3.0\n4.0 5.0 6.0\n"
 
 
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        ("name;x;y;z\na;1,5;2;3\nb;4;5,25;6\n", "name;x;y;z\na;11,5;12.0;13.0\nb;14.0;15,25;16.0\n"),
+        ('name;x;y;z\n"tip, nose";1,5;2;3\nb;4;5,25;6\n', "name;x;y;z\ntip, nose;11,5;12.0;13.0\nb;14.0;15,25;16.0\n"),
+        ("1,5  2,0  3,0\n4,0  5,25  6,0\n", "11,5 12,0 13,0\n14,0 15,25 16,0\n"),
+        (
+            'i,name,x,y,z\n1, "n,m",1.5,2,3\n2,b,4,5.25,6\n',
+            'i,name,x,y,z\n1,"n,m",11.5,12.0,13.0\n2,b,14.0,15.25,16.0\n',
+        ),
+        ("y,z\na,1.5,2,3\nb,4,5.25,6\n", "y,z\na,11.5,12.0,13.0\nb,14.0,15.25,16.0\n"),
+        ("skull\n1.5 2 3\n4 5.25 6\n", "skull\n11.5 12.0 13.0\n14.0 15.25 16.0\n"),
+    ],
+)
+def test_tables_are_written_as_they_were(tmp_path, text, written):
+    (tmp_path / "a.csv").write_text(text)
+    found = read_landmarks(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found.points, [[1.5, 2, 3], [4, 5.25, 6]])
+    found.write_from(tmp_path / "b.csv", found.points + 10, "RAS")
+    assert (tmp_path / "b.csv").read_text() == written
+    np.testing.assert_array_equal(read_landmarks(tmp_path / "b.csv").points, found.points + 10)
+
+
+def test_a_table_keeps_landmarks_without_a_position(tmp_path):
+    (tmp_path / "a.csv").write_text("name,x,y,z\na,,,\nb,4,5,6\n")
+    found = read_landmarks(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found.points, [[np.nan] * 3, [4, 5, 6]])
+    found.write_from(tmp_path / "b.csv", found.points, "RAS")
+    assert (tmp_path / "b.csv").read_text() == "name,x,y,z\na,nan,nan,nan\nb,4.0,5.0,6.0\n"
+
+
+def scalismo():
+    """As scalismo writes it: a list of landmarks, some with what else it knows."""
+    uncertainty = {"stddevs": [1.0, 2.0, 3.0], "pcvectors": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]}
+    first, second, third = ({"id": name, "coordinates": at} for name, at in zip("ABC", POINTS.tolist(), strict=True))
+    return [
+        {**first, "description": "a tip", "extensions": {"seen": True}},
+        second,
+        {**third, "uncertainty": uncertainty},
+    ]
+
+
+def test_scalismos_json_goes_round(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(scalismo()))
+    found = read_landmarks(path)
+    assert found.system is None and found.names == ("A", "B", "C") and found.suffix == ".json"
+    np.testing.assert_array_equal(found.points, POINTS)
+    found.write_from(tmp_path / "b.json", found.points_in("RAS") + 1, "RAS")
+    written = json.loads((tmp_path / "b.json").read_text())
+    np.testing.assert_array_equal([each["coordinates"] for each in written], POINTS + 1)
+    assert written[0] | {"coordinates": 0} == scalismo()[0] | {"coordinates": 0}
+    assert list(written[2]) == ["id", "coordinates"]  # its directions were those of the other shape
+    found.write_from(tmp_path / "b.json", np.array([POINTS[0], [np.nan] * 3, POINTS[2]]), "LPS")
+    assert read_landmarks(tmp_path / "b.json").names == ("A", "C")
+
+
+@pytest.mark.parametrize(
+    "names", [("nose", "chin", "ear"), ("7", "3", "ear"), ("12", "30", "4"), ("nose, tip", "a", "b")]
+)
+@pytest.mark.parametrize("points", [POINTS, np.arange(9.0).reshape(3, 3)])
+@pytest.mark.parametrize("comment", ["", "# made by hand\n"])
+def test_scalismos_tables_have_a_name_and_three_numbers(tmp_path, names, points, comment):
+    quoted = [f'"{name}"' if "," in name else name for name in names]
+    rows = [f"{name},{x:g},{y:g},{z:g}" for name, (x, y, z) in zip(quoted, points.tolist(), strict=True)]
+    (tmp_path / "a.csv").write_text(comment + "\n".join(rows) + "\n")
+    found = read_landmarks(tmp_path / "a.csv")
+    assert found.names == names
+    np.testing.assert_array_equal(found.points, points)
+    found.write_from(tmp_path / "b.csv", points + 1, "LPS")
+    again = read_landmarks(tmp_path / "b.csv")
+    assert again.names == names
+    np.testing.assert_array_equal(again.points, points + 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "names"),
+    [
+        ("a.mrk.json", json.dumps(markups()), ("P-0", "P-1", "P-2")),
+        ("a.fcsv", fcsv(), ("vtk_0", "vtk_1", "vtk_2")),
+        ("a.fcsv", "# columns = id,x,y,z,vis,sel,label\n1,1,2,3,1,1,tip\n2,1,2,3,1,1,\n", ("tip", "2")),
+        ("a.csv", "x,y,z,name\n1,2,3,tip\n4,5,6,\n", ("tip", "2")),
+        ("a.xyz", "1 2 3\n4 5 6\n", ("1", "2")),
+    ],
+)
+def test_names(tmp_path, name, content, names):
+    (tmp_path / name).write_text(content)
+    assert read_landmarks(tmp_path / name).names == names
+
+
 @pytest.mark.parametrize("axes", ["lps", "ras"])
 def test_tables_of_slicer_name_their_system(tmp_path, axes):
     (tmp_path / "a.csv").write_text(f"label,{','.join(axes)},defined\nF,1,2,3,1\nG,4,5,6,1\n")
@@ -154,8 +244,22 @@ def test_landmarks_go_along(make, matched):
         ("a.fcsv", "# nothing\n", "holds no landmarks"),
         ("a.fcsv", "F,1,2\n", "too few"),
         ("a.csv", "x,y,z\n", "holds no landmarks"),
+        ("a.csv", "label,x,y,z\nF,1,2,3\n" + "G" * 200_000 + ",1,2,3\n", "no row of a table .* 131072 characters"),
         ("a.csv", "p,q,r,s\n1,2,3,4\n", "its columns are named"),
-        ("a.json", "{}", "must have one of"),
+        ("a.csv", "skull\na\nb\n", "has 1 values, too few"),
+        ("a.csv", "y,z\n1,2\n3,4\n", "has 2 values, too few"),
+        ("a.csv", "# skull\n1\n2\n", "has 1 values, too few"),
+        ("a.csv", "name,x,y,z\na,,2,3\n", "should hold numbers"),
+        ("a.csv", 'i,name,x,y,z\n1, "n,1,2,3\n', "do not all hold numbers"),
+        ("a.vtk", "{}", "must have one of"),
+        ("a.json", "{}", "no list of landmarks with 'id' and 'coordinates'"),
+        ("a.json", "[]", "holds no landmarks"),
+        ("a.json", '[{"id": "A"}]', "no list of landmarks with 'id' and 'coordinates'"),
+        ("a.json", '[{"id": 3, "coordinates": [1, 2, 3]}]', "no list of landmarks with 'id' and 'coordinates'"),
+        ("a.json", '[{"id": "A", "coordinates": [1, 2]}]', "three numbers"),
+        ("a.json", '[{"id": "A", "coordinates": [1, 2, NaN]}]', "cannot be read as landmarks"),
+        ("a.json", "[", "no valid JSON"),
+        ("a.json", json.dumps(markups()), "are called .mrk.json"),
         ("a.csv", None, "No such file"),
     ],
 )

@@ -231,3 +231,14 @@ def test_the_label_of_points_without_a_counterpart_is_no_label_of_the_source(mak
         found = transfer.labels(labels)
         np.testing.assert_array_equal(found[20:], labels[20:])
         assert (found[:20] == none).all()
+
+
+@pytest.mark.parametrize("kind", ["<f2", "g", ">i4", "?"])
+def test_values_of_any_type_and_infinite_ones_are_interpolated(make, recwarn, kind):
+    cloud = make.blob(2).as_cloud()
+    places = SurfaceProjector(cloud).project(cloud.points)
+    values = (np.arange(cloud.n_points * 2) % 2).astype(kind).reshape(-1, 1, 2)
+    np.testing.assert_allclose(places.interpolate(values), values.astype(float), atol=1e-9)
+    assert np.isinf(places.interpolate(np.full((cloud.n_points, 2), np.inf))).all()
+    assert np.isinf(places.interpolate(np.full(cloud.n_points, np.longdouble("1e4000")))).all()
+    assert not recwarn.list

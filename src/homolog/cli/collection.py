@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,6 +13,7 @@ import typer
 import homolog
 from homolog.cli.options import (
     INPUT,
+    METHOD,
     ONE_PER_CORE,
     OUTPUT,
     DeviceOption,
@@ -32,9 +33,10 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import progress_bar, say
 from homolog.cli.wording import in_options
-from homolog.core.choices import Up
+from homolog.core.choices import System, Up
 
 if TYPE_CHECKING:
+    from homolog.pairs import Candidate
     from homolog.shape_models import BuiltModel, Outcome
 
 Collected = Literal["template", "shapes", "both"]
@@ -67,6 +69,32 @@ def collection(
     ] = False,
     method: MethodOption = "auto",
     weights: Weights = None,
+    adapt: Annotated[
+        int,
+        typer.Option(
+            metavar="STEPS",
+            help="Train a copy of the weights on all shapes at once for so many steps, and use it for the shapes whose "
+            "maps then contradict themselves less; 0 for none.",
+            min=0,
+            rich_help_panel=METHOD,
+        ),
+    ] = 0,
+    landmarks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Landmarks on the template, to be carried to all shapes: .csv, .mrk.json, .fcsv, or scalismo's .json.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    axes: Annotated[
+        System | None,
+        typer.Option(
+            help="The shapes' coordinate system, for landmark files that have one.",
+            show_default="as the shapes' files say, or LPS",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     output: Annotated[
         Path,
         typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
@@ -85,9 +113,12 @@ def collection(
     """Register a template to many shapes, and compute their statistical shape model.
 
     Needs the extra `collection`. Writes DIR/shapes/NAME.ply (the template's points, registered smoothly to each
-    shape's surface, in its own coordinates), DIR/points.npy (shapes, points, 3), DIR/quality.csv (a row per shape),
-    DIR/contact_sheet.png (the worst first), DIR/model (the mean, the principal modes, curves, and modes.html to drag
-    through), DIR/shapeworks and DIR/scalismo (for these programs), and DIR/report.json.
+    shape's surface, in its own coordinates), DIR/matches/NAME (the match that led there), DIR/points.npy (shapes,
+    points, 3), DIR/quality.csv (a row per shape), DIR/contact_sheet.png (the worst first), DIR/model (the mean, the
+    principal modes, curves, and modes.html to drag through), DIR/shapeworks and DIR/scalismo (for these programs), and
+    DIR/report.json. By default one choice of weights, or of a method without any, is made for all shapes. With
+    --landmarks also DIR/landmarks (a file per shape, in the given format) and DIR/landmarks.csv (all of them). `homolog
+    view DIR --shape NAME` shows the match of a shape.
 
     The same command resumes where it was stopped, and redoes what changed; more shapes can be given then. A shape that
     cannot be matched is one line on stderr and in quality.csv; the others are still written, and the exit code is 2.
@@ -96,6 +127,8 @@ def collection(
       homolog collection template.ply scans/*.ply -o people
 
       homolog collection femur.stl femurs/*.stl -o femurs_model --weights femurs.safetensors --up z
+
+      homolog collection skull.ply skulls/*.ply -o skulls_model --landmarks skull.mrk.json
 
       homolog collection lung.csv lungs/*.csv -o lungs_model --method registration --up z --scale
     """
@@ -111,6 +144,7 @@ def collection(
         shapes_as_cloud=as_cloud in ("shapes", "both"),
         orient=orient,
         strict=strict,
+        adapt=adapt,
     )
     model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
@@ -124,6 +158,8 @@ def collection(
             make_matcher,
             settings=settings,
             model=model,
+            landmarks=landmarks,
+            axes=axes,
             processes=processes,
             progress=progress,
             listener=_tell,
@@ -135,6 +171,15 @@ def collection(
         raise typer.Exit(2)
 
 
+def _of_choice(choice: Sequence[Candidate]) -> str:
+    """Which features or method all shapes are matched by, and what the others had."""
+    best, *others = choice
+    if best.map_misfit is None:
+        return f"All shapes are matched with the weights {best.name}, which know them (misfit {best.misfit:.2f})."
+    told = ", ".join(f"{each.name} {each.map_misfit:.2f}" for each in others)
+    return f"All shapes are matched by {best.name}: its maps have the least misfit, {best.map_misfit:.2f} ({told})."
+
+
 def _tell(outcome: Outcome) -> None:
     if outcome.error:
         say(f"Error: {outcome.error}")
@@ -142,9 +187,14 @@ def _tell(outcome: Outcome) -> None:
 
 def _summary(built: BuiltModel, warnings_of_all: Iterable[str]) -> None:
     folder, outcomes = built.folder, built.outcomes
-    for warning in warnings_of_all:
+    for warning in (*warnings_of_all, *built.warnings):
         say(f"Warning: {in_options(warning)}")
+    if choice := folder.choice():
+        say(_of_choice(choice))
     registered = [outcome for outcome in outcomes if not outcome.error]
+    adapted = [outcome.figures.adapted for outcome in registered if outcome.figures is not None]
+    if any(kept is not None for kept in adapted):
+        say(f"Maps by the adapted weights are kept for {sum(map(bool, adapted))} of {len(adapted)} shapes.")
     warned = [outcome for outcome in registered if outcome.warnings]
     for outcome in warned:
         for warning in outcome.warnings:

@@ -44,7 +44,10 @@ def list_datasets() -> None:
 
       homolog data list | cut -f 1
     """
-    rows = [_row(description) for description in homolog.datasets.builtin_descriptions()]
+    rows = [
+        (each.name, each.title, f"{each.expected_shapes:,}" if each.expected_shapes else "", each.truth, each.terms)
+        for each in homolog.datasets.builtin_descriptions()
+    ]
     if not sys.stdout.isatty():
         typer.echo("\n".join("\t".join(row) for row in (_COLUMNS, *rows)))
         return
@@ -56,11 +59,6 @@ def list_datasets() -> None:
     for row in rows:
         table.add_row(*map(escape, row))
     Console().print(table)
-
-
-def _row(description: DatasetDescription) -> tuple[str, ...]:
-    count = description.expected_shapes
-    return description.name, description.title, f"{count:,}" if count else "", description.truth, description.terms
 
 
 def show(name: DatasetName) -> None:
@@ -131,18 +129,15 @@ def check(
     with progress_bar(quiet=quiet) as progress:
         report = homolog.datasets.check_dataset(folder, described, progress=progress)
     if not quiet and report.n_shapes:
-        typer.echo(_verdict(report, described))  # not in the table, which breaks a long path over lines
+        n = len(report.findings)
+        verdict = f"{n} finding{'s' if n > 1 else ''}" if n else "nothing is missing or wrong"
+        # Not in the table, which breaks a long path over lines.
+        typer.echo(f"{described.name} at {report.root}: {verdict}")
         Console().print(_summary(report, described))
     for finding in report.findings:
         stderr_console().print(f"[bold red]Error:[/] {escape(finding)}", soft_wrap=True)
     if report.findings:
         raise typer.Exit(2)
-
-
-def _verdict(report: DatasetReport, described: DatasetDescription) -> str:
-    n = len(report.findings)
-    verdict = f"{n} finding{'s' if n > 1 else ''}" if n else "nothing is missing or wrong"
-    return f"{described.name} at {report.root}: {verdict}"
 
 
 def _summary(report: DatasetReport, described: DatasetDescription) -> Table:
@@ -158,20 +153,16 @@ def _summary(report: DatasetReport, described: DatasetDescription) -> Table:
 
 def _counts(report: DatasetReport, described: DatasetDescription) -> list[tuple[str, str]]:
     partial = "partial shapes" if described.full else "volumes" if described.holds == "volumes" else "shapes"
+    pairs = {split: f", {number:,} pairs" for split, number in report.pairs.items() if number}
     return [
         (partial, _of(report.n_shapes, described.expected_shapes)),
         ("full shapes", _of(report.n_full, len(described.expected_full_names))),
         ("points", homolog.datasets.counted(report.n_points)),
         ("points with ground truth", homolog.datasets.counted(report.n_truth)),
-        *((f"split {split!r}", _sizes(report, split)) for split in report.splits),
+        *((f"split {split!r}", f"{n:,} shapes{pairs.get(split, '')}") for split, n in report.splits.items()),
         ("checksum", report.sha256),
     ]
 
 
 def _of(found: int, expected: int) -> str:
     return f"{found:,}" + (f" of {expected:,}" if expected else "") if found or expected else ""
-
-
-def _sizes(report: DatasetReport, split: str) -> str:
-    pairs = report.pairs.get(split, 0)
-    return f"{report.splits[split]:,} shapes" + (f", {pairs:,} pairs" if pairs else "")

@@ -218,7 +218,7 @@ def evaluate(
 
       homolog evaluate FAUST_r --weights people.safetensors -n 20
 
-      homolog evaluate SCAPE_r --weights people.safetensors --adapt 15 -n 20
+      homolog evaluate SCAPE_r --weights people.safetensors --adapt 40 -n 20
 
       homolog evaluate SHREC16 --dataset shrec16_cuts --weights cuts.safetensors
 
@@ -319,14 +319,14 @@ def _setup(folder: ShapeFolder, protocol: Protocol) -> dict[str, Any]:
 
 
 def _adapting(matcher: Matcher, steps: int) -> Callable[[Pair], Match] | None:
-    """How a pair is matched: as it is, or after the network is adapted to it."""
+    """How a pair is matched: as it is, or after the network is adapted to it, where that is better."""
     if not steps:
         return None
 
     settings = homolog.training.AdaptationSettings(steps=steps)
 
     def match(pair: Pair) -> Match:
-        adapted, pair = homolog.training.adapt_to_pair(matcher, pair, settings)
+        adapted, pair = homolog.training.adapt_if_better(matcher, pair, settings)
         return adapted.find(pair)
 
     return match
@@ -342,10 +342,10 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     table.add_row(f"median {kind} error {unit}", f"{found[f'median_{kind}_error']:.2f}")
     if "pck" in found:
         table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
-    if evaluation.missing is not None:
-        table.add_row("points without a counterpart", _described_detection(evaluation.missing))
-    if evaluation.clutter is not None:
-        table.add_row("points that were added", _described_detection(evaluation.clutter))
+    found_points = {"points without a counterpart": evaluation.missing, "points that were added": evaluation.clutter}
+    for label, detection in found_points.items():
+        if detection is not None:
+            table.add_row(label, _described_detection(detection))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
         without = found[f"mean_{kind}_error_of_matched_points"]
@@ -354,6 +354,8 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     table.add_row("method", found["method"])
     if evaluation.choices:
         table.add_row("matched by", ", ".join(f"{name} {count}" for name, count in evaluation.choices.items()))
+    if evaluation.n_adapted is not None:
+        table.add_row("pairs whose adapted map was kept", f"{evaluation.n_adapted} of {len(evaluation.pairs)}")
     if evaluation.exchanges is not None:
         sides, over = (evaluation.exchanges[way] for way in ("left-right", "turned over"))
         known = sum(evaluation.exchanges.values())
@@ -374,6 +376,6 @@ def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     return f"{name}, {protocol.modality}{partial}{noise}{turned}"
 
 
-def _described_detection(missing: Detection) -> str:
-    figures = {"precision": missing.precision, "recall": missing.recall, "F1": missing.f1}
+def _described_detection(found: Detection) -> str:
+    figures = {"precision": found.precision, "recall": found.recall, "F1": found.f1}
     return ", ".join(f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())

@@ -40,7 +40,8 @@ class Command(TyperCommand):
         for param in () if ctx.resilient_parsing else self.params:
             empty = "" in _listed(texts.get(param.name))
             if empty and any(_names_files(param, one) for one in _listed(ctx.params[param.name])):
-                raise bad_value(_called(param), "", PATH_NEEDED)
+                name = param.opts[0] if param.opts[0].startswith("-") else str(param.metavar).rstrip(".")
+                raise bad_value(name, "", PATH_NEEDED)
         return left
 
     def invoke(self, ctx: Any) -> Any:
@@ -71,11 +72,6 @@ def _listed(value: Any) -> list[Any]:
 def _names_files(param: Any, value: Any) -> bool:
     """Whether a value of a parameter is the path of a file or folder, or may be one."""
     return isinstance(value, Path) or (isinstance(value, str) and "FILE" in (param.metavar or ""))
-
-
-def _called(param: Any) -> str:
-    """How messages call a parameter."""
-    return str(param.opts[0] if param.opts[0].startswith("-") else param.metavar).rstrip(".")
 
 
 def _beside(path: Path) -> tuple[Path, ...]:

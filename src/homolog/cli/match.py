@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
@@ -131,7 +131,7 @@ def match(
 
       homolog match dancer.ply statue.ply -o result --html both.html --picture both.png --lines 20
 
-      homolog match old.ply new.ply -o result --weights people.safetensors --adapt 15
+      homolog match old.ply new.ply -o result --weights people.safetensors --adapt 40
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
@@ -211,12 +211,12 @@ def _shown(match: Match, page: Path | None, picture: Path | None, *, width: int,
 
 
 def adapted(matcher: Matcher, pair: Pair, steps: int, timings: Timings) -> tuple[Matcher, Pair]:
-    """Both after so many steps of test-time adaptation."""
+    """Both after so many steps of test-time adaptation, where these make the map better."""
     if not steps:
         return matcher, pair
     settings = homolog.training.AdaptationSettings(steps=steps)
     with timings.measure("adapt"):
-        return homolog.training.adapt_to_pair(matcher, pair, settings, listener=timings.listener)
+        return homolog.training.adapt_if_better(matcher, pair, settings, listener=timings.listener)
 
 
 def counted(progress: Report, total: int = STEPS, *, verbose: bool = False) -> Listener:
@@ -250,9 +250,18 @@ def _summary(matches: list[Match], timings: Timings, paths: list[Path], *, verbo
             say(f"{step.name:<24} {step.seconds:8.2f} s   process peak {step.process_peak_mb:7.0f} MB")
     seconds = sum(step.seconds for step in timings.finished)
     sides = "; ".join(f"{side} {_in_words(match.matched(side))}" for side in get_args(Side))
+    if match.report["adaptation"]:
+        say(_of_adaptation(match.report["adaptation"]))
     say(f"Matched by {match.method}{_with_weights(match)} in {seconds:.1f} s (from reading to writing): {sides}.")
     for path in paths:
         typer.echo(path)
+
+
+def _of_adaptation(told: dict[str, Any]) -> str:
+    if not told["steps"]:
+        return "Not adapted: these shapes are matched best by a method without weights."
+    figures = f"the map's misfit is {told['adapted_map_misfit']:.2f} with it and {told['map_misfit']:.2f} without"
+    return f"Adaptation {'kept' if told['kept'] else 'not kept'}: {figures}."
 
 
 def _with_weights(match: Match) -> str:

@@ -67,7 +67,8 @@ Adapt = Annotated[
     typer.Option(
         "--adapt",
         metavar="STEPS",
-        help="Train a copy of the weights on each pair for so many steps before it is matched; 0 for none.",
+        help="Train a copy of the weights on each pair for so many steps, and match with it where the map then "
+        "contradicts itself less; 0 for none.",
         min=0,
         rich_help_panel=METHOD,
     ),

@@ -52,7 +52,9 @@ def part(
     import numpy as np
 
     check_inputs(file)
-    _check_folder(output)
+    folder = expanded(output)
+    if folder.is_dir() and any(path.name not in _FILES for path in folder.glob("[!.]*")):
+        raise ArgumentError(f"{output} holds other things; give another folder with -o, a new or an empty one")
     check_folder(output, names=_FILES)
     with progress_bar(quiet=quiet) as progress:
         progress(0, 2, "read and repair")
@@ -70,12 +72,6 @@ def part(
             remove(folder / name)
     if not quiet:
         typer.echo(output)
-
-
-def _check_folder(output: Path) -> None:
-    folder = expanded(output)
-    if folder.is_dir() and any(path.name not in _FILES for path in folder.glob("[!.]*")):
-        raise ArgumentError(f"{output} holds other things; give another folder with -o, a new or an empty one")
 
 
 def _parts(shape: Shape, kind: Kind, seed: int) -> dict[str, PartialShape]:

@@ -59,7 +59,7 @@ def transfer(
         _Files,
         typer.Option(
             metavar="FILE",
-            help="Points on the source: .csv, .mrk.json or .fcsv. Can be repeated.",
+            help="Points on the source: .csv, .mrk.json, .fcsv, or scalismo's .json. Can be repeated.",
             rich_help_panel=_WHAT,
         ),
     ] = None,

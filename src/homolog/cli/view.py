@@ -10,6 +10,7 @@ import typer
 import homolog
 from homolog.cli.browsing import Host, NoOpen, Port, announce, interrupt_ends
 from homolog.cli.options import (
+    INPUT,
     PICTURE_WIDTH,
     Lines,
     Page,
@@ -22,6 +23,7 @@ from homolog.cli.options import (
     check_picture_file,
 )
 from homolog.cli.progress import progress_bar
+from homolog.core.errors import ArgumentError
 from homolog.core.files import refuse_overwriting_inputs
 from homolog.core.progress import Timings
 
@@ -36,6 +38,15 @@ _STEPS = 6
 
 def view(
     result: ResultFolder,
+    shape: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="RESULT is a collection: show the match of its template with this shape.",
+            show_default=False,
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     page: Page = None,
     picture: Picture = None,
     lines: Lines = 0,
@@ -73,6 +84,8 @@ def view(
 
       homolog view result --html result.html
 
+      homolog view collection --shape anna
+
       homolog view result --picture result.png --lines 20
 
       homolog view result --truth cat.vts lion.vts --weights animals.safetensors
@@ -81,7 +94,7 @@ def view(
     """
     check_page_file(page)
     check_picture_file(picture, lines, picture_width)
-    found = homolog.Match.load(result)
+    found = _match(result, shape)
     refuse_overwriting_inputs(filter(None, (page, picture)), homolog.matching.given_files(found))
     scene = homolog.viewing.scene_of(found, _layers(found, truth, weights, quiet=quiet))
     if picture is not None:
@@ -92,6 +105,16 @@ def view(
     if page is not None:
         homolog.viewing.write_page(page, scene)
         typer.echo(page)
+
+
+def _match(result: Path, shape: str | None) -> Match:
+    """The match of a result folder, or of a shape of a collection."""
+    folders = homolog.shape_models.ShapeModelFolder
+    if shape is not None:
+        return folders.existing(result).match(shape)
+    if folders.is_one(result):
+        raise ArgumentError(f"{result} is a collection; say which of its shapes is to be shown, by --shape NAME")
+    return homolog.Match.load(result)
 
 
 def _layers(result: Match, truth: tuple[Path, Path] | None, weights: str | None, *, quiet: bool) -> list[Layer]:

@@ -120,7 +120,7 @@ def _array(stream: IO[bytes], available: int, what: str) -> Shaped[np.ndarray, .
     except Exception:  # what Python's parser says of damaged text helps nobody
         raise ArrayFileError(f"{what} has a damaged header") from None
     if dtype.hasobject:
-        raise ArrayFileError(f"{what} holds values of type object, but real numbers are needed")
+        raise ArrayFileError(f"{what} holds values of type object, but real numbers are needed; save it as numbers")
     count = math.prod(lengths)
     if min(lengths, default=0) < 0 or count * dtype.itemsize > available:
         raise ArrayFileError(

@@ -217,7 +217,7 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
         >>> refuse_overwriting_inputs(["map.npz"], ["source.ply", "target.ply"])
     """
     kept = _keeping.get() or _Kept(())
-    read = [path for path in (*map(expanded, inputs), *kept.inputs) if path.exists()]
+    read = [path for path in (*map(expanded, inputs), *kept.inputs) if is_there(path)]
     for output in map(expanded, outputs):
         target = resolved(output)
         if not output.exists() or target in kept.written:
@@ -241,11 +241,8 @@ def _lies_in(target: Path, folder: Path) -> bool:
     if any(parent.samefile(folder) for parent in target.parents):
         return True
     status = target.stat()
-    return status.st_nlink > 1 and stat.S_ISREG(status.st_mode) and any(map(target.samefile, _files_below(folder)))
-
-
-def _files_below(folder: Path) -> Iterator[Path]:
-    return (path for path in folder.rglob("*") if path.is_file())
+    may_be_linked = status.st_nlink > 1 and stat.S_ISREG(status.st_mode)
+    return may_be_linked and any(path.is_file() and target.samefile(path) for path in folder.rglob("*"))
 
 
 def remove(path: Path) -> None:

@@ -37,10 +37,31 @@ _SAID: tuple[tuple[str, str, int], ...] = (
         "row {row} has {found} columns, others have another number",
         0,
     ),
+    (r"field larger than field limit \((?P<row>\d+)\)", "it has a cell of more than {row} characters", 0),
     (r"input contained no data", "it holds no numbers", 0),
     (r"PytorchStreamReader|Weights only load failed", "it is damaged, or PyTorch has not written it", 0),
     (r"deserializing header", "its header is damaged, or it is no safetensors file", 0),
+    (r"limit .* for integer string conversion", "it holds a whole number of more than 64 bits", 0),
     (r"Unknown mat file type", "it is damaged, or MATLAB has not written it", 0),
+)
+# What Python says of TOML, and what is allowed there instead.
+_TOML: tuple[tuple[str, str], ...] = (
+    (r"Invalid value", "what follows = must be a number, true, false, a text in quotes, a list or a table"),
+    (r"Expected '=' after a key", "a key must be followed by = and its value"),
+    (r"Expected newline or end of document", "a line must hold one entry, and texts stand in quotes"),
+    (r"Duplicate inline table key|Cannot overwrite a value", "a key must not stand twice in its section"),
+    (r"Cannot declare", "a section must not stand twice"),
+    (r"immutable namespace|Cannot redefine", "a list or table in one line must hold all its entries there"),
+    (r"Unclosed array", "a list must end with ]"),
+    (r"Unclosed inline table", "a table in one line must end with }"),
+    (r"Unterminated string|Expected [\"']+$", "a text must end with the quotes that it begins with"),
+    (r"character '\\[nr]'", "a text in quotes must end on its line, unless there are three quotes"),
+    (r"Illegal character|Found invalid character", "a text must have no control characters"),
+    (r"Unescaped|Invalid hex|Unicode scalar", r"in double quotes a \ must be written as \\, or the quotes be single"),
+    (r"Invalid initial character", "a key must be of letters, digits, _ and -, or stand in quotes"),
+    (r"Invalid date", "a date must exist, and texts stand in quotes"),
+    (r"Expected '\]+' at", "a section must end with as many ] as it begins with ["),
+    (r"Invalid statement", "an entry must be key = value, and a section [name]"),
 )
 # pydantic's names of mistakes, and what is allowed instead.
 _ALLOWED = {
@@ -102,6 +123,26 @@ def _in_our_words(said: str) -> str:
             parts = found.groupdict()
             return words.format(found=shorten(parts.get("found"), 40), row=int(parts.get("row", 0)) + missing)
     return said
+
+
+def toml_reason(error: ValueError, text: str) -> str:
+    r"""Why a text is no TOML: the line and column, what stands there, and what is allowed.
+
+    Args:
+        error: what ``tomllib`` raised of it.
+        text: as it was given to ``tomllib``.
+
+    Examples:
+        >>> toml_reason(ValueError("Invalid value (at line 2, column 5)"), "a = 1\nb = yes\n")
+        "at line 2, column 5, it has 'b = yes', but what follows = must be a number, true, false, a text in quotes, ..."
+    """
+    said, _, place = str(error).rpartition(" (at ")
+    allowed = next((words for pattern, words in _TOML if re.search(pattern, said)), "this is not how TOML is written")
+    lines = text.rstrip().split("\n")
+    numbers = re.match(r"line (\d+), column (\d+)", place)  # of the end of the file it tells none
+    line, column = map(int, numbers.groups()) if numbers else (len(lines), len(lines[-1]) + 1)
+    found = lines[min(line, len(lines)) - 1].strip()
+    return f"at line {line}, column {column}, it has {shown(found)}, but {allowed}"
 
 
 def _mistake(details: ErrorDetails) -> str:

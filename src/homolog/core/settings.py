@@ -28,7 +28,7 @@ from annotated_types import Ge, Gt, Le, Lt
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.files import read_text
 from homolog.core.messages import shown
-from homolog.core.reasons import reason_of
+from homolog.core.reasons import reason_of, toml_reason
 from homolog.core.records import check_plain
 
 if TYPE_CHECKING:  # loaded once something is checked
@@ -100,11 +100,14 @@ def read_toml(path: Path) -> dict[str, Any]:
         ArgumentError: if it cannot be read, or is no TOML.
     """
     try:
-        tables = tomllib.loads(read_text(path))
+        text = read_text(path)
+        tables = tomllib.loads(text)
         check_plain(tables)
+    except tomllib.TOMLDecodeError as error:
+        raise ArgumentError(f"{path} is not valid TOML: {toml_reason(error, text)}") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ArgumentError(f"{path} cannot be read ({reason_of(error)}); give a TOML file") from None
-    except (ValueError, RecursionError) as error:  # of tomllib, and of numbers that are too long
+    except (ValueError, RecursionError) as error:  # of what is nested too deep, and of numbers that are too long
         raise ArgumentError(f"{path} is not valid TOML: {reason_of(error)}") from None
     return tables
 

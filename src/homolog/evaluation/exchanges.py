@@ -162,19 +162,12 @@ def exchange_of(
     """
     ways: list[tuple[Exchange, Float[np.ndarray, "p 3"]]] = [("left-right", left_right)]
     ways += [("turned over", places) for places in turned_over]
-    found = [
-        (float(np.nanmean(_apart(mapped, places))), way)
-        for way, places in ways
-        if _is_mostly(own, mapped, places, scale)
-    ]
+    found = list[tuple[float, Exchange]]()
+    for way, places in ways:
+        away, far = _apart(mapped, places), _apart(own, places) > _FAR * scale  # not so where a place is NaN
+        if far.any() and np.mean(away[far] < _apart(mapped, own)[far]) > 0.5:
+            found.append((float(np.nanmean(away)), way))
     return min(found, key=lambda one: one[0])[1] if found else "none"
-
-
-def _is_mostly(
-    own: Float[np.ndarray, "p 3"], mapped: Float[np.ndarray, "p 3"], places: Float[np.ndarray, "p 3"], scale: float
-) -> bool:
-    far = _apart(own, places) > _FAR * scale  # not so where a place is NaN
-    return bool(far.any() and np.mean(_apart(mapped, places)[far] < _apart(mapped, own)[far]) > 0.5)
 
 
 def _apart(points: Float[np.ndarray, "p 3"], others: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, " p"]:
@@ -231,13 +224,10 @@ class ExchangeFinder:
         key = (class_of(name) if self._folder.description.pairs == "same-class" else "", count)
         if key not in self._found:
             alike = [each for each in self._folder.names if not key[0] or class_of(each) == key[0]]
-            self._found[key] = self._partners_among(alike, count)
+            found = (self._template_points(each, count) for each in alike[:: -(-len(alike) // _SHAPES)])
+            mean = mean_shape([places for places in found if places is not None])
+            self._found[key] = None if mean is None else partners(mean, self._read_partners(alike, count))
         return self._found[key]
-
-    def _partners_among(self, names: list[str], count: int) -> Partners | None:
-        sampled = names[:: -(-len(names) // _SHAPES)]
-        mean = mean_shape([places for name in sampled if (places := self._template_points(name, count)) is not None])
-        return None if mean is None else partners(mean, self._read_partners(names, count))
 
     def _template_points(self, name: str, count: int) -> Float[np.ndarray, "k 3"] | None:
         """A shape's template points; None if they are not so many, or the shape, which may be in no pair, is faulty."""

@@ -37,6 +37,8 @@ class PairErrors:
         metrics: figures of one's own.
         exchanged: what the map exchanges; None where that is not looked for.
         chosen: the features, or the method without any, that were chosen among several; None where there was no choice.
+        adaptation: what came of adapting a network to the pair, see ``homolog.pairs.PairAdaptation``; None where that
+            was not asked for.
     """
 
     pair: Pair
@@ -50,6 +52,12 @@ class PairErrors:
     metrics: Mapping[str, float] = field(default_factory=dict)
     exchanged: Exchange | None = None
     chosen: str | None = None
+    adaptation: Mapping[str, Any] | None = None
+
+    @property
+    def adapted(self) -> bool | None:
+        """Whether the map is that of an adapted network; None where none was asked for."""
+        return None if self.adaptation is None else self.adaptation["kept"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -93,6 +101,12 @@ class Evaluation:
     def choices(self) -> dict[str, int]:
         """How many pairs were matched by which features or method; {} where there was no choice."""
         return dict(Counter(pair.chosen for pair in self.pairs if pair.chosen is not None))
+
+    @property
+    def n_adapted(self) -> int | None:
+        """How many maps are those of adapted networks; None where none were asked for."""
+        known = [pair.adapted for pair in self.pairs if pair.adapted is not None]
+        return sum(known) if known else None
 
     @property
     def missing(self) -> Detection | None:
@@ -148,6 +162,7 @@ class Evaluation:
             **({"metrics": metrics} if metrics else {}),
             "method": self.method,
             **({"chosen": self.choices} if self.choices else {}),
+            **({} if self.n_adapted is None else {"adapted_pairs": self.n_adapted}),
             "unmatched_points": int((~matched).sum()),
             "doubtful_pairs": self.n_doubtful,
             **({} if self.exchanges is None else {"exchanged_pairs": self.exchanges}),
@@ -157,11 +172,12 @@ class Evaluation:
 
     def rows(self) -> list[list[Any]]:
         """A table of pairs, its header first: names, points, errors, figures of quality, doubts, exchanges,
-        choices, metrics.
+        choices, adaptations, metrics.
         """
         metrics = sorted({name for pair in self.pairs for name in pair.metrics})
         error = f"mean_{self.error_kind}_error"
-        header = ["source", "target", "points", "unmatched", error, *MEASURES, "doubtful", "exchanged", "chosen"]
+        header = ["source", "target", "points", "unmatched", error, *MEASURES, "doubtful"]
+        header += ["exchanged", "chosen", "adapted"]
         return [[*header, *metrics], *([*self._row(pair), *map(pair.metrics.get, metrics)] for pair in self.pairs)]
 
     def _row(self, pair: PairErrors) -> list[Any]:
@@ -177,6 +193,7 @@ class Evaluation:
             pair.doubtful,
             pair.exchanged,
             pair.chosen,
+            pair.adapted,
         ]
 
     def _curve(self, errors: Float[np.ndarray, " p"]) -> dict[str, Any]:
@@ -196,6 +213,7 @@ class Evaluation:
             "doubtful": pair.doubtful,
             **({} if pair.exchanged is None else {"exchanged": pair.exchanged}),
             **({} if pair.chosen is None else {"chosen": pair.chosen}),
+            **({} if pair.adaptation is None else {"adaptation": dict(pair.adaptation)}),
             **({} if pair.missing is None else {"without_counterpart": pair.missing.to_dict()}),
             **({} if pair.clutter is None else {"clutter": pair.clutter.to_dict()}),
             **({} if pair.quality is None else {"quality": pair.quality.to_dict()}),

@@ -22,7 +22,7 @@ from homolog.core.progress import Progress, ignore
 from homolog.core.reprs import function_name
 from homolog.datasets import Pair as PairOfNames
 from homolog.datasets import ShapeFolder, Truth, drawn_pairs
-from homolog.evaluation.exchanges import Exchange, ExchangeFinder
+from homolog.evaluation.exchanges import ExchangeFinder
 from homolog.evaluation.metrics import Detection, geodesic_diameter, geodesic_errors
 from homolog.evaluation.protocol import Protocol
 from homolog.evaluation.result import Evaluation, PairErrors
@@ -162,7 +162,10 @@ class _Run:
         self.ground_truth = folder.ground_truth(self.shape_of)
         own_clouds = protocol.is_cloud("target")  # full shapes, which lead the pairs, have none
         self.clouds = {name: folder.cloud(name) for name in names if own_clouds and folder.has_cloud(name)}
-        self.truths = [self._truth(pair) for pair in pairs]  # a fault of any is said before anything is computed
+        between, of_cloud = self.ground_truth.between, self.ground_truth.of_cloud
+        self.truths = [  # a fault of any is said before anything is computed
+            of_cloud(*pair, self.clouds[pair[1]]) if pair[1] in self.clouds else between(*pair) for pair in pairs
+        ]
         self.euclidean = folder.description.holds == "clouds"  # without a surface that distances could run along
         self.exchanges = self._exchange_finder()
         self.total = self.done = 0
@@ -188,11 +191,6 @@ class _Run:
         if self.protocol.partial or self.clouds or not has_template:
             return None
         return ExchangeFinder(self.folder, self.ground_truth, self.shape_of)
-
-    def _truth(self, pair: PairOfNames) -> Truth:
-        """Points of source and target that are known to correspond."""
-        cloud = self.clouds.get(pair[1])
-        return self.ground_truth.between(*pair) if cloud is None else self.ground_truth.of_cloud(*pair, cloud)
 
     def given(self, pair: PairOfNames, side: Side) -> Shape:
         """A shape as the protocol has it, turned, with its noise and with its faces."""
@@ -283,7 +281,7 @@ class _Run:
 
     def _mapped(self, pair: PairOfNames, match: Match, truth: Truth) -> Int[np.ndarray, " p"]:
         """Where points with a known counterpart are mapped to; for an added point the nearest of the source's own."""
-        mapped = match.target_to_source[truth.target]
+        mapped: Int[np.ndarray, " p"] = match.target_to_source[truth.target]
         n_own = self.n_own_points(pair, "source")
         is_added = mapped >= n_own
         if not is_added.any():
@@ -302,7 +300,9 @@ class _Run:
         errors: Float[np.ndarray, " p"],
     ) -> PairErrors:
         known = self.ground_truth.counterparts(*pair) if self.protocol.partial else None
-        scored = ScoredPair(match, truth, errors)
+        scored, exchanged = ScoredPair(match, truth, errors), None
+        if self.exchanges is not None:
+            exchanged = self.exchanges.exchange(pair, mapped, scale=self.frame(pair[0]).scale)
         return PairErrors(
             pair=pair,
             errors=errors,
@@ -313,32 +313,25 @@ class _Run:
             quality=match.quality,
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
-            exchanged=self._exchanged(pair, mapped),
+            exchanged=exchanged,
             chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
+            adaptation=match.report.get("adaptation"),
         )
-
-    def _exchanged(self, pair: PairOfNames, mapped: Int[np.ndarray, " p"]) -> Exchange | None:
-        if self.exchanges is None:
-            return None
-        return self.exchanges.exchange(pair, mapped, scale=self.frame(pair[0]).scale)
 
     def _errors(
         self, shape: Shape, truth: Int[np.ndarray, " p"], mapped: Int[np.ndarray, " p"]
     ) -> Float[np.ndarray, " p"]:
         """Distances on a shape from true points to where they are mapped; its diameter where that is nowhere."""
-        reached = np.where(mapped < 0, truth, mapped)
+        nowhere = mapped < 0
+        reached = np.where(nowhere, truth, mapped)
         if self.euclidean:
             errors: np.ndarray = np.linalg.norm(shape.points[truth] - shape.points[reached], axis=1)
         else:
             errors = geodesic_errors(shape, truth, reached)
-        if (mapped < 0).any():
-            errors[mapped < 0] = self._diameter(shape)
+        if nowhere.any():
+            diagonal = np.linalg.norm(np.ptp(shape.points, axis=0))
+            errors[nowhere] = diagonal if self.euclidean else geodesic_diameter(shape)
         return errors
-
-    def _diameter(self, shape: Shape) -> float:
-        if self.euclidean:
-            return float(np.linalg.norm(np.ptp(shape.points, axis=0)))
-        return geodesic_diameter(shape)
 
 
 def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) -> float:
@@ -399,7 +392,10 @@ class _ByMatcher:
             orient=run.protocol.orient,
             clutter=run.protocol.clutter,
         )
-        modalities = tuple(self._modality(run.pairs[0], side) for side in SIDES)
+        modalities: list[Modality] = [
+            "cloud" if run.protocol.is_cloud(side) else run.shapes[name].modality
+            for side, name in zip(SIDES, run.pairs[0], strict=True)
+        ]
         self.method = matcher.method_of(*modalities).name
         run.total += len(self.uses)
 
@@ -410,10 +406,6 @@ class _ByMatcher:
             found = self.find(self.matcher.paired(source, target, self.options))
         check_kind("what match_pair gave", found, Match)
         return found
-
-    def _modality(self, pair: PairOfNames, side: Side) -> Modality:
-        faces = None if self.run.protocol.is_cloud(side) else self.run.shapes[pair[SIDES.index(side)]].faces
-        return "cloud" if faces is None else "mesh"
 
     def _variant(self, pair: PairOfNames, side: Side) -> _Variant:
         """What tells preparations apart: noise makes source and target of one name two clouds, scale a part several."""

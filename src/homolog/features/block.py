@@ -150,7 +150,8 @@ class _Block(torch.autograd.Function):
         first = torch.addmm(b0, hidden, of_hidden.T)
         vectors = stack.synthesised(decayed, decayed @ of_diffused.T, first)
         partners = vectors @ mixing
-        features = _inner_products(vectors, partners).tanh_()
+        (x, y), (u, v) = vectors.chunk(2, dim=1), partners.chunk(2, dim=1)
+        features = (x * u).addcmul_(y, v).tanh_()  # of the inner products of both vectors
         _rectify(first.addmm_(features, of_features.T), dropout.first if dropout else None)
         second = torch.addmm(b1, first, w1.T, alpha=growth)
         _rectify(second, dropout.second if dropout else None)
@@ -168,7 +169,8 @@ class _Block(torch.autograd.Function):
         decayed, growth = decay * coefficients, ctx.growth
         grad_second = _rectify_backward(grad @ (growth * w2), second)
         grad_first = _rectify_backward(grad_second @ (growth * w1), first)
-        grad_products = _tanh_backward(grad_first @ of_features, features)
+        grad_features = grad_first @ of_features
+        grad_products = torch.ops.aten.tanh_backward.grad_input(grad_features, features, grad_input=grad_features)
         grad_diffused, grad_decayed, grad_mixed = ctx.stack.back(grad_first, vectors, partners, grad_products)
         grad_decayed.addmm_(grad_diffused, of_diffused)
         for of_component, mixed in zip(mixing.chunk(2), grad_mixed, strict=True):
@@ -190,12 +192,6 @@ class _Block(torch.autograd.Function):
         )
 
 
-def _inner_products(vectors: Float[Tensor, "n 2w"], partners: Float[Tensor, "n 2w"]) -> Float[Tensor, "n w"]:
-    """Per point and channel, the inner product of two vectors of the tangent plane."""
-    (x, y), (u, v) = vectors.chunk(2, dim=1), partners.chunk(2, dim=1)
-    return (x * u).addcmul_(y, v)
-
-
 def _weighted(vectors: Float[Tensor, "n 2w"], weights: Float[Tensor, "n w"]) -> Float[Tensor, "n 2w"]:
     """Both components of each vector times its weight."""
     n, width = weights.shape
@@ -213,12 +209,6 @@ def _rectify_backward(grad: Float[Tensor, "n w"], activation: Float[Tensor, "n w
     """Where an activation is zero, by the ReLU or by dropout, nothing comes through; in place."""
     blocked: Tensor = torch.ops.aten.threshold_backward.grad_input(grad, activation, 0, grad_input=grad)
     return blocked
-
-
-def _tanh_backward(grad: Float[Tensor, "n w"], activation: Float[Tensor, "n w"]) -> Float[Tensor, "n w"]:
-    """In place."""
-    through: Tensor = torch.ops.aten.tanh_backward.grad_input(grad, activation, grad_input=grad)
-    return through
 
 
 def _side_by_side(

@@ -16,8 +16,13 @@ from homolog.maps.functional_map import (
 from homolog.maps.handedness import handedness
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
 from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flipped_triangles
-from homolog.maps.registration import RegistrationSettings, registered_positions, registration_start
-from homolog.maps.rigid import Similarity, best_similarity, rigid_motion
+from homolog.maps.registration import (
+    RegistrationSettings,
+    RegistrationStart,
+    registered_positions,
+    registration_start,
+)
+from homolog.maps.rigid import Similarity, best_similarity, closest_point_similarity, rigid_motion
 from homolog.maps.rotations import (
     best_rotation,
     closest_point_rotations,
@@ -35,11 +40,13 @@ __all__ = [
     "Nearest",
     "RefinementSettings",
     "RegistrationSettings",
+    "RegistrationStart",
     "Similarity",
     "SoftMatches",
     "best_rotation",
     "best_similarity",
     "closest_point_rotations",
+    "closest_point_similarity",
     "confidence",
     "coverage",
     "coverage_density",

@@ -120,7 +120,8 @@ class _Solve(torch.autograd.Function):
     @staticmethod
     def forward(gram: Tensor, penalty: Tensor, right: Tensor, factors: Tensor | None) -> tuple[Tensor, Tensor]:
         factors = _factors(gram, penalty, right) if factors is None else factors.view_as(factors)
-        return _solved(factors, right), factors
+        halfway = torch.linalg.solve_triangular(factors, right[..., None], upper=False)
+        return torch.linalg.solve_triangular(factors.mT, halfway, upper=True)[..., 0], factors
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Tensor | None, ...], output: tuple[Tensor, Tensor]) -> None:
@@ -178,12 +179,6 @@ def _unsolvable(penalty: Tensor, right: Tensor) -> ArgumentError:
         "the functional map is not determined: give at least as many independent features as eigenpairs, "
         "or a larger regularisation"
     )
-
-
-def _solved(factors: Float[Tensor, "*batch k k"], right: Float[Tensor, "*batch k"]) -> Float[Tensor, "*batch k"]:
-    halfway = torch.linalg.solve_triangular(factors, right[..., None], upper=False)
-    solution: Tensor = torch.linalg.solve_triangular(factors.mT, halfway, upper=True)[..., 0]
-    return solution
 
 
 @takes_arrays

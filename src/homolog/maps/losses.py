@@ -148,7 +148,7 @@ def partial_alignment_loss(
     """
     if not temperature > 0:
         raise bad_value("temperature", temperature, "positive")
-    mapped = _softly_mapped(features_y / temperature, features_x, eigenvectors_x)
+    mapped: Tensor = _SoftlyMapped.apply(features_y / temperature, features_x, eigenvectors_x)  # type: ignore[no-untyped-call]
     return (eigenvectors_y @ c_xy.detach() - mapped).square().sum()
 
 
@@ -243,13 +243,6 @@ class _Contrast(torch.autograd.Function):
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, ...]:
         left_grad, right_grad = ctx.saved_tensors
         return grad * left_grad, grad * right_grad, None
-
-
-def _softly_mapped(
-    left: Float[Tensor, "n_y d"], features_x: Float[Tensor, "n_x d"], functions: Float[Tensor, "n_x k"]
-) -> Float[Tensor, "n_y k"]:
-    mapped: Tensor = _SoftlyMapped.apply(left, features_x, functions)  # type: ignore[no-untyped-call]
-    return mapped
 
 
 class _SoftlyMapped(torch.autograd.Function):

@@ -177,9 +177,5 @@ def flipped_triangles(x: Surface, y: Surface, x_to_y: Int[np.ndarray, " n_x"]) -
     corners = x_to_y[x.faces]
     drawn = Surface(y.vertices, corners)
     agreement = np.sign(np.einsum("mk,mk->m", drawn.face_vectors, y.vertex_normals[corners].sum(axis=1)))
-    facing = outward(x) * outward(y) or np.sign(np.average(agreement, weights=_areas(x)))
+    facing = outward(x) * outward(y) or np.sign(np.average(agreement, weights=np.linalg.norm(x.face_vectors, axis=1)))
     return np.asarray(agreement * facing < 0)
-
-
-def _areas(surface: Surface) -> Float[np.ndarray, " m"]:
-    return np.asarray(np.linalg.norm(surface.face_vectors, axis=1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Annotated
 
@@ -11,15 +11,15 @@ import numpy as np
 import scipy.sparse as sparse
 import torch
 from annotated_types import Ge, Le
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from homolog.core.arguments import given_or_default
 from homolog.core.arrays import takes_arrays
-from homolog.core.settings import Count, Settings, Share
+from homolog.core.settings import Count, NotNegative, Settings, Share
 from homolog.geometry import some_points
-from homolog.maps.rigid import Similarity
+from homolog.maps.rigid import Similarity, closest_point_similarity
 from homolog.maps.rotations import best_rotation, rotation_angle
 
 # A point moves if this share of a mean pull reaches it.
@@ -27,6 +27,8 @@ _LEAST = 1e-6
 
 # Points of each cloud that tell how far it is turned, and how often that is looked at.
 _FEW, _TURNS = 1000, 3
+# Points of each cloud, drawn by area, that closest points are looked for among.
+_DRAWN = 3000
 
 _Points = Float[np.ndarray, "n 3"]
 
@@ -43,8 +45,13 @@ class RegistrationSettings(Settings):
             to 0.03 are sensible. Wider averages follow coarser differences, and cost in proportion.
         narrowing: factor of the width from round to round, at least 0 and below 1, until it is below one edge. Larger
             factors make more rounds.
-        most_left: two clouds are turned if the third turn is less than this share of the first, at least 0 and below 1;
-            see ``registration_start``.
+        most_left: two shapes have a distinct form if the third turn is less than this share of the first, at least 0
+            and below 1; see ``registration_start``.
+        most_apart: two surfaces are nearly rigid copies if the median distance between them is less than this share of
+            the size of y (root mean square distance from its centre), at least 0. Vertebrae of two people have 0.04 to
+            0.08.
+        normal_weight: how far apart points with normals at 60 degrees are, as a share of the size of y, at least 0; 0.1
+            to 0.4 are sensible. More tells the sides of thin parts apart, and follows differences in form less.
 
     Examples:
         >>> from homolog.maps import RegistrationSettings
@@ -56,6 +63,8 @@ class RegistrationSettings(Settings):
     start_width: Annotated[float, Ge(0), Le(1)] = 0.01
     narrowing: Share = 0.5
     most_left: Share = 0.35
+    most_apart: NotNegative = 0.025
+    normal_weight: NotNegative = 0.2
 
     def widths(self, n_points: int) -> Iterator[int]:
         """Over how many edges each round averages."""
@@ -67,19 +76,26 @@ class RegistrationSettings(Settings):
 
 @dataclass(frozen=True, eq=False)
 class _Cloud:
-    """Points with the share of the whole area that each stands for."""
+    """Points with the share of the whole area that each stands for, and normals, which are zero where unknown."""
 
     points: _Points
     shares: Float[np.ndarray, " n"]
+    normals: _Points
 
     @classmethod
-    def of(cls, points: Float[Tensor, "n 3"], areas: Float[Tensor, " n"] | None) -> _Cloud:
-        given = torch.ones_like(points[:, 0]) if areas is None else areas
-        weights = given.detach().double().cpu().numpy()
-        return cls(points.detach().double().cpu().numpy(), weights / weights.sum())
+    def of(
+        cls,
+        points: Float[Tensor, "n 3"],
+        areas: Float[Tensor, " n"] | None = None,
+        normals: Float[Tensor, "n 3"] | None = None,
+    ) -> _Cloud:
+        weights = _array(torch.ones_like(points[:, 0]) if areas is None else areas)
+        unit = _array(torch.zeros_like(points) if normals is None else normals)
+        return cls(_array(points), weights / weights.sum(), unit)
 
     def moved(self, similarity: Similarity) -> _Cloud:
-        return _Cloud(similarity(torch.from_numpy(self.points)).numpy(), self.shares)
+        turned = self.normals @ similarity.rotation.numpy().T
+        return replace(self, points=similarity(torch.from_numpy(self.points)).numpy(), normals=turned)
 
     @property
     def centre(self) -> Float[np.ndarray, " 3"]:
@@ -98,6 +114,26 @@ class _Cloud:
         return Similarity(rotation, scale, target - scale * rotation @ centre)
 
 
+@dataclass(frozen=True, eq=False)
+class RegistrationStart:
+    """Where a registration begins.
+
+    Args:
+        similarity: what takes x near y.
+        near_rigid: whether x is then nearly where it belongs, as a bone is: points are moved by the mean of how far
+            their surroundings are pulled, and not to the mean of where to.
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import RegistrationStart, Similarity
+        >>> RegistrationStart(Similarity(torch.eye(3), 2.0, torch.zeros(3))).near_rigid
+        False
+    """
+
+    similarity: Similarity
+    near_rigid: bool = False
+
+
 @takes_arrays
 def registered_positions(
     points_x: Float[Tensor, "n_x 3"],
@@ -105,7 +141,9 @@ def registered_positions(
     *,
     areas_x: Float[Tensor, " n_x"] | None = None,
     areas_y: Float[Tensor, " n_y"] | None = None,
-    start: Similarity | None = None,
+    normals_x: Float[Tensor, "n_x 3"] | None = None,
+    normals_y: Float[Tensor, "n_y 3"] | None = None,
+    start: RegistrationStart | None = None,
     settings: RegistrationSettings | None = None,
 ) -> tuple[Float[Tensor, "n_x 3"], Float[Tensor, "n_y 3"]]:
     """Registration of two clouds by a self-organising map, in both directions; positions of each on the other.
@@ -117,6 +155,10 @@ def registered_positions(
     New here: points pull by their area, and both directions are computed and averaged, x registered to y and x carried
     back by y registered to x.
 
+    What is nearly a rigid copy (``RegistrationStart.near_rigid``) is better moved by the mean of how far its
+    surroundings are pulled: a mean of positions shrinks, and draws a part that the other lacks into it. Nearest points
+    are those of like normals, if these are given.
+
     Without areas every point pulls alike, so regions with many points go to regions with many: sample both clouds alike
     then. Both must be in one orientation.
 
@@ -125,6 +167,8 @@ def registered_positions(
         points_y: of the other (n_y, 3).
         areas_x: what each point of x stands for, such as ``Operators.mass`` (n_x,); by default all alike.
         areas_y: likewise (n_y,).
+        normals_x: unit normals, which count by ``settings.normal_weight`` (n_x, 3); by default none.
+        normals_y: likewise (n_y, 3); both or none.
         start: where x begins; by default with the centre and the size (root mean square) of y, and not turned. See
             ``registration_start``.
         settings: the schedule of the rounds.
@@ -145,9 +189,10 @@ def registered_positions(
         ``nearest_neighbour`` turns the positions into point maps.
     """
     settings = given_or_default("settings", settings, RegistrationSettings)
-    x, y = _Cloud.of(points_x, areas_x), _Cloud.of(points_y, areas_y)
-    begun = x.onto(y, torch.eye(3).double()) if start is None else start.to(torch.empty(0).double())
-    on_y, at_start = _both_ways(x.moved(begun), y, settings)
+    x, y = _both(_Cloud.of(points_x, areas_x, normals_x), _Cloud.of(points_y, areas_y, normals_y), settings)
+    start = start or RegistrationStart(x.onto(y, torch.eye(3).double()))
+    begun = start.similarity.to(torch.empty(0).double())
+    on_y, at_start = _both_ways(x.moved(begun), y, settings, near_rigid=start.near_rigid)
     on_x = begun.inverse()(torch.from_numpy(at_start))
     return torch.from_numpy(on_y).to(points_x), on_x.to(points_x)
 
@@ -158,20 +203,29 @@ def registration_start(
     *,
     areas_x: Float[Tensor, " n_x"] | None = None,
     areas_y: Float[Tensor, " n_y"] | None = None,
+    normals_x: Float[Tensor, "n_x 3"] | None = None,
+    normals_y: Float[Tensor, "n_y 3"] | None = None,
     settings: RegistrationSettings | None = None,
-) -> Similarity:
+) -> RegistrationStart:
     """The similarity transform from which two clouds that stand nearly alike are best registered. New here.
 
     Samples are registered, and turned by the rotation about both centres that comes nearest to where they went, three
     times over. Of shapes with a distinct form, such as bones, the turns soon become small. A smooth shape, such as a
-    lobe of a lung, goes on to turn until it lies best within the other, as it does by iterated closest points: what
-    differs in form is taken for a turn. So none is made where turns do not soon become smaller.
+    lobe of a lung, goes on to turn until it lies best within the other: what differs in form is taken for a turn. So
+    none is made where turns do not soon become smaller.
+
+    Where normals are known, closest points go on from there (``closest_point_similarity``). They tell the turn, the
+    size and the place that most of one and of the other agree about; centres and sizes are misled by what one of them
+    lacks. That is believed of shapes with a distinct form, and of those that then lie nearly in one surface: they are
+    nearly rigid copies. Without normals closest points slide along the surface, and are not looked for.
 
     Args:
         points_x: positions of one cloud (n_x, 3).
         points_y: of the other (n_y, 3).
         areas_x: of the surface that each point of x stands for (n_x,); by default all alike.
         areas_y: likewise (n_y,).
+        normals_x: unit normals (n_x, 3); by default none.
+        normals_y: likewise (n_y, 3); both or none.
         settings: as of ``registered_positions``.
 
     Examples:
@@ -180,22 +234,62 @@ def registration_start(
         >>> box = trimesh.creation.box([1, 2, 3]).subdivide_loop(4)
         >>> points = torch.tensor(box.vertices)
         >>> start = registration_start(points, 2 * points)
-        >>> round(float(rotation_angle(start.rotation))), round(start.scale, 3)
+        >>> round(float(rotation_angle(start.similarity.rotation))), round(start.similarity.scale, 3)
         (0, 2.0)
     """
     settings = given_or_default("settings", settings, RegistrationSettings)
-    x, y = _Cloud.of(points_x, areas_x), _Cloud.of(points_y, areas_y)
+    x, y = _both(_Cloud.of(points_x, areas_x, normals_x), _Cloud.of(points_y, areas_y, normals_y), settings)
+    rotations = _turned(x, y, settings)
+    first, *_, last = (float(rotation_angle(after @ before.T)) for before, after in pairwise(rotations))
+    is_distinct = last < settings.most_left * first
+    if y.normals.any():
+        drawn_x, drawn_y = _drawn(x, 0), _drawn(y, 1)
+        closest = _closest(drawn_x, drawn_y, x.onto(y, rotations[-1]))
+        if is_distinct or _apart(drawn_x.moved(closest), drawn_y) < settings.most_apart * y.size:
+            return RegistrationStart(closest, near_rigid=True)
+    return RegistrationStart(x.onto(y, rotations[-1] if is_distinct else rotations[0]))
+
+
+def _both(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> tuple[_Cloud, _Cloud]:
+    """Both with unit normals as long as they weigh, in y's units; without normals where those of one are unknown."""
+    length = settings.normal_weight * y.size if x.normals.any() and y.normals.any() else 0.0
+    return replace(x, normals=length * x.normals), replace(y, normals=length * y.normals)
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().double().cpu().numpy()
+
+
+def _drawn(cloud: _Cloud, seed: int) -> _Cloud:
+    """Points drawn by their area, which then count alike."""
+    drawn = np.random.default_rng(seed).choice(len(cloud.points), _DRAWN, p=cloud.shares)
+    return _Cloud(cloud.points[drawn], np.full(_DRAWN, 1 / _DRAWN), cloud.normals[drawn])
+
+
+def _closest(x: _Cloud, y: _Cloud, start: Similarity) -> Similarity:
+    points_x, points_y, normals_x, normals_y = map(torch.from_numpy, (x.points, y.points, x.normals, y.normals))
+    return closest_point_similarity(points_x, points_y, normals_x=normals_x, normals_y=normals_y, start=start)
+
+
+def _apart(x: _Cloud, y: _Cloud) -> float:
+    """The median distance of closest points across the surface, which does not depend on how it is sampled."""
+    away = x.points - y.points[_nearest(x.points, x.normals, y.points, y.normals)]
+    return float(np.median(np.abs((away * x.normals).sum(axis=1)) / np.linalg.norm(x.normals, axis=1)))
+
+
+def _turned(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> list[Float[Tensor, "3 3"]]:
+    """No rotation, and those after one registration of some samples and more."""
     few_x, few_y = (_few(cloud, seed) for seed, cloud in enumerate((x, y)))
     rotations = [torch.eye(3).double()]
     for _ in range(_TURNS):
         rotations.append(_turn(few_x.moved(few_x.onto(few_y, rotations[-1])), few_y, settings) @ rotations[-1])
-    turns = [float(rotation_angle(after @ before.T)) for before, after in pairwise(rotations)]
-    return x.onto(y, rotations[-1] if turns[-1] < settings.most_left * turns[0] else rotations[0])
+    return rotations
 
 
 def _few(cloud: _Cloud, seed: int) -> _Cloud:
     kept = some_points(len(cloud.points), _FEW, seed=seed).numpy()
-    return _Cloud(cloud.points[kept], cloud.shares[kept] / cloud.shares[kept].sum())
+    # Without normals: turns are too coarse for them.
+    return _Cloud(cloud.points[kept], cloud.shares[kept] / cloud.shares[kept].sum(), np.zeros((len(kept), 3)))
 
 
 def _turn(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> Float[Tensor, "3 3"]:
@@ -207,25 +301,35 @@ def _turn(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> Float[Tensor,
     return rotation
 
 
-def _both_ways(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> tuple[_Points, Float[np.ndarray, "m 3"]]:
+def _both_ways(
+    x: _Cloud, y: _Cloud, settings: RegistrationSettings, *, near_rigid: bool = False
+) -> tuple[_Points, Float[np.ndarray, "m 3"]]:
     """Where x lies on y and y on x, from where they are: the mean of one registered and of the other carried back."""
-    on_y, on_x = _registered(x, y, settings), _registered(y, x, settings)
+    on_y, on_x = (_registered(*both, settings, near_rigid=near_rigid) for both in ((x, y), (y, x)))
     return (on_y + _carried_back(x, on_x, y)) / 2, (on_x + _carried_back(y, on_y, x)) / 2
 
 
-def _registered(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> _Points:
+def _registered(x: _Cloud, y: _Cloud, settings: RegistrationSettings, *, near_rigid: bool) -> _Points:
     """One direction of the registration: x pulled by y, averaged over neighbours on x."""
     averages, positions = _averages(x.points, settings.n_neighbours), x.points
-    pulls = np.column_stack([y.points, np.ones(len(y.points))]) * y.shares[:, None]
     for width in settings.widths(len(positions)):
-        pulled = KDTree(positions).query(y.points, workers=-1)[1]
+        pulled = _nearest(y.points, y.normals, positions, x.normals)
+        # What is averaged is how far points are pulled, or where to.
+        origins = positions if near_rigid else np.zeros_like(positions)
+        pulls = np.column_stack([y.points - origins[pulled], np.ones(len(y.points))]) * y.shares[:, None]
         sums = np.stack([np.bincount(pulled, column, minlength=len(positions)) for column in pulls.T], axis=1)
         for _ in range(width):
             sums = averages @ sums
         # Points stay where nothing near is pulled.
         moved = sums[:, 3] > _LEAST * sums[:, 3].mean()
-        positions = np.where(moved[:, None], sums[:, :3] / np.where(moved, sums[:, 3], 1)[:, None], positions)
+        means = sums[:, :3] / np.where(moved, sums[:, 3], 1)[:, None]
+        positions = np.where(moved[:, None], origins + means, positions)
     return positions
+
+
+def _nearest(points: _Points, normals: _Points, among: _Points, normals_among: _Points) -> Int[np.ndarray, " n"]:
+    found: np.ndarray = KDTree(np.hstack([among, normals_among])).query(np.hstack([points, normals]), workers=-1)[1]
+    return found
 
 
 def _averages(points: _Points, n_neighbours: int) -> sparse.csr_array:
@@ -240,6 +344,6 @@ def _averages(points: _Points, n_neighbours: int) -> sparse.csr_array:
 
 def _carried_back(x: _Cloud, y_on_x: Float[np.ndarray, "m 3"], y: _Cloud) -> _Points:
     """Positions of x among y, which was registered to it: by the nearest point, with the offset from it."""
-    nearest = KDTree(y_on_x).query(x.points, workers=-1)[1]
+    nearest = _nearest(x.points, x.normals, y_on_x, y.normals)
     back: _Points = y.points[nearest] + (x.points - y_on_x[nearest])
     return back

@@ -11,17 +11,19 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from homolog.features import FeatureExtractor
-from homolog.geometry import Basis, some_points
+from homolog.geometry import Basis, Operators, some_points
 from homolog.maps import best_rotation, best_similarity, most_similar, normalised, rigid_motion
 from homolog.pairs import AlignmentSettings, Pair, PreprocessedShape, Preprocessor
 from homolog.shapes import rotation_about
+
+_T = TypeVar("_T", Basis, Operators)
 
 Start: TypeAlias = tuple[Float[Tensor, "n 3"], float]
 """Positions of a partial shape in the full shape's coordinates, and what its lengths were multiplied by."""
@@ -68,8 +70,7 @@ def align_partial(pair: Pair) -> Pair:
     )
     if found.points is basis.points:
         return pair
-    turned = partial.operators.scaled(found.scale).turned(best_rotation(basis.points, found.points))
-    operators = replace(turned, points=found.points)
+    operators = _placed(partial.operators, found.points, found.scale)
     features = Preprocessor(extractor=extractor).features(operators)
     alignment = best_similarity(given, found.points)
     aligned = pair.with_y(replace(partial, operators=operators, features=features))
@@ -188,11 +189,17 @@ class _Search:
 
     def _step(self, points: Float[Tensor, "n 3"], scale: float) -> _Step:
         some = points[self._some]
-        turned = self._basis.scaled(scale).turned(best_rotation(self._basis.points, some))
-        features = self._extractor(replace(turned, points=some))
+        features = self._extractor(_placed(self._basis, some, scale))
         found = most_similar(normalised(features), self._candidates)
         alignment = Alignment(points, scale, float(found.value.mean()))
         return _Step(alignment, *rigid_motion(some, self._positions[found.index]))
+
+
+def _placed(partial: _T, points: Float[Tensor, "n 3"], scale: float) -> _T:
+    """The basis or operators of a partial shape in another pose and size, where its points are those."""
+    if partial.scatter is not None:  # the signs of a cloud's normals follow the pose; a mesh tells out from in
+        partial = partial.turned(best_rotation(partial.points, points))
+    return replace(partial.scaled(scale), points=points)
 
 
 def _moved(points: Float[Tensor, "n 3"], axis: int, degrees: float, scale: float) -> Float[Tensor, "n 3"]:

@@ -36,7 +36,8 @@ def match(
     Args:
         source: a path, a shape, or whatever ``as_shape`` takes.
         target: another.
-        weights: pretrained weights by name, or a file; by default those for people, where the method needs any.
+        weights: pretrained weights by name, or a file; by default those that know the pair best, where the method needs
+            any.
         features: features of one's own in their place: a function of operators, a module, or two arrays (n, d), one for
             each shape as given.
         method: name of a method, or one of one's own, in place of that of the settings; see ``MatcherSettings``.

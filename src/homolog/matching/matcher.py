@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
 from dataclasses import asdict, replace
+from os import PathLike
 from pathlib import Path
 from typing import Any, get_args
 from weakref import WeakKeyDictionary
@@ -16,7 +17,7 @@ from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Timings
 from homolog.core.unchanged import left_unchanged
-from homolog.features import FeatureExtractor, FeatureInfo, load_weights, on_device
+from homolog.features import FeatureExtractor, FeatureInfo, on_device
 from homolog.geometry import compute_operators
 from homolog.matching.alignment import align_partial
 from homolog.matching.choice import (
@@ -43,6 +44,7 @@ from homolog.matching.warnings import (
 )
 from homolog.pairs import (
     SIDES,
+    Candidate,
     Device,
     MatcherSettings,
     Method,
@@ -140,12 +142,28 @@ class Matcher:
             WeightsError: if there are no such weights, or the file does not hold any.
         """
         settings = given_or_default("settings", settings, MatcherSettings)
-        features = features_of_weights(weights, settings) if weights == AUTO_WEIGHTS else load_weights(weights)
+        check_kind("weights", weights, PathLike, str)
+        features = features_of_weights(weights, settings)
         return cls(features, settings=settings, device=device, operators=operators)
 
     def with_extractor(self, extractor: FeatureExtractor) -> Matcher:
         """A matcher that differs in its features alone."""
         return Matcher(extractor, settings=self.settings, device=self.device, operators=self.preprocess.source)
+
+    @property
+    def has_choice(self) -> bool:
+        """Whether it chooses among several features, and methods without any, for each pair."""
+        return bool(self._others)
+
+    def limited_to(self, name: str) -> Matcher:
+        """A matcher that makes no choice: it uses these features of its own, or this method, for every pair.
+
+        Args:
+            name: of the features, or of a method that needs none, as ``choice_for`` tells it.
+        """
+        named = {each.info.name: each for each in (self.extractor, *self._others) if each is not None}
+        settings = self._resolved if name in named else replace(self._resolved, method=name)
+        return Matcher(named.get(name), settings=settings, device=self.device, operators=self.preprocess.source)
 
     def method_of(self, source: Modality, target: Modality) -> Method:
         """How two shapes of these modalities are matched; see ``MatcherSettings``."""
@@ -218,7 +236,7 @@ class Matcher:
         if not self._others:
             return pair, files
         with timings.measure("choice of features"):
-            return self._chosen(pair), files
+            return self._chosen([pair])[0], files
 
     @torch.no_grad()
     def paired(self, source: PreprocessedShape, target: PreprocessedShape, options: PairOptions | None = None) -> Pair:
@@ -230,28 +248,55 @@ class Matcher:
             ArgumentError: if something given is of another kind, or the options want shapes that were preprocessed in
                 another way: as clouds, or with another axis up.
         """
+        return self._chosen([self._unchosen(source, target, options_of(options, {}))])[0]
+
+    @torch.no_grad()
+    def choice_for(
+        self, shapes: Sequence[tuple[PreprocessedShape, PreprocessedShape]], options: PairOptions | None = None
+    ) -> tuple[Candidate, ...]:
+        """Which features, or method without any, suit several pairs of one kind of shapes best together.
+
+        Args:
+            shapes: pairs that ``preprocess`` gave, at least one.
+            options: of all of them.
+
+        Returns:
+            What came into question, the best first; empty where there is no choice. Misfits are medians over the pairs.
+
+        Examples:
+            >>> matcher = homolog.Matcher.from_weights()
+            >>> source, target = map(matcher.preprocess, homolog.demo_shapes())
+            >>> best = matcher.choice_for([(source, target)])[0]
+            >>> best.name, matcher.limited_to(best.name).extractor.info.name
+            ('people', 'people')
+        """
         options = options_of(options, {})
+        return self._chosen([self._unchosen(*both, options) for both in shapes])[0].choice
+
+    def _unchosen(self, source: PreprocessedShape, target: PreprocessedShape, options: PairOptions) -> Pair:
+        """Two shapes as a pair, with the first features."""
         for side, shape in zip(SIDES, (source, target), strict=True):
             check_kind(side, shape, PreprocessedShape)
             _check_preprocessed(side, shape, options)
         if options.orient == "given" or options.pre_aligned:
             source, target = (shape.as_given(self.extractor) for shape in (source, target))
         method = self.method_of(source.modality, target.modality)
-        return self._chosen(Pair(source, target, options, self._resolved, method, self.extractor))
+        return Pair(source, target, options, self._resolved, method, self.extractor)
 
-    def _chosen(self, pair: Pair) -> Pair:
-        """The pair with the features that know it best."""
+    def _chosen(self, pairs: list[Pair]) -> list[Pair]:
+        """Pairs, with one set of options, with the features that know them best together."""
         extractors = () if self.extractor is None else (self.extractor, *self._others)
+        options, parts = pairs[0].options, {pair.y for pair in pairs if pair.is_partial}
 
         def seen(shape: PreprocessedShape, extractor: FeatureExtractor | None) -> PreprocessedShape:
-            orient, partial = pair.options.orient, pair.is_partial and shape is pair.y
-            known, how = self._seen.setdefault(shape, {}), (extractor, orient, partial)
+            partial = shape in parts
+            known, how = self._seen.setdefault(shape, {}), (extractor, options.orient, partial)
             if how not in known:
                 preprocess = replace(self.preprocess, extractor=extractor)
-                known[how] = preprocess.again(shape, orient=orient, partial=partial)
+                known[how] = preprocess.again(shape, orient=options.orient, partial=partial)
             return known[how]
 
-        return choose(pair, extractors, seen, self.find)
+        return choose(pairs, extractors, seen, self.find)
 
     @torch.no_grad()
     def find(self, pair: Pair) -> Match:

@@ -98,21 +98,17 @@ def quality(
         back: likewise for the other shape.
         confidences: in each entry of ``there``.
     """
-    points = shape.operators.points
+    points, x, y = shape.operators.points, _surface(shape), _surface(other)
+    flipped = None if x is None or y is None else float(flipped_triangles(x, y, there.cpu().numpy()).mean())
     return Quality(
         coverage=coverage(shape.operators, other.operators, back),
         cycle_error=float(cycle_error(points, there, back).mean()),
         dirichlet_energy=dirichlet_energy(
             shape.operators, other.operators.points, there, spacing_y=other.operators.mass.sqrt()
         ),
-        flipped_triangles=_share_flipped(shape, other, there),
+        flipped_triangles=flipped,
         confidence=float(confidences.mean()),
     )
-
-
-def _share_flipped(shape: PreprocessedShape, other: PreprocessedShape, there: Int[Tensor, " n"]) -> float | None:
-    x, y = _surface(shape), _surface(other)
-    return None if x is None or y is None else float(flipped_triangles(x, y, there.cpu().numpy()).mean())
 
 
 def _surface(preprocessed: PreprocessedShape) -> Surface | None:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
+from statistics import median
 
 import torch
 
@@ -20,7 +20,7 @@ from homolog.matching.choice import extractor_for, method_between
 from homolog.matching.quality import MapQuality
 from homolog.matching.result import Match
 from homolog.methods import AUTO, as_method, find_method
-from homolog.pairs import Candidate, ChoiceSettings, Pair, PreprocessedShape
+from homolog.pairs import Candidate, ChoiceSettings, Method, Pair, PreprocessedShape
 
 # In the order in which they are believed where their maps are as good.
 _WITHOUT_FEATURES = ("axiomatic", "registration")
@@ -33,34 +33,39 @@ Seen = Callable[[PreprocessedShape, FeatureExtractor | None], PreprocessedShape]
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """A pair with some features, or a method without any, and what is known of it."""
+    """Pairs with some features, or a method without any, and what is known of them together."""
 
-    pair: Pair
+    pairs: tuple[Pair, ...]
     candidate: Candidate
 
 
 @torch.no_grad()
-def choose(pair: Pair, extractors: Sequence[FeatureExtractor], seen: Seen, find: Callable[[Pair], Match]) -> Pair:
-    """The pair with the features that know it best, or a method without features where none do.
+def choose(
+    pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], seen: Seen, find: Callable[[Pair], Match]
+) -> list[Pair]:
+    """A pair with the features that know it best, or a method without features where none do; or several pairs alike.
+
+    Of several pairs the medians of their misfits are compared, so that a single odd shape does not decide.
 
     Args:
-        pair: with the first features.
+        pairs: with the first features, and with the same options.
         extractors: features of several kinds of shapes, with an orienter each; the first ones are the usual ones.
         seen: gives a shape with other features.
         find: makes the map of a pair.
     """
     if len(extractors) < 2:
-        return pair
-    settings = pair.settings.choice
-    ways = [_way(pair)]
+        return list(pairs)
+    settings = pairs[0].settings.choice
+    ways = [_way(pairs)]
     if _misfit_of(ways[0]) > settings.known:
-        ways += [_way(_with_features(pair, extractor, seen)) for extractor in extractors[1:]]
+        ways += [_way([_with_features(pair, extractor, seen) for pair in pairs]) for extractor in extractors[1:]]
         ways.sort(key=_misfit_of)
     if _misfit_of(ways[0]) > settings.known_best:
         plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
-        tried = _mapped([*plausible, *_without_features(pair, seen)], find)
+        tried = _mapped([*plausible, *_without_features(pairs, seen)], find)
         ways = sorted(tried, key=_map_misfit_of) or ways[:1]
-    return replace(ways[0].pair, choice=tuple(way.candidate for way in ways))
+    choice = tuple(way.candidate for way in ways)
+    return [replace(pair, choice=choice) for pair in ways[0].pairs]
 
 
 def map_misfit(quality: MapQuality, settings: ChoiceSettings | None = None) -> float:
@@ -91,12 +96,15 @@ def _map_misfit_of(way: _Way) -> float:
     return way.candidate.map_misfit or 0.0
 
 
-def _way(pair: Pair) -> _Way:
-    assert pair.extractor is not None
+def _way(pairs: Sequence[Pair]) -> _Way:
+    extractor = pairs[0].extractor
+    assert extractor is not None
+    orienter: Orienter = extractor.orienter  # type: ignore[attr-defined]
     # Of a partial pair the full shape tells, or part and whole would have to be of one kind of orienter.
-    shapes = [pair.x] if pair.is_partial else [pair.x, pair.y]
-    orienter: Orienter = pair.extractor.orienter  # type: ignore[attr-defined]
-    return _Way(pair, Candidate(pair.extractor.info.name, max(_misfit(shape, orienter) for shape in shapes)))
+    misfits = [
+        max(_misfit(shape, orienter) for shape in ([pair.x] if pair.is_partial else [pair.x, pair.y])) for pair in pairs
+    ]
+    return _Way(tuple(pairs), Candidate(extractor.info.name, median(misfits)))
 
 
 def _misfit(shape: PreprocessedShape, orienter: Orienter) -> float:
@@ -110,23 +118,34 @@ def _with_features(pair: Pair, extractor: FeatureExtractor, seen: Seen) -> Pair:
     return replace(pair, source=source, target=target, method=method, extractor=extractor)
 
 
-def _without_features(pair: Pair, seen: Seen) -> Iterator[_Way]:
-    """The pair with methods that bring what they compare, where one may be chosen."""
-    for name in _WITHOUT_FEATURES if pair.settings.method == AUTO else ():
+def _without_features(pairs: Sequence[Pair], seen: Seen) -> Iterator[_Way]:
+    """The pairs with methods that bring what they compare, where one may be chosen."""
+    first = pairs[0]
+    for name in _WITHOUT_FEATURES if first.settings.method == AUTO else ():
         method = as_method(find_method(name))
-        if pair.is_partial and not method.supports.partial:
+        if first.is_partial and not method.supports.partial:
             continue
-        extractor = extractor_for(method, None, pair.settings, pair.source.operators.points.device)
-        source, target = seen(pair.source, extractor), seen(pair.target, extractor)
-        way = replace(pair, source=source, target=target, method=method, extractor=extractor)
-        yield _Way(way, Candidate(name))
+        extractor = extractor_for(method, None, first.settings, first.source.operators.points.device)
+        yield _Way(tuple(_by_method(pair, method, extractor, seen) for pair in pairs), Candidate(name))
+
+
+def _by_method(pair: Pair, method: Method, extractor: FeatureExtractor | None, seen: Seen) -> Pair:
+    source, target = seen(pair.source, extractor), seen(pair.target, extractor)
+    return replace(pair, source=source, target=target, method=method, extractor=extractor)
 
 
 def _mapped(ways: Iterable[_Way], find: Callable[[Pair], Match]) -> Iterator[_Way]:
-    """The ways that lead to a map, with what it tells."""
+    """The ways that lead to maps of most pairs, with what these tell."""
     for way in ways:
-        with suppress(ShapeError):  # what cannot be matched one way may be another way
-            quality = find(way.pair).quality
-            assert quality is not None
-            told = replace(way.candidate, map_misfit=map_misfit(quality, way.pair.settings.choice))
-            yield replace(way, candidate=told)
+        misfit = median(_misfit_of_map(pair, find) for pair in way.pairs)
+        if misfit < math.inf:
+            yield replace(way, candidate=replace(way.candidate, map_misfit=misfit))
+
+
+def _misfit_of_map(pair: Pair, find: Callable[[Pair], Match]) -> float:
+    try:
+        quality = find(pair).quality
+    except ShapeError:  # what cannot be matched one way may be another way
+        return math.inf
+    assert quality is not None
+    return map_misfit(quality, pair.settings.choice)

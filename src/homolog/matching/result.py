@@ -158,8 +158,9 @@ class Match:
     @property
     def _names(self) -> tuple[str, ...]:
         """What messages may call the shapes and their files: words in them say nothing of source and target."""
-        inputs = self.report.get("inputs", {}).values()
-        told = (str(value) for shape in inputs for key, value in shape.items() if key in ("file", "name"))
+        inputs = self.report.get("inputs", {})
+        known = (inputs.get(side, {}) for side in SIDES)
+        told = (str(shape[key]) for shape in known for key in ("file", "name") if key in shape)
         return tuple({self.source.name, self.target.name, *told} - {"", *SIDES})
 
     def compose(self, other: Match) -> Match:
@@ -324,11 +325,13 @@ class Match:
         check_choice("side", side, SIDES)
         indices = self.source_to_target if side == "source" else self.target_to_source
         trust = self.source_confidence if side == "source" else self.target_confidence
-        left_out = int(self.report.get("inputs", {}).get(side, {}).get("points_left_out", 0))
+        unmatched = int((indices < 0).sum())
+        # A map that was changed since may have counterparts for them.
+        left_out = min(self.report.get("inputs", {}).get(side, {}).get("points_left_out", 0), unmatched)
         return {
             "points": len(indices),
             "points_left_out": left_out,
-            "points_without_counterpart": int((indices < 0).sum()) - left_out,
+            "points_without_counterpart": unmatched - left_out,
             "mean_confidence": float(trust.mean()),
         }
 
@@ -384,7 +387,7 @@ def _checked_confidence(side: str, given: Any, n_points: int) -> Float[np.ndarra
     outside = trust[~((trust >= 0) & (trust <= 1))]
     if len(outside):
         raise ArgumentError(f"{side}_confidence holds {outside[0]}, but must hold numbers from 0 to 1")
-    return trust if trust.dtype.kind == "f" else trust.astype(float)
+    return trust if trust.dtype in (np.float32, np.float64) else trust.astype(float)
 
 
 def checked_maps(pair: Pair, maps: Any) -> PointMaps:
@@ -495,6 +498,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "quality": None if match.quality is None else match.quality.to_dict(),
         "options": asdict(pair.options),
         "choice": [asdict(candidate) for candidate in pair.choice],
+        "adaptation": None if pair.adaptation is None else asdict(pair.adaptation),
         "orientation": _orientation(pair),
         "alignment": _alignment(pair),
         "features": info,

@@ -10,7 +10,7 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import scipy.io
-from annotated_types import Ge
+from annotated_types import Ge, Le
 from jaxtyping import Int
 from typing_extensions import NotRequired, TypedDict
 
@@ -60,6 +60,7 @@ _TOO_LARGE = 2**53
 _TURN_TOLERANCE = 1e-3
 # No coordinate whose square is no number can be matched.
 _FARTHEST = 1e150
+_Count = Annotated[int, Ge(0)]
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ class _Turn:
 
     def __post_init__(self) -> None:
         found = np.array(self.rotation) if {*map(len, self.rotation)} == {3} else np.zeros((0, 3))
-        orthogonal = found.shape == (3, 3) and np.allclose(found @ found.T, np.eye(3), atol=_TURN_TOLERANCE)
+        bounded = found.shape == (3, 3) and (np.abs(found) < 2).all()  # products of others may be no numbers
+        orthogonal = bounded and np.allclose(found @ found.T, np.eye(3), atol=_TURN_TOLERANCE)
         if not orthogonal or np.linalg.det(found) < 0:
             raise ValueError("rotation is no rotation matrix (3, 3)")
 
@@ -84,14 +86,27 @@ class _Input(TypedDict, total=False):
     name: str
     file: str
     sha256: str
-    n_points: Annotated[int, Ge(0)]
-    points_left_out: Annotated[int, Ge(0)]
+    n_points: _Count
+    points_left_out: _Count
     space: Literal["RAS", "LPS"] | None
 
 
 class _Inputs(TypedDict, total=False):
     source: _Input
     target: _Input
+
+
+class _Matched(TypedDict, total=False):
+    """What became of the points of both shapes."""
+
+    source_points: _Count
+    source_points_left_out: _Count
+    source_points_without_counterpart: _Count
+    source_mean_confidence: Annotated[float, Ge(0), Le(1)]
+    target_points: _Count
+    target_points_left_out: _Count
+    target_points_without_counterpart: _Count
+    target_mean_confidence: Annotated[float, Ge(0), Le(1)]
 
 
 @record
@@ -105,6 +120,7 @@ class _Report(TypedDict):
     orientation: NotRequired[_Orientation | None]
     alignment: NotRequired[_Turn | None]
     quality: NotRequired[MapQuality | None]
+    matched: NotRequired[_Matched]
     sha256: NotRequired[dict[str, str]]
 
 
@@ -189,16 +205,30 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
 def _read_shape(root: Path, report: dict[str, Any], side: Side) -> Shape:
     """One of the shapes, by the name of the file that was matched where the report tells it."""
     shape = read_shape(root / f"{side}.ply")
-    told = report.get("inputs", {}).get(side, {})
-    for entry, least in (("n_points", shape.n_points), ("points_left_out", 0)):
-        if not least <= told.get(entry, least) <= shape.n_points:
-            raise DataError(
-                f"{root / REPORT} is damaged (its entry inputs.{side}.{entry} is {told[entry]}, but {shape.name} has "
-                f"{shape.n_points} points); match again"
-            )
+    _check_counts(root, report, side, shape)
     if not (np.abs(shape.points) < _FARTHEST).all():
         raise DataError(f"{root / shape.name} has points that no match writes, infinite or beyond; match again")
     return replace(shape, name=matched_name(report, side, otherwise=shape.name))
+
+
+def _check_counts(root: Path, report: dict[str, Any], side: Side, shape: Shape) -> None:
+    """Refuse a report that counts more points of a shape than there are, or fewer where it counts all of them."""
+    given, matched = report.get("inputs", {}).get(side, {}), report.get("matched", {})
+    counts = {
+        f"inputs.{side}.n_points": (given.get("n_points"), shape.n_points),
+        f"inputs.{side}.points_left_out": (given.get("points_left_out"), 0),
+        f"matched.{side}_points": (matched.get(f"{side}_points"), shape.n_points),
+        **{
+            f"matched.{name}": (matched.get(name), 0)
+            for name in (f"{side}_points_left_out", f"{side}_points_without_counterpart")
+        },
+    }
+    for entry, (count, least) in counts.items():
+        if count is not None and not least <= count <= shape.n_points:
+            raise DataError(
+                f"{root / REPORT} is damaged (its entry {entry} is {count}, but {shape.name} has {shape.n_points} "
+                "points); match again"
+            )
 
 
 def matched_name(report: Mapping[str, Any], side: Side, *, otherwise: str) -> str:
@@ -281,11 +311,12 @@ def read_point_map(
     try:
         if suffix == ".npz":
             with open_npz(file) as archive:
-                values = _only(path, {name: archive[name] for name in archive.names}, direction)
+                names = [direction] if direction in archive.names else archive.names
+                values = _only(path, {name: archive[name] for name in names}, direction)
         elif suffix == ".mat":
             stored = read_in_process(_MATLAB, ordinary(file), library="SciPy")
             own = stored.pop("first_index", None)
-            first = int(own.item()) if base is None and own is not None else base
+            first = _own_base(path, own) if base is None and own is not None else base
             named = {name: value for name, value in stored.items() if not name.startswith("_")}
             values = _only(path, named, direction)
         else:
@@ -307,6 +338,13 @@ def read_point_map(
             f"{path} holds {values.min()}, but must hold indices from {first}, or {first - 1} for none{hint}"
         )
     return values - first
+
+
+def _own_base(path: str | Path, told: np.ndarray) -> int:
+    """The first index that a file tells."""
+    if told.size != 1 or told.item() not in (0, 1):
+        raise DataError(f"{path}: its first_index is {shorten(told.tolist())}, but must be 0 or 1; give base")
+    return int(told.item())
 
 
 def _check_options(base: Any, direction: Any) -> None:
@@ -343,9 +381,11 @@ def _only(path: str | Path, arrays: dict[str, Any], direction: str) -> Any:
 def _whole_numbers(path: str | Path, given: Any) -> Int[np.ndarray, " n"]:
     values = np.asarray(given)
     if values.dtype.kind not in "iuf" or np.squeeze(values).ndim > 1:
-        raise DataError(f"{path} does not hold one whole number per point, but {values.dtype} of shape {values.shape}")
+        found = f"{shorten(values.dtype)} of shape {shorten(values.shape)}"
+        raise DataError(f"{path} does not hold one whole number per point, but {found}")
     values = values.reshape(-1)
-    (wrong,) = np.nonzero((values != np.round(values)) | ~(np.abs(values.astype(float)) < _TOO_LARGE))
+    with np.errstate(over="ignore"):  # of numbers in extended precision
+        (wrong,) = np.nonzero((values != np.round(values)) | ~(np.abs(values.astype(float)) < _TOO_LARGE))
     if len(wrong):
         raise DataError(f"{path} holds {values[wrong[0]]}, but must hold one whole number per point, its index")
     return values.astype(np.int64)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from homolog.core.choices import AsCloud, Device, Side
     from homolog.pairs.method import Method, Supports, check_supported
     from homolog.pairs.options import SIDES, PairOptions
-    from homolog.pairs.pair import Candidate, Pair, PairOrientation, PointMaps
+    from homolog.pairs.pair import Candidate, Pair, PairAdaptation, PairOrientation, PointMaps
     from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
     from homolog.pairs.settings import (
         AlignmentSettings,
@@ -39,6 +39,7 @@ __all__ = [
     "OperatorSource",
     "OrientationSettings",
     "Pair",
+    "PairAdaptation",
     "PairOptions",
     "PairOrientation",
     "PointMaps",
@@ -66,6 +67,7 @@ _MODULES = {
     "OperatorSource": "preprocessing",
     "OrientationSettings": "settings",
     "Pair": "pair",
+    "PairAdaptation": "pair",
     "PairOptions": "options",
     "PairOrientation": "pair",
     "PointMaps": "pair",

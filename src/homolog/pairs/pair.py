@@ -74,6 +74,23 @@ class Candidate:
     map_misfit: float | None = None
 
 
+@dataclass(frozen=True)
+class PairAdaptation:
+    """What came of adapting a network to a pair.
+
+    Args:
+        steps: updates of its weights; 0 where a method without a network was chosen for the pair.
+        map_misfit: of the map without, see ``homolog.matching.map_misfit``; None where there was nothing to adapt.
+        adapted_map_misfit: of the map by the adapted network.
+        kept: whether the pair has the features of the adapted network.
+    """
+
+    steps: int
+    map_misfit: float | None = None
+    adapted_map_misfit: float | None = None
+    kept: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Two preprocessed shapes, with all that was decided about them.
@@ -88,6 +105,7 @@ class Pair:
         method: what finds them, chosen by what the two shapes are.
         extractor: what computed their features; None where nothing did.
         choice: among which features and methods these were chosen, the chosen one first; empty where it was given.
+        adaptation: what came of adapting a network to the pair; None where that was not asked for.
         orientation: which way round they were found to be; None where nothing was looked for.
         alignment: what took the partial shape as it was given onto the full one, in normalised coordinates; None where
             it stays.
@@ -104,6 +122,7 @@ class Pair:
     method: Method
     extractor: FeatureExtractor | None = None
     choice: tuple[Candidate, ...] = ()
+    adaptation: PairAdaptation | None = None
     orientation: PairOrientation | None = None
     alignment: Similarity | None = None
 

@@ -181,8 +181,9 @@ class Preprocessor:
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
             if clutter == "remove":
                 repaired = set_apart(repaired, partial=partial)
-            if strict:
-                _refuse_repairs(repaired)
+            severe = next((each for each in repaired.report.findings if each.severity != "note"), None)
+            if strict and severe is not None:
+                raise ShapeError(f"{repaired.shape.name}: {severe} (refused as strict)")
             repaired = replace(repaired, shape=_facing_outward(repaired.shape))
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
@@ -193,7 +194,11 @@ class Preprocessor:
             rotation = _best_rotation(orientations)
             operators = operators.turned(rotation)
         with timings.measure(f"features of {label}"):
-            found = self.features(operators) if features is None else _of_points(features, shape, repaired, operators)
+            if features is None:
+                found = self.features(operators)
+            else:
+                given = checked_features(repr(shape.name), features, operators.points, shape.n_points)
+                found = given[torch.from_numpy(repaired.kept).to(given.device)]
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
         return PreprocessedShape(shape, repaired, operators, found, up, orientations, rotation)
@@ -273,12 +278,6 @@ def _position(name: str, given: ArrayLike) -> Float[Tensor, " 3"]:
     return torch.from_numpy(values)
 
 
-def _of_points(features: ArrayLike, shape: Shape, repaired: Repaired, operators: Operators) -> Float[Tensor, "n d"]:
-    """Features that a user gave for the points of a shape, at its clean points."""
-    values = checked_features(repr(shape.name), features, operators.points, shape.n_points)
-    return values[torch.from_numpy(repaired.kept).to(values.device)]
-
-
 def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
     """A repaired shape, and whether its faces are still to be dropped, which only give its scale.
 
@@ -304,9 +303,3 @@ def _facing_outward(shape: Shape) -> Shape:
     if shape.faces is None or outward(Surface(shape.points, shape.faces)) >= 0:
         return shape
     return replace(shape, faces=shape.faces[:, ::-1])
-
-
-def _refuse_repairs(repaired: Repaired) -> None:
-    for finding in repaired.report.findings:
-        if finding.severity != "note":
-            raise ShapeError(f"{repaired.shape.name}: {finding} (refused as strict)")

@@ -1,12 +1,15 @@
 """Shape models: a template registered to many shapes, and the statistics of the corresponding points."""
 
-from homolog.shape_models.batch import ShapeModelSettings, register_all, settings_record
+from homolog.shape_models.batch import register_all, settings_record
 from homolog.shape_models.build import BuiltModel, build
+from homolog.shape_models.choice import choice_for_all
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.landmarks import TemplateLandmarks
 from homolog.shape_models.outputs import check_extra, write_outputs
 from homolog.shape_models.overview import MOST_SHOWN
 from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShapes
 from homolog.shape_models.registration import Figures, Registered, Template, check_template
+from homolog.shape_models.settings import ShapeModelSettings
 from homolog.shape_models.subjects import Subject, subjects_of
 
 __all__ = [
@@ -21,9 +24,11 @@ __all__ = [
     "ShapeModelSettings",
     "Subject",
     "Template",
+    "TemplateLandmarks",
     "build",
     "check_extra",
     "check_template",
+    "choice_for_all",
     "register_all",
     "settings_record",
     "subjects_of",

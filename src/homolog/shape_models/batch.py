@@ -5,42 +5,25 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 from homolog.core.arguments import check_count
-from homolog.core.choices import Orient
 from homolog.core.errors import HomologError
-from homolog.core.progress import Progress, ignore
-from homolog.core.settings import Settings
+from homolog.core.progress import Progress, Timings, ignore
 from homolog.core.tasks import run_tasks
-from homolog.matching import Matcher
+from homolog.features import load_weights
+from homolog.matching import Matcher, with_inputs
+from homolog.pairs import Side
+from homolog.shape_models.adaptation import adapted_weights
+from homolog.shape_models.choice import choice_for_all
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.registration import Template
+from homolog.shape_models.settings import ShapeModelSettings
 from homolog.shape_models.subjects import Subject
-from homolog.shapes import Shape, Up, read_hashed_shape
-
-
-@dataclass(frozen=True)
-class ShapeModelSettings(Settings):
-    """How shapes are matched to the template, besides the matcher's own settings.
-
-    Args:
-        template_up: the axis of the template that points up.
-        shapes_up: the axis of the shapes that points up.
-        template_as_cloud: match without the template's faces.
-        shapes_as_cloud: match without the shapes' faces.
-        orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
-        strict: refuse shapes that need repair or would get a warning.
-    """
-
-    template_up: Up = "y"
-    shapes_up: Up = "y"
-    template_as_cloud: bool = False
-    shapes_as_cloud: bool = False
-    orient: Orient = "auto"
-    strict: bool = False
+from homolog.shapes import Shape, read_hashed_shape
 
 
 def settings_record(template_sha256: str, matcher: Matcher, settings: ShapeModelSettings) -> dict[str, Any]:
@@ -70,6 +53,9 @@ def register_all(
     listener: Callable[[Outcome], None] = ignore,
 ) -> list[Outcome]:
     """Register a template to all shapes that are not registered yet; failures do not stop the others.
+
+    Where the matcher has a choice of features, it is made once for all shapes, see ``choice_for_all``, and kept in the
+    folder: shapes that come later are matched alike.
 
     Several processes begin by importing the program that calls this: a script must call it below
     ``if __name__ == "__main__":``.
@@ -101,8 +87,19 @@ def register_all(
         found[outcome.subject.name] = outcome
         listener(outcome)
 
-    processes = min(processes, max(1, len(missing)))
-    registration = _Registration(template, make_matcher, folder, settings or ShapeModelSettings(), processes)
+    settings, processes = settings or ShapeModelSettings(), min(processes, max(1, len(missing)))
+    choice = folder.choice()
+    if choice is None and missing:
+        matcher = make_matcher()
+        choice = choice_for_all(template, missing, matcher, settings, progress=progress)
+        if choice or not matcher.has_choice:  # where no shape could be used, those that come later decide
+            folder.keep_choice(choice)
+    name = choice[0].name if choice else None
+    weights = None
+    if settings.adapt and missing:
+        chosen = _limited(make_matcher(), name)
+        weights = adapted_weights(template, missing, folder, chosen, settings, progress=progress)
+    registration = _Registration(template, make_matcher, name, weights, folder, settings, processes)
     before = len(subjects) - len(missing)
     run_tasks(
         [[(subject.name, partial(registration.outcome, subject)) for subject in missing]],
@@ -127,6 +124,8 @@ class _Registration:
     # Both are copies in every process; the folder ensures that they are equal.
     template: Shape = field(compare=False)
     make_matcher: Callable[[], Matcher] = field(compare=False)
+    choice: str | None
+    weights: Path | None
     folder: ShapeModelFolder
     settings: ShapeModelSettings
     processes: int
@@ -148,7 +147,13 @@ class _Registration:
         registered = template.registered_to(
             shape, up=settings.shapes_up, as_cloud=settings.shapes_as_cloud, strict=settings.strict
         )
-        outcome = Outcome(subject, registered.figures, registered.warnings, seconds=time.perf_counter() - began)
+        files: dict[Side, dict[str, str]] = {"source": {}, "target": {"file": str(subject.file), "sha256": digest}}
+        assert registered.match is not None
+        registered = replace(registered, match=with_inputs(registered.match, files, Timings()))
+        seconds = time.perf_counter() - began
+        outcome = Outcome(
+            subject, registered.figures, registered.warnings, seconds=seconds, matched_by=registered.matched_by
+        )
         self.folder.write(outcome, registered, template.projector.given, digest)
         return outcome
 
@@ -161,14 +166,20 @@ def _prepared_template(registration: _Registration) -> Template:
 
         # Each process gets its share of the cores: more threads than cores wait for each other.
         torch.set_num_threads(max(1, (os.cpu_count() or 1) // registration.processes))
-    settings = registration.settings
+    settings, matcher = registration.settings, _limited(registration.make_matcher(), registration.choice)
+    weights = registration.weights
     return Template(
         registration.template,
-        registration.make_matcher(),
+        matcher,
+        adapted=None if weights is None else matcher.with_extractor(load_weights(weights)),
         up=settings.template_up,
         as_cloud=settings.template_as_cloud,
         orient=settings.orient,
     )
+
+
+def _limited(matcher: Matcher, choice: str | None) -> Matcher:
+    return matcher if choice is None else matcher.limited_to(choice)
 
 
 def _in_a_line(subject: Subject, error: Exception) -> str:

@@ -7,17 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from homolog.core.choices import System
 from homolog.core.errors import ArgumentError
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved
 from homolog.core.progress import Progress, ignore
 from homolog.core.versions import versions
 from homolog.matching import Matcher
-from homolog.shape_models.batch import ShapeModelSettings, register_all, settings_record
+from homolog.shape_models.batch import register_all, settings_record
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.landmarks import TemplateLandmarks
 from homolog.shape_models.outputs import OUTPUT_NAMES, REPORT, check_extra, write_outputs
 from homolog.shape_models.registered_shapes import ModelSettings
 from homolog.shape_models.registration import check_template
-from homolog.shape_models.subjects import subjects_of
+from homolog.shape_models.settings import ShapeModelSettings
+from homolog.shape_models.subjects import Subject, subjects_of
 from homolog.shapes import read_hashed_shape
 
 
@@ -29,11 +32,13 @@ class BuiltModel:
         folder: with all files.
         outcomes: of each shape, in the given order.
         files: the files and folders to look at.
+        warnings: that hold for the collection as a whole.
     """
 
     folder: ShapeModelFolder
     outcomes: list[Outcome]
     files: list[Path]
+    warnings: tuple[str, ...] = ()
 
 
 def build(
@@ -44,6 +49,8 @@ def build(
     *,
     settings: ShapeModelSettings | None = None,
     model: ModelSettings | None = None,
+    landmarks: str | Path | None = None,
+    axes: System | None = None,
     processes: int = 1,
     progress: Progress = ignore,
     listener: Callable[[Outcome], None] = ignore,
@@ -61,6 +68,10 @@ def build(
         make_matcher: the matcher; for several processes, a function that returns it and can be pickled.
         settings: of the registration.
         model: settings of the statistics.
+        landmarks: a file of landmarks on the template, which are carried to all shapes; see
+            ``homolog.transfer.read_landmarks``.
+        axes: the anatomical axes of all shapes, for landmark files that state theirs; by default those that the shapes'
+            files name, or LPS.
         processes: number of worker processes.
         progress: called with the number of finished shapes, their total and the current shape's name.
         listener: called with each new outcome.
@@ -81,11 +92,12 @@ def build(
     check_extra()
     subjects, settings = subjects_of(files), settings or ShapeModelSettings()
     root = expanded(output)
-    refuse_inputs_inside(root, (template, *files))
-    outputs = [*OUTPUT_NAMES, REPORT, *(f"shapes/{subject.name}.ply" for subject in subjects)]
-    refuse_overwriting_inputs([root / name for name in outputs], (template, *files))
+    inputs = (template, *files, *(() if landmarks is None else (landmarks,)))
+    refuse_inputs_inside(root, inputs)
     base, digest = read_hashed_shape(template)
     check_template(base)
+    carried = None if landmarks is None else TemplateLandmarks(landmarks, base, axes)
+    refuse_overwriting_inputs(_outputs(root, subjects, carried), inputs)
     if isinstance(make_matcher, Matcher):
         if processes != 1:
             raise ArgumentError("several processes need a function that makes the matcher; give one, or processes=1")
@@ -98,9 +110,16 @@ def build(
             base, subjects, folder, in_each, settings, processes=processes, progress=progress, listener=listener
         )
         progress(len(subjects), len(subjects), "mean and modes")
-        inputs = {"inputs": {"template": str(template), "sha256": digest}, "versions": versions()}
-        written = write_outputs(folder, base, outcomes, model, report={**inputs, **(report or {})})
-    return BuiltModel(folder, outcomes, written)
+        told = {"inputs": {"template": str(template), "sha256": digest}, "versions": versions(), **(report or {})}
+        written = write_outputs(folder, base, outcomes, model, landmarks=carried, report=told)
+    return BuiltModel(folder, outcomes, written, () if carried is None else carried.warnings)
+
+
+def _outputs(root: Path, subjects: Sequence[Subject], landmarks: TemplateLandmarks | None) -> list[Path]:
+    """The files that are written for sure."""
+    names = [*OUTPUT_NAMES, REPORT, *(f"shapes/{subject.name}.ply" for subject in subjects)]
+    carried = [] if landmarks is None else [landmarks.file_of(subject.name) for subject in subjects]
+    return [root / name for name in (*names, *carried)]
 
 
 def refuse_inputs_inside(output: Path, inputs: Sequence[str | Path]) -> None:

@@ -3,34 +3,48 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from typing_extensions import TypedDict
+from typing_extensions import NotRequired, TypedDict
 
-from homolog.core.errors import DataError
+from homolog.core.errors import DataError, bad_choice
 from homolog.core.files import expanded, sha256, write_json
-from homolog.core.folders import prepare_folder, remove_if_unused
+from homolog.core.folders import MANIFEST, prepare_folder, remove_if_unused
 from homolog.core.records import record, stored_record
 from homolog.core.versions import versions
+from homolog.matching import RESULT_FILES, Match, write_folder
+from homolog.pairs import Candidate
 from homolog.shape_models.registration import Figures, Registered
 from homolog.shape_models.subjects import Subject
 from homolog.shapes import Shape, drawable, files_of_shape, read_shape, write_shape
 
 # A version, increased whenever the same template, shapes and settings give other points.
-_MAKING = 1
-_FOLDERS = ("shapes", "records")
+_MAKING = 2
+_WEIGHTS = "weights.safetensors"
+_WHAT = "shapes with the points and faces of one template, made by homolog collection"
+_FOLDERS = ("shapes", "records", "matches")
 
 
 class _Outcome(TypedDict):
     figures: Figures
     warnings: list[str]
     seconds: float
+    matched_by: str
+
+
+@record
+class _Manifest(TypedDict):
+    """What is read of a collection's manifest."""
+
+    what: str
+    choice: NotRequired[list[Candidate]]
+    weights_sha256: NotRequired[str]
 
 
 @record
@@ -52,6 +66,7 @@ class Outcome:
         warnings: for the user, a line each.
         error: why it was not registered, in one line; empty if it was.
         seconds: wall time.
+        matched_by: what found its point maps: a method, and the features that it compares.
     """
 
     subject: Subject
@@ -59,14 +74,15 @@ class Outcome:
     warnings: tuple[str, ...] = ()
     error: str = ""
     seconds: float = 0.0
+    matched_by: str = ""
 
 
 @dataclass(frozen=True)
 class ShapeModelFolder:
     """The files of a shape model.
 
-    ``shapes/NAME.ply`` is a shape with the template's points and faces; ``records/NAME.json`` says from which file it
-    was made, with hashes of both files.
+    ``shapes/NAME.ply`` is a shape with the template's points and faces, and ``matches/NAME`` the match that led to it;
+    ``records/NAME.json`` says from which file it was made, with hashes of both files.
 
     Args:
         root: the folder.
@@ -88,10 +104,33 @@ class ShapeModelFolder:
         folder = cls(expanded(root))
         # With JSON's types, so that it can be compared with the file.
         made = json.loads(json.dumps({"way": _MAKING, **making}))
-        what = "shapes with the points and faces of one template, made by homolog collection"
-        manifest = {"what": what, "making": made, "versions": versions()}
+        manifest = {"what": _WHAT, "making": made, "versions": versions()}
         prepare_folder(folder.root, manifest, _FOLDERS, what="a collection")
         return folder
+
+    @classmethod
+    def existing(cls, root: str | Path) -> ShapeModelFolder:
+        """A folder that ``homolog collection`` wrote, to be looked at.
+
+        Raises:
+            DataError: if it is none.
+        """
+        if not cls.is_one(root):
+            raise DataError(f"{root} is no collection; give a folder that homolog collection wrote")
+        return cls(expanded(root))
+
+    @staticmethod
+    def is_one(root: str | Path) -> bool:
+        """Whether a folder is one that ``homolog collection`` wrote."""
+        stored = stored_record(expanded(root) / MANIFEST, _Manifest)
+        return stored is not None and stored["what"] == _WHAT
+
+    @property
+    def names(self) -> list[str]:
+        """The names of all shapes that are registered, in the order of the alphabet."""
+        # By records: a shape without one was left by a killed process, and does not count.
+        recorded = (path.stem for path in (self.root / "records").glob("*.json"))
+        return sorted(name for name in recorded if self.shape_file(name).is_file())
 
     @classmethod
     @contextmanager
@@ -107,6 +146,48 @@ class ShapeModelFolder:
         """
         with remove_if_unused(expanded(root), _FOLDERS):
             yield cls.prepare(root, making)
+
+    def choice(self) -> tuple[Candidate, ...] | None:
+        """The choice of features that was made for all shapes, empty where there was none; None where it is to come."""
+        stored = stored_record(self.root / MANIFEST, _Manifest)
+        if stored is None or "choice" not in stored:
+            return None
+        return tuple(Candidate(**candidate) for candidate in stored["choice"])
+
+    def keep_choice(self, choice: Sequence[Candidate]) -> None:
+        """Keep the choice that was made for all shapes, so that those that come later are matched alike."""
+        manifest = stored_record(self.root / MANIFEST, _Manifest)
+        assert manifest is not None
+        write_json(self.root / MANIFEST, {**manifest, "choice": [asdict(candidate) for candidate in choice]})
+
+    def weights(self) -> Path | None:
+        """The weights that were adapted to all shapes; None where there are none yet, or they are damaged."""
+        stored, file = stored_record(self.root / MANIFEST, _Manifest), self.root / _WEIGHTS
+        known = stored is not None and file.is_file() and sha256(file) == stored.get("weights_sha256")
+        return file if known else None
+
+    def keep_weights(self, write: Callable[[Path], None]) -> Path:
+        """Keep weights that were adapted to all shapes, so that those that come later are matched alike."""
+        file, manifest = self.root / _WEIGHTS, stored_record(self.root / MANIFEST, _Manifest)
+        assert manifest is not None
+        write(file)
+        write_json(self.root / MANIFEST, {**manifest, "weights_sha256": sha256(file)})
+        return file
+
+    def match_folder(self, name: str) -> Path:
+        """The folder of the match of the template with a shape, as ``homolog match`` writes it."""
+        return self.root / "matches" / name
+
+    def match(self, name: str) -> Match:
+        """The match of the template with a shape that is registered.
+
+        Raises:
+            ArgumentError: if there is no such shape.
+            DataError: if its match is missing or damaged.
+        """
+        if name not in self.names:
+            raise bad_choice("shape", name, self.names)
+        return Match.load(self.match_folder(name))
 
     def shape_file(self, name: str) -> Path:
         """The file of a registered shape."""
@@ -124,6 +205,8 @@ class ShapeModelFolder:
         subject, figures = outcome.subject, outcome.figures
         assert figures is not None
         file = self.shape_file(subject.name)
+        if registered.match is not None:
+            write_folder(self.match_folder(subject.name), registered.match)
         write_shape(file, Shape(registered.points, drawable(template).faces))
         made = {
             "file": str(subject.file),
@@ -134,6 +217,7 @@ class ShapeModelFolder:
                 "figures": asdict(figures),
                 "warnings": list(outcome.warnings),
                 "seconds": round(outcome.seconds, 2),
+                "matched_by": outcome.matched_by,
             },
         }
         write_json(self._record_file(subject.name), made)
@@ -142,6 +226,10 @@ class ShapeModelFolder:
         """Delete what was made of an earlier version of a shape's file."""
         self._record_file(subject.name).unlink(missing_ok=True)
         self.shape_file(subject.name).unlink(missing_ok=True)
+        for name in RESULT_FILES:
+            (self.match_folder(subject.name) / name).unlink(missing_ok=True)
+        with suppress(OSError):  # it does not exist, or somebody else's file is in it
+            self.match_folder(subject.name).rmdir()
 
     def outcome(self, subject: Subject) -> Outcome | None:
         """The stored result for a shape; None if there is none, or its file or the registered shape has changed.
@@ -156,7 +244,7 @@ class ShapeModelFolder:
             return None
         told = stored["outcome"]
         known = {field.name: told["figures"][field.name] for field in fields(Figures) if field.name in told["figures"]}
-        return Outcome(subject, Figures(**known), tuple(told["warnings"]), seconds=told["seconds"])
+        return Outcome(subject, Figures(**known), tuple(told["warnings"]), "", told["seconds"], told["matched_by"])
 
     def points(self, names: Sequence[str], count: int) -> Float[np.ndarray, "s n 3"]:
         """The template's points on registered shapes.
@@ -181,9 +269,7 @@ class ShapeModelFolder:
     def others(self, subjects: Sequence[Subject]) -> list[str]:
         """Names of shapes that were registered before and are not among these."""
         known = {subject.name for subject in subjects}
-        # By records: a shape without one was left by a killed process, and does not count.
-        recorded = {path.stem for path in (self.root / "records").glob("*.json")}
-        return sorted(name for name in recorded - known if self.shape_file(name).is_file())
+        return [name for name in self.names if name not in known]
 
     def _is_current(self, subject: Subject, stored: dict[str, Any]) -> bool:
         registered = self.shape_file(subject.name)

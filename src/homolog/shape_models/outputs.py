@@ -14,16 +14,17 @@ from homolog.core.errors import DataError, needs_extra
 from homolog.core.files import all_or_nothing, resolved, write_json, write_npy
 from homolog.core.records import record, stored_record
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.landmarks import FOLDER, TABLE, TemplateLandmarks
 from homolog.shape_models.model_files import MODEL_FOLDERS, write_model
 from homolog.shape_models.overview import write_quality, write_sheet
 from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShapes
 from homolog.shapes import Shape
 
 REPORT = "report.json"
-OUTPUT_NAMES = ("points.npy", "quality.csv", "contact_sheet.png", *MODEL_FOLDERS)
+OUTPUT_NAMES = ("points.npy", "quality.csv", "contact_sheet.png", TABLE, FOLDER, *MODEL_FOLDERS)
 """The files and folders that are written beside the report."""
 # Those that are folders, inner ones first.
-_FOLDERS = ("shapeworks/particles", *MODEL_FOLDERS)
+_FOLDERS = ("shapeworks/particles", FOLDER, *MODEL_FOLDERS)
 
 
 def check_extra() -> None:
@@ -44,6 +45,7 @@ def write_outputs(
     outcomes: Sequence[Outcome],
     settings: ModelSettings | None = None,
     *,
+    landmarks: TemplateLandmarks | None = None,
     report: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Write points, table, contact sheet, statistics, exports and report; all files land together or none does.
@@ -56,6 +58,7 @@ def write_outputs(
         template: as it was read.
         outcomes: of all shapes.
         settings: of the statistics.
+        landmarks: of the template, to be carried to all shapes.
         report: further entries of ``report.json``.
 
     Returns:
@@ -70,8 +73,9 @@ def write_outputs(
     root, before = folder.root, _earlier_files(folder.root)
     try:
         with all_or_nothing():
-            files = [path.relative_to(root).as_posix() for path in _write(shapes)]
-            write_json(root / REPORT, {**_report(shapes), **(report or {}), "files": files})
+            files = [path.relative_to(root).as_posix() for path in _write(shapes, landmarks)]
+            told = {**_report(shapes), "landmarks": None if landmarks is None else landmarks.to_dict()}
+            write_json(root / REPORT, {**told, **(report or {}), "files": files})
         for name in before - set(files):
             (root / name).unlink(missing_ok=True)
     finally:
@@ -83,11 +87,12 @@ def write_outputs(
             f"none of the {len(outcomes)} shapes could be registered, so there is no shape model; "
             f"{root / 'quality.csv'} says why"
         )
-    names = ["shapes", "points.npy", "quality.csv", "contact_sheet.png", REPORT]
+    names = ["shapes", "matches", "points.npy", "quality.csv", "contact_sheet.png", REPORT]
+    names += [] if landmarks is None else [FOLDER, TABLE]
     return [root / name for name in (*names, *([] if shapes.model is None else ("model", "shapeworks", "scalismo")))]
 
 
-def _write(shapes: RegisteredShapes) -> list[Path]:
+def _write(shapes: RegisteredShapes, landmarks: TemplateLandmarks | None) -> list[Path]:
     """Write everything but the report, and return the files."""
     root = shapes.folder.root
     table, sheet, array = root / "quality.csv", root / "contact_sheet.png", root / "points.npy"
@@ -96,13 +101,16 @@ def _write(shapes: RegisteredShapes) -> list[Path]:
     if not shapes.registered:
         return [table, sheet]
     write_npy(array, shapes.points)
-    return [array, table, sheet, *([] if shapes.model is None else write_model(shapes, shapes.model))]
+    carried = [] if landmarks is None else landmarks.write(shapes)
+    return [array, table, sheet, *carried, *([] if shapes.model is None else write_model(shapes, shapes.model))]
 
 
 def _report(shapes: RegisteredShapes) -> dict[str, Any]:
     model = shapes.model
     return {
         "template": {"points": shapes.template.n_points, "faces": shapes.template.n_faces},
+        "choice": [asdict(candidate) for candidate in shapes.folder.choice() or ()],
+        "adaptation": shapes.adaptation,
         "shapes": shapes.names,
         "not_registered": {one.subject.name: one.error for one in shapes.outcomes if one.figures is None},
         "warnings": {one.subject.name: list(one.warnings) for one in shapes.registered if one.warnings},

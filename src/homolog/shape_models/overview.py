@@ -27,7 +27,7 @@ def write_quality(path: Path, shapes: RegisteredShapes) -> None:
     number_of = {
         outcome.subject.name: number for number, outcome in enumerate(shapes.worst_first[:MOST_SHOWN], start=1)
     }
-    head = ["name", "row", "sheet", *_FIGURES, "distance_from_mean", "seconds", "warnings", "file"]
+    head = ["name", "row", "sheet", *_FIGURES, "distance_from_mean", "matched_by", "seconds", "warnings", "file"]
     rows = [
         [outcome.subject.name, *_cells(outcome, shapes, number_of.get(outcome.subject.name)), outcome.subject.file]
         for outcome in shapes.outcomes
@@ -38,11 +38,12 @@ def write_quality(path: Path, shapes: RegisteredShapes) -> None:
 def _cells(outcome: Outcome, shapes: RegisteredShapes, number: int | None) -> list[Any]:
     """The cells between a shape's name and its file."""
     if outcome.figures is None:
-        return [None, number, *[None] * (len(_FIGURES) + 2), f"not registered: {outcome.error}"]
+        return [None, number, *[None] * (len(_FIGURES) + 3), f"not registered: {outcome.error}"]
     row, figures = shapes.row_of[outcome.subject.name], asdict(outcome.figures)
     values = [_cell(figures[name]) for name in _FIGURES]
     distance = f"{shapes.aligned.distances[row]:.6g}"
-    return [row, number, *values, distance, f"{outcome.seconds:.2f}", "; ".join(outcome.warnings)]
+    told = outcome.matched_by, f"{outcome.seconds:.2f}", "; ".join(outcome.warnings)
+    return [row, number, *values, distance, *told]
 
 
 def _cell(figure: float | bool | None) -> str | bool | None:

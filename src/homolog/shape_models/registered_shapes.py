@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -60,6 +61,18 @@ class RegisteredShapes:
             DataError: if a file has another number of points than the template.
         """
         return self.folder.points(self.names, self.template.n_points)
+
+    @property
+    def adaptation(self) -> dict[str, Any] | None:
+        """Of which shapes the map by the adapted weights was kept, and of which not; None where there are none."""
+        known = {one.subject.name: one.figures.adapted for one in self.registered if one.figures is not None}
+        if all(adapted is None for adapted in known.values()):
+            return None
+        return {
+            "weights": None if (file := self.folder.weights()) is None else file.name,
+            "kept": [name for name, adapted in known.items() if adapted],
+            "not_kept": [name for name, adapted in known.items() if not adapted],
+        }
 
     @cached_property
     def aligned(self) -> Aligned:

@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from homolog.core.choices import Orient
 from homolog.core.errors import ShapeError
-from homolog.matching import Match, Matcher, orientation_warnings
+from homolog.matching import Match, Matcher, map_misfit, orientation_warnings
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, Up, repair
 from homolog.transfer import SurfaceMap, SurfaceProjector, surface_map, untangled
@@ -39,6 +39,8 @@ class Figures:
             median; for a template without faces, of the distances between each point and its six nearest ones.
         edges_95: the 95th percentile likewise. Both are None in records of earlier versions.
         ambiguous_orientation: whether another way round of the shape leads to another map, and fits nearly as well.
+        map_misfit: how much the point maps contradict themselves, see ``homolog.matching.map_misfit``.
+        adapted: whether they are those of the network that was adapted to all shapes; None where none was.
     """
 
     confidence: float
@@ -49,6 +51,8 @@ class Figures:
     edges_5: float | None
     edges_95: float | None
     ambiguous_orientation: bool = False
+    map_misfit: float | None = None
+    adapted: bool | None = None
 
     @property
     def unevenness(self) -> float:
@@ -78,11 +82,21 @@ class Registered:
         points: one for each template point, on the shape's surface, in its coordinates (n, 3).
         figures: quality of the match.
         warnings: for the user, a line each.
+        match: of the template and the shape, which the points were made from; None where they come from elsewhere.
     """
 
     points: Float[np.ndarray, "n 3"]
     figures: Figures
     warnings: tuple[str, ...]
+    match: Match | None = None
+
+    @property
+    def matched_by(self) -> str:
+        """What found the point maps: a method, and the features that it compares; empty where that is not known."""
+        if self.match is None:
+            return ""
+        features = self.match.report["features"]
+        return self.match.method if features is None else f"{self.match.method}, {features['name']}"
 
 
 class Template:
@@ -94,6 +108,7 @@ class Template:
         up: which of its axes points up.
         as_cloud: match without its faces.
         orient: ``"auto"`` finds which way round shapes are, ``"given"`` trusts their coordinates.
+        adapted: a second matcher; of the maps of both, that is taken which contradicts itself less.
 
     Raises:
         ShapeError: if it cannot be used, or repair removes some of its points.
@@ -104,14 +119,22 @@ class Template:
     """
 
     def __init__(
-        self, shape: Shape, matcher: Matcher, *, up: Up = "y", as_cloud: bool = False, orient: Orient = "auto"
+        self,
+        shape: Shape,
+        matcher: Matcher,
+        *,
+        up: Up = "y",
+        as_cloud: bool = False,
+        orient: Orient = "auto",
+        adapted: Matcher | None = None,
     ) -> None:
         check_template(shape)
         self.projector = SurfaceProjector(shape)
-        self.matcher, self.orient = matcher, orient
-        self.prepared = matcher.preprocess(
-            shape, up=up, as_cloud=as_cloud, orient=orient, clutter="keep", label="template"
-        )
+        self.matchers, self.orient = (matcher, *(() if adapted is None else (adapted,))), orient
+        self.prepared = [
+            each.preprocess(shape, up=up, as_cloud=as_cloud, orient=orient, clutter="keep", label="template")
+            for each in self.matchers
+        ]
 
     def registered_to(self, shape: Shape, *, up: Up = "y", as_cloud: bool = False, strict: bool = False) -> Registered:
         """Match a shape, and register the template's surface to it smoothly.
@@ -125,21 +148,26 @@ class Template:
         Raises:
             ShapeError: if the shape cannot be used, or is refused.
         """
-        subject = self.matcher.preprocess(
-            shape, up=up, as_cloud=as_cloud, orient=self.orient, strict=strict, label="shape"
-        )
+        subjects = [
+            matcher.preprocess(shape, up=up, as_cloud=as_cloud, orient=self.orient, strict=strict, label="shape")
+            for matcher in self.matchers
+        ]
         target = SurfaceProjector(shape)
         units = self._unit_warnings(target)
         if strict and units:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
         options = PairOptions(orient=self.orient, strict=strict)
-        found = self.matcher.match_pair(self.matcher.paired(self.prepared, subject, options))
+        matches = [
+            matcher.match_pair(matcher.paired(template, subject, options))
+            for matcher, template, subject in zip(self.matchers, self.prepared, subjects, strict=True)
+        ]
+        found = min(matches, key=_misfit)  # of equal ones the first
         smooth = untangled(surface_map(self.projector, target, found))
-        figures = _figures(smooth, found)
+        figures = _figures(smooth, found, adapted=None if len(matches) < 2 else found is matches[1])
         uneven = figures.low_confidence_warnings()
         if strict and uneven:
             raise ShapeError(f"{shape.name}: {uneven[0]} (refused as strict)")
-        return Registered(smooth.positions, figures, (*units, *_match_warnings(found), *uneven))
+        return Registered(smooth.positions, figures, (*units, *_match_warnings(found), *uneven), found)
 
     def _unit_warnings(self, target: SurfaceProjector) -> tuple[str, ...]:
         """A warning if a shape is so much larger or smaller that its unit seems to differ."""
@@ -176,7 +204,12 @@ def _match_warnings(found: Match) -> list[str]:
     return [told if warning in of_orientation else warning for warning in found.warnings]
 
 
-def _figures(smooth: SurfaceMap, found: Match) -> Figures:
+def _misfit(found: Match) -> float:
+    assert found.quality is not None
+    return map_misfit(found.quality)
+
+
+def _figures(smooth: SurfaceMap, found: Match, *, adapted: bool | None) -> Figures:
     assert found.quality is not None
     mean, flipped = found.quality.mean, smooth.flipped_triangles
     low, high = _edge_spread(smooth)
@@ -189,6 +222,8 @@ def _figures(smooth: SurfaceMap, found: Match) -> Figures:
         edges_5=low,
         edges_95=high,
         ambiguous_orientation=bool(orientation_warnings(found)),
+        map_misfit=_misfit(found),
+        adapted=adapted,
     )
 
 

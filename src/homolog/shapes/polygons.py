@@ -117,7 +117,10 @@ def _ears(
     starts = np.cumsum(sizes) - sizes
     flat = _in_own_planes(rings, starts, sizes)
     kept, cut_off = _without_spikes(flat, starts, sizes)
-    ears = [_clipped(flat, ring) for ring in kept]
+    ears = list[Int[np.ndarray, "t 3"]]()
+    for ring in kept:
+        clipped = mapbox_earcut.triangulate_float64(flat[ring], np.array([len(ring)], dtype=np.uint32))
+        ears.append(ring[clipped].reshape(-1, 3))
     lacking = [(found, ring) for found, ring in zip(ears, kept, strict=True) if len(found) < len(ring) - 2]
     found = np.concatenate([*ears, cut_off, *([_flat_triangles(*zip(*lacking, strict=True))] if lacking else [])])
     # In the order of the polygons, of which those have all that have enough.
@@ -190,12 +193,6 @@ def _turns_back(u: Any, v: Any, s: Any, t: Any) -> Any:
     """Whether an outline that runs along (u, v) goes on the other way round, along (s, t); of numbers or arrays."""
     cross, along = u * t - v * s, u * s + v * t
     return (along <= 0) & (cross**2 <= _ROUNDING * (u * u + v * v) * (s * s + t * t))
-
-
-def _clipped(flat: Float[np.ndarray, "c 2"], ring: Int[np.ndarray, " k"]) -> Int[np.ndarray, "t 3"]:
-    """The ears of one polygon, of the corners that are kept of it."""
-    ears = mapbox_earcut.triangulate_float64(flat[ring], np.array([len(ring)], dtype=np.uint32))
-    return ring[ears].reshape(-1, 3)
 
 
 def _flat_triangles(

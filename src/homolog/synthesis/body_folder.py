@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -107,7 +107,8 @@ class BodyFolder:
             "what": f"synthetic {kind.name} with ground truth, made by homolog synth {kind.name}",
             "making": {**kind.making, "seed": settings.seed, **asdict(settings.mesh)},
             "most_crossing": MOST_CROSSING,
-            "assets": [_versioned(asset) for asset in kind.assets],
+            # With the version that each names, or that is installed.
+            "assets": [{**a, "version": a.get("version") or version_of(a["package"])} for a in kind.assets],
             "versions": versions(),
             "n": len(names),
             "bodies": {name: self.record(name) for name in names},
@@ -122,11 +123,6 @@ def write_shape_files(root: Path, name: str, body: MeshedBody) -> None:
         _write_mesh(root / "off" / f"{name}.off", body.mesh)
         with atomic_path(root / "corres" / f"{name}.vts") as temporary:
             np.savetxt(temporary, body.at_points + 1, fmt="%d", newline="\n")
-
-
-def _versioned(asset: Mapping[str, str]) -> dict[str, str | None]:
-    """An asset with the version that it names, or that is installed."""
-    return {**asset, "version": asset.get("version") or version_of(asset["package"])}
 
 
 def _described(body: Body) -> dict[str, Any]:

@@ -137,7 +137,9 @@ def _same_twice(checked: _Checked) -> None:
 def _indices_are_those_of_the_shapes(checked: _Checked) -> None:
     """Points that no face uses come first, so that every index of a repaired shape is another one's in the file."""
     source, target = _body(seed=1), _body(seed=1)
-    littered = _with_unused_points(source)
+    assert source.faces is not None
+    unused = 5 + np.random.default_rng(3).random((_UNUSED, 3))
+    littered = Shape(np.concatenate([unused, source.points]), source.faces + _UNUSED, name="with unused points")
     plain, found = checked.match(source, target), checked.match(littered, target)
     assert len(found.source_to_target) == littered.n_points, (
         f"indices: source_to_target has {len(found.source_to_target)} entries for {littered.n_points} points"
@@ -217,18 +219,15 @@ _CHECKS: tuple[Callable[[_Checked], None], ...] = (
 
 
 def _mostly_near(what: str, distances: Float[np.ndarray, " n"], shape: Shape) -> None:
-    spacing = np.sqrt(_area(shape.points) / shape.n_points)
+    # Of the ellipsoid that has the points' variances, roughly.
+    area = 4 * np.pi * 3 * shape.points.var(axis=0).prod() ** (1 / 3)
+    spacing = np.sqrt(area / shape.n_points)
     share = float(np.mean(distances < _SPACINGS * spacing))
     assert share > _NEAR, f"{what}: {1 - share:.0%} of the points are mapped farther off than two point spacings"
 
 
 def _distances(shape: Shape, one: Int[np.ndarray, " n"], other: Int[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     return np.asarray(np.linalg.norm(shape.points[one] - shape.points[other], axis=1))
-
-
-def _area(points: Float[np.ndarray, "n 3"]) -> float:
-    """Of the ellipsoid that has the points' variances, roughly."""
-    return float(4 * np.pi * 3 * points.var(axis=0).prod() ** (1 / 3))
 
 
 def _body(*, seed: int, stretch: float = 1.0) -> Shape:
@@ -251,12 +250,6 @@ def _hull(sphere: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "m 3"]:
     inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) < 0
     faces[inward] = faces[inward][:, ::-1]
     return np.asarray(faces)
-
-
-def _with_unused_points(shape: Shape) -> Shape:
-    assert shape.faces is not None
-    unused = 5 + np.random.default_rng(3).random((_UNUSED, 3))
-    return Shape(np.concatenate([unused, shape.points]), shape.faces + _UNUSED, name="with unused points")
 
 
 def _renamed(shape: Shape, order: Int[np.ndarray, " n"]) -> Shape:

@@ -1,6 +1,6 @@
 """Learning the network from shapes alone: recipes, losses, the loop, checkpoints."""
 
-from homolog.training.adaptation import AdaptationSettings, adapt_to_pair
+from homolog.training.adaptation import AdaptationSettings, adapt_if_better, adapt_to_pair, adapt_to_pairs
 from homolog.training.augmentation import augmented
 from homolog.training.distributed import is_started_by_another
 from homolog.training.loop import is_first_process, train
@@ -47,7 +47,9 @@ __all__ = [
     "TrainingShape",
     "TrainingState",
     "ValidationSettings",
+    "adapt_if_better",
     "adapt_to_pair",
+    "adapt_to_pairs",
     "augmented",
     "builtin_recipes",
     "find_recipe",

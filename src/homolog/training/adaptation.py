@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -10,16 +11,20 @@ import torch
 from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.progress import Listener
 from homolog.core.settings import Count, Settings
-from homolog.features import DiffusionNet, NetworkFeatures
+from homolog.features import DiffusionNet, FeatureInfo, NetworkFeatures
 from homolog.geometry import Basis
-from homolog.matching import Matcher, align_partial, orient
-from homolog.pairs import Pair, PreprocessedShape
+from homolog.matching import Matcher, align_partial, map_misfit, orient
+from homolog.pairs import Pair, PairAdaptation, PreprocessedShape
 from homolog.training.losses import TOTAL
 from homolog.training.objective import pair_losses
 from homolog.training.quantities import TrainingShape
 from homolog.training.samples import at_points, subsets
 from homolog.training.settings import AugmentationSettings, LossSettings, OptimiserSettings, SampleSettings
 from homolog.training.state import TrainingState
+
+# For weights of shapes that are not near-isometric, which stand alike: as the recipe organs has it.
+_OTHER_LOSSES = {"bijectivity": 0.0, "orthogonality": 0.0, "alignment": 0.0, "infonce": 0.1, "registration": 1.0}
+_OTHER_AUGMENTATION = AugmentationSettings(turn="none", least_scale=1.0, most_scale=1.0, jitter=0.005)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,17 +36,73 @@ class AdaptationSettings(Settings):
         optimiser: how weights follow gradients. The learning rate is constant, and low: Adam's first steps are of that
             size for every weight, whatever the gradient.
         samples: on which points of the shapes.
-        loss: the losses; functional maps have the matcher's size.
-        augmentation: of the network's input.
+        loss: the losses; functional maps have the matcher's size. By default those of training; where the weights are
+            for shapes that are not near-isometric, those of the recipe ``organs``, without any for near-isometric ones.
+        augmentation: of the network's input; by default likewise.
         seed: of everything random.
     """
 
-    steps: Count = 15
+    steps: Count = 40
     optimiser: OptimiserSettings = field(default_factory=lambda: OptimiserSettings(learning_rate=1e-4))
     samples: SampleSettings = field(default_factory=SampleSettings)
-    loss: LossSettings = field(default_factory=LossSettings)
-    augmentation: AugmentationSettings = field(default_factory=AugmentationSettings)
+    loss: LossSettings | None = None
+    augmentation: AugmentationSettings | None = None
     seed: int = 0
+
+    def loss_for(self, info: FeatureInfo) -> LossSettings:
+        """The losses for features that expect such shapes."""
+        if self.loss is not None:
+            return self.loss
+        return (
+            LossSettings()
+            if info.near_isometric
+            else LossSettings(weights=_OTHER_LOSSES, soft_temperature=info.temperature)
+        )
+
+    def augmentation_for(self, info: FeatureInfo) -> AugmentationSettings:
+        """The augmentation for features that expect such shapes."""
+        return self.augmentation or (AugmentationSettings() if info.near_isometric else _OTHER_AUGMENTATION)
+
+
+def adapt_if_better(
+    matcher: Matcher, pair: Pair, settings: AdaptationSettings, *, listener: Listener | None = None
+) -> tuple[Matcher, Pair]:
+    """``adapt_to_pair`` with a guard: only where the adapted features lead to a map that contradicts itself less.
+
+    The score is ``homolog.matching.map_misfit``. Where it does not fall, and where the pair is one for which a method
+    without a network was chosen, matcher and pair are those that were given. ``Pair.adaptation``, and so the match's
+    report, has both scores and which of the two was kept. New here.
+
+    Args:
+        matcher: that made the pair; stays as it is.
+        pair: two preprocessed shapes.
+        settings: how.
+        listener: told of each step as it begins.
+
+    Raises:
+        ArgumentError: if the pair's features come from no network, and nothing else was asked for.
+        ShapeError: if the shapes cannot be matched.
+        TrainingError: if a loss is not finite.
+
+    Examples:
+        >>> matcher = homolog.Matcher.from_weights()  # doctest: +SKIP
+        >>> pair, _ = matcher.pair("a.ply", "b.ply")  # doctest: +SKIP
+        >>> matcher, pair = adapt_if_better(matcher, pair, AdaptationSettings())  # doctest: +SKIP
+        >>> matcher.match_pair(pair).report["adaptation"]["kept"]  # doctest: +SKIP
+        True
+    """
+    if pair.choice and not isinstance(pair.extractor, NetworkFeatures):
+        return matcher, replace(pair, adaptation=PairAdaptation(0))
+    adapted, after = adapt_to_pair(matcher, pair, settings, listener=listener)
+    plain, other = (_map_misfit(*both) for both in ((matcher, pair), (adapted, after)))
+    told = PairAdaptation(settings.steps, plain, other, kept=other < plain)
+    return (adapted, replace(after, adaptation=told)) if told.kept else (matcher, replace(pair, adaptation=told))
+
+
+def _map_misfit(matcher: Matcher, pair: Pair) -> float:
+    quality = matcher.find(pair).quality
+    assert quality is not None
+    return map_misfit(quality, pair.settings.choice)
 
 
 def adapt_to_pair(
@@ -52,7 +113,7 @@ def adapt_to_pair(
     A mesh is also used as the cloud of its points, as in training. A cloud alone stands for its mesh.
 
     Args:
-        matcher: with a network; stays as it is.
+        matcher: that made the pair; stays as it is.
         pair: two preprocessed shapes.
         settings: how.
         listener: told of each step as it begins.
@@ -61,24 +122,55 @@ def adapt_to_pair(
         A matcher with the adapted network, and the pair with its features, turned and aligned as it was trained on.
 
     Raises:
-        ArgumentError: if the matcher has no network, or the losses do not fit the shapes that it is for.
+        ArgumentError: if the pair's features come from no network.
         TrainingError: if a loss is not finite.
     """
-    extractor = pair.extractor
-    if not isinstance(extractor, NetworkFeatures):
-        raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
-    if settings.loss.weights["orthogonality"] and not extractor.info.near_isometric:
-        raise ArgumentError(
-            f"the weights {extractor.info.name!r} are for shapes that are not near-isometric, but the losses of "
-            "adapting are for those that are; leave --adapt out, or in Python give other losses"
-        )
+    _network_features(pair)
     pair = align_partial(orient(pair))
-    loss = replace(settings.loss, map_eigenpairs=pair.map_size)
+    adapted = _adapted(matcher, [pair], settings, listener)
+    return matcher.with_extractor(adapted), pair.with_extractor(adapted)
+
+
+def adapt_to_pairs(
+    matcher: Matcher, pairs: Sequence[Pair], settings: AdaptationSettings, *, listener: Listener | None = None
+) -> NetworkFeatures:
+    """Fine-tune one copy of a matcher's network on several pairs of full shapes of one kind; see ``adapt_to_pair``.
+
+    Args:
+        matcher: that made the pairs; stays as it is.
+        pairs: of preprocessed shapes, with the same features; at least one.
+        settings: how. Steps are those of all pairs together, which take turns.
+        listener: told of each step as it begins.
+
+    Raises:
+        ArgumentError: if the pairs' features come from no network.
+        TrainingError: if a loss is not finite.
+    """
+    _network_features(pairs[0])
+    return _adapted(matcher, [orient(pair) for pair in pairs], settings, listener)
+
+
+def _network_features(pair: Pair) -> NetworkFeatures:
+    if not isinstance(pair.extractor, NetworkFeatures):
+        raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
+    return pair.extractor
+
+
+def _adapted(
+    matcher: Matcher, pairs: Sequence[Pair], settings: AdaptationSettings, listener: Listener | None
+) -> NetworkFeatures:
+    """The features of a copy of the network, trained on pairs that are the right way round."""
+    first, extractor = pairs[0], _network_features(pairs[0])
+    loss = replace(settings.loss_for(extractor.info), map_eigenpairs=first.map_size)
+    settings = replace(settings, augmentation=settings.augmentation_for(extractor.info))
     network = copy.deepcopy(extractor.network).requires_grad_().train()
-    sampled = (_training_shapes(matcher, shape, settings.samples) for shape in (pair.x, pair.y))
-    _train(network, list(zip(*sampled, strict=True)), replace(settings, loss=loss), pair.is_partial, listener)
-    adapted = matcher.with_extractor(replace(extractor, network=network.eval()))
-    return adapted, pair.with_extractor(replace(extractor, network=network))
+    sampled = [
+        zip(*(_training_shapes(matcher, shape, settings.samples) for shape in (pair.x, pair.y)), strict=True)
+        for pair in pairs
+    ]
+    in_turns = [both for turn in zip(*sampled, strict=True) for both in turn]
+    _train(network, in_turns, settings, loss, first.is_partial, listener)
+    return replace(extractor, network=network.eval())
 
 
 def _training_shapes(matcher: Matcher, shape: PreprocessedShape, settings: SampleSettings) -> list[TrainingShape]:
@@ -100,6 +192,7 @@ def _train(
     network: DiffusionNet,
     pairs: list[tuple[TrainingShape, TrainingShape]],
     settings: AdaptationSettings,
+    loss: LossSettings,
     partial: bool,
     listener: Listener | None,
 ) -> None:
@@ -113,7 +206,7 @@ def _train(
             network,
             x,
             y,
-            settings=settings.loss,
+            settings=loss,
             augmentation=settings.augmentation,
             generator=generator,
             partial=partial,

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from homolog.core.progress import Progress
 from homolog.core.records import record
-from homolog.geometry import some_points
+from homolog.features import Orienter
+from homolog.geometry import Operators, some_points
 from homolog.maps import joint_rotations
+from homolog.shapes import Shape
 from homolog.training.data import TrainingSet
 from homolog.training.store import unit_mesh
 
@@ -32,7 +32,8 @@ class Aligned:
 
     Args:
         rotation: takes its positions p to ``p @ rotation.T``; three rows of three.
-        misfit: its rigid distance to the shape that it was aligned with, in units of sqrt(area); 0 of the medoid.
+        misfit: its rigid distance to the shape that it was aligned with, in units of sqrt(area); 0 of the medoid. Where
+            an orienter turned it, the misfit of its orientation.
     """
 
     rotation: list[list[float]]
@@ -47,7 +48,9 @@ def aligned(shapes: TrainingSet, progress: Progress) -> dict[str, Aligned]:
     Raises:
         ShapeError: if a shape cannot be used.
     """
-    found = joint_rotations([_points(shapes, name) for name in shapes.used], progress=progress)
+    positions = (unit_mesh(shapes, name)[0].points for name in shapes.used)
+    samples = [torch.from_numpy(each[some_points(len(each), _SAMPLES).numpy()]).float() for each in positions]
+    found = joint_rotations(samples, progress=progress)
     turned = {
         name: Aligned(rotation.tolist(), misfit) for name, (rotation, misfit) in zip(shapes.used, found, strict=True)
     }
@@ -55,9 +58,29 @@ def aligned(shapes: TrainingSet, progress: Progress) -> dict[str, Aligned]:
     return turned
 
 
-def _points(shapes: TrainingSet, name: str) -> Float[Tensor, "s 3"]:
-    points = unit_mesh(shapes, name)[0].points
-    return torch.from_numpy(points[some_points(len(points), _SAMPLES).numpy()]).float()
+def oriented(
+    shapes: TrainingSet, orienter: Orienter, operators: Callable[[Shape], Operators], progress: Progress
+) -> dict[str, Aligned]:
+    """Turn each shape as the orienter of earlier weights finds it to stand, so that they know it from the start.
+
+    A warning names the shapes whose misfit is more than twice the median, as in ``aligned``.
+
+    Args:
+        shapes: to be turned.
+        orienter: of the weights that a training starts from.
+        operators: of a mesh.
+        progress: told of each shape.
+
+    Raises:
+        ShapeError: if a shape cannot be used.
+    """
+    turned: dict[str, Aligned] = {}
+    for done, name in enumerate(shapes.used, 1):
+        best = orienter(operators(unit_mesh(shapes, name)[0]))[0]
+        turned[name] = Aligned(best.rotation.tolist(), best.misfit)
+        progress(done, len(shapes.used), f"orienting {name}")
+    _warn_of_outliers({name: how.misfit for name, how in turned.items()})
+    return turned
 
 
 def _warn_of_outliers(misfits: Mapping[str, float]) -> None:

@@ -183,13 +183,11 @@ def _some_pairs(names: Sequence[str], listed: Sequence[Pair], number: int, seed:
     random = np.random.default_rng([seed, _VALIDATION])
     n_all = len(listed) or len(names) * (len(names) - 1)
     chosen = random.choice(n_all, size=min(number, n_all), replace=False)
-    return tuple(listed[i] if listed else _pair(names, int(i)) for i in chosen)
-
-
-def _pair(names: Sequence[str], number: int) -> Pair:
-    """The ordered pair of two different names that has this number."""
-    first, second = divmod(number, len(names) - 1)
-    return names[first], names[second + (second >= first)]
+    if listed:
+        return tuple(listed[i] for i in chosen)
+    first, second = np.divmod(chosen, len(names) - 1)
+    second += second >= first  # of a pair, both are different
+    return tuple((names[i], names[j]) for i, j in zip(first, second, strict=True))
 
 
 def _ground_truth(root: Path, recipe: Recipe, description: DatasetDescription | None) -> ShapeFolder | None:

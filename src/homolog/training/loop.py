@@ -117,17 +117,17 @@ def train(
     folder = RunFolder(expanded(run), recipe, shapes, tuple(losses))
     fabric = _fabric(recipe.training, device, processes, machines)
     with contextlib.ExitStack() as until_the_end:
+        source = operators or OperatorCache.default().operators
         if is_first_process():
             folder.make(resume=resume)
             until_the_end.enter_context(folder.held())
             if recipe.data.align:  # before there are others, which would wait
-                folder.align(progress or ignore)
+                folder.align(source, progress or ignore, weights=weights)
         fabric.launch()
         if is_started_by_another():
             end_with_parent(os.getppid())
         until_the_end.enter_context(process_group())
         report = progress if progress is not None and fabric.is_global_zero else ignore
-        source = operators or OperatorCache.default().operators
         with shared_errors():
             store = ShapeStore(shapes, recipe, source, fabric.device, rotations=folder.rotations())
             state = folder.load(fabric.device, weights=weights)

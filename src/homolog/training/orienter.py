@@ -87,7 +87,10 @@ def train_orienter(
     optimiser = OptimiserSettings(
         learning_rate=settings.learning_rate, warmup_steps=_WARMUP_STEPS, average=_AVERAGE, weight_decay=0.0
     )
-    state = TrainingState.of(_new_network(seed).to(store.device).train(), optimiser)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = DiffusionNet(ORIENTER_NETWORK)
+    state = TrainingState.of(network.to(store.device).train(), optimiser)
     mean = torch.zeros((), device=store.device)
     for step in range(settings.steps):
         drawn = [_drawn(examples, random) for _ in range(settings.shapes_per_step)]
@@ -116,8 +119,13 @@ def _examples(store: ShapeStore, names: Sequence[str], random: np.random.Generat
 
     def of_variant(name: str, variant: int, upright: Similarity) -> list[_Example]:
         samples = store.samples(name, variant)
-        some = [_some(basis, random) for basis in samples.bases[:count]]
-        return [_Example(_halved(as_oriented(basis)), upright(basis.points + samples.centre)) for basis in some]
+        found = list[_Example]()
+        for basis in samples.bases[:count]:
+            kept = torch.from_numpy(random.permutation(basis.n_points)[:ORIENTER_SAMPLES]).to(basis.points.device)
+            some = basis.truncated(ORIENTER_EIGENPAIRS).sampled(kept)
+            halved = as_oriented(some).in_precision(torch.float16)
+            found.append(_Example(halved, upright(some.points + samples.centre)))
+        return found
 
     return [[of_variant(name, variant, _upright(store, name, partners)) for variant in variants] for name in kept]
 
@@ -145,26 +153,11 @@ def _upright(store: ShapeStore, name: str, partners: Mapping[str, str]) -> Simil
     return replace(frame, scale=frame.scale * store.frame(name).scale / store.frame(full).scale, shift=shift)
 
 
-def _some(basis: Basis, random: np.random.Generator) -> Basis:
-    kept = torch.from_numpy(random.permutation(basis.n_points)[:ORIENTER_SAMPLES]).to(basis.points.device)
-    return basis.truncated(ORIENTER_EIGENPAIRS).sampled(kept)
-
-
-def _halved(basis: Basis) -> Basis:
-    return basis.in_precision(torch.float16)
-
-
 def _drawn(examples: list[list[list[_Example]]], random: np.random.Generator) -> _Example:
     """Any shape, and of it any variant, each as likely."""
     shape = examples[random.integers(len(examples))]
     variant = shape[random.integers(len(shape))]
     return variant[random.integers(len(variant))]
-
-
-def _new_network(seed: int) -> DiffusionNet:
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return DiffusionNet(ORIENTER_NETWORK)
 
 
 def _gradient(network: DiffusionNet, drawn: Sequence[_Example], generator: torch.Generator) -> Float[Tensor, ""]:

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from homolog.core.progress import Progress
 from homolog.core.records import read_record
 from homolog.core.versions import versions
 from homolog.features import FeatureInfo, Orienter, load_weights, save_weights
-from homolog.training.alignment import Aligned, aligned
+from homolog.pairs import OperatorSource
+from homolog.training.alignment import Aligned, aligned, oriented
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
 from homolog.training.data import TrainingSet
 from homolog.training.losses import Loss
@@ -99,11 +100,22 @@ class RunFolder:
         finally:
             lock.release()
 
-    def align(self, progress: Progress) -> None:
-        """Find how to turn the shapes to stand alike, and write it down, unless that was done before."""
-        if self.rotations().keys() != set(self.shapes.used):
+    def align(self, operators: OperatorSource, progress: Progress, *, weights: str | Path | None = None) -> None:
+        """Find how to turn the shapes to stand alike, and write it down, unless that was done before.
+
+        Weights to start from that have an orienter know how they are to stand. The new weights keep that orienter.
+        """
+        if self.rotations().keys() == set(self.shapes.used):
+            return
+        orienter = None if weights is None else load_weights(weights).orienter
+        if orienter is None:
             found = aligned(self.shapes, progress)
-            write_json(self._alignment, {name: asdict(how) for name, how in found.items()})
+        else:
+            start = TrainingState.new(self.recipe, weights=weights)  # before anything is written: they must fit
+            of_mesh = partial(operators, settings=self.recipe.operators)
+            found = oriented(self.shapes, orienter, of_mesh, progress)
+            self._export(start, orienter)
+        write_json(self._alignment, {name: asdict(how) for name, how in found.items()})
 
     def rotations(self) -> dict[str, Float[np.ndarray, "3 3"]]:
         """By which the shapes are to be turned, by name; none where they are not aligned."""
@@ -168,8 +180,12 @@ class RunFolder:
         }
         write_json(self.path / _REPORT, report)
 
-    def _export(self, state: TrainingState) -> None:
-        save_weights(self.path / WEIGHTS, state.result(), weights_info(self.recipe))
+    def _export(self, state: TrainingState, orienter: Orienter | None = None) -> None:
+        """Write the weights for use, with the orienter that those have which are there already."""
+        file = self.path / WEIGHTS
+        if orienter is None and file.is_file():
+            orienter = load_weights(file).orienter
+        save_weights(file, state.result(), weights_info(self.recipe), orienter=orienter)
 
     @cached_property
     def _digest(self) -> str:

@@ -31,8 +31,8 @@ class DataSettings(Settings):
         leave_out: patterns such as ``"*_shape_1?"``. Shapes with such names are neither trained nor validated on.
         up: which axis of the files points up; shapes are turned so that +y does. If absent, the axis that the dataset's
             description names, or y.
-        align: turn all shapes first so that they stand as the most central of them does, by their form alone. For full
-            shapes that do not stand alike.
+        align: turn all shapes first so that they stand as the most central of them does, by their form alone, or as the
+            orienter of the weights to start from finds them. For full shapes that do not stand alike.
         clouds: train on shapes without faces, too. Their operators as clouds then stand for a mesh's.
         memory_gb: memory for the preprocessed shapes, in gigabytes. Those beyond it are read again from the disk cache.
         workers: threads that read and sample shapes while earlier steps are computed.

@@ -3,10 +3,10 @@
 from homolog.core.choices import TEXTURE_SIZE, System
 from homolog.transfer.appearance import NO_COLOUR, Appearance, Checkerboard, Texture, read_appearance
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
-from homolog.transfer.delivery import OUTPUT_NAMES, Delivery, Kind, check_output_names
+from homolog.transfer.delivery import FAR_LANDMARK, OUTPUT_NAMES, Delivery, Kind, check_output_names
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels, read_original
-from homolog.transfer.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks
+from homolog.transfer.landmarks import LANDMARK_SUFFIXES, Landmarks, read_landmarks, system_of
 from homolog.transfer.obj import write_obj
 from homolog.transfer.projection import SurfacePoints, SurfaceProjector
 from homolog.transfer.skin import Skin, read_skin
@@ -15,6 +15,7 @@ from homolog.transfer.transfer import Transfer
 from homolog.transfer.untangling import untangled
 
 __all__ = [
+    "FAR_LANDMARK",
     "LANDMARK_SUFFIXES",
     "NO_COLOUR",
     "OUTPUT_NAMES",
@@ -43,6 +44,7 @@ __all__ = [
     "read_original",
     "read_skin",
     "surface_map",
+    "system_of",
     "untangled",
     "unwrap",
     "write_glb",

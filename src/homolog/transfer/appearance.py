@@ -175,10 +175,6 @@ def read_image(source: Path | bytes, name: str | None = None) -> Image:
         raise DataError(f"{called} cannot be read as an image ({said}); put it there, or export it again") from None
 
 
-def _of_ply(path: Path, shape: Shape) -> Appearance:
-    return Appearance(point_colours=read_ply_colours(path))
-
-
 def _of_obj(path: Path, shape: Shape) -> Appearance:
     found, colours = read_obj_texture(path), read_obj_colours(path)
     # Colours of points say more than those of materials.
@@ -217,7 +213,7 @@ def _of_gltf(path: Path, shape: Shape) -> Appearance:
 
 
 _READERS: dict[str, Callable[[Path, Shape], Appearance]] = {
-    ".ply": _of_ply,
+    ".ply": lambda path, _: Appearance(point_colours=read_ply_colours(path)),
     ".obj": _of_obj,
     ".glb": _of_gltf,
     ".gltf": _of_gltf,

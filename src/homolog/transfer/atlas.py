@@ -112,16 +112,12 @@ def _barycentric(
     triangles: Float[np.ndarray, "t 3 2"], points: Int[np.ndarray, "t 2"]
 ) -> tuple[Float[np.ndarray, "t 3"], Bool[np.ndarray, " t"]]:
     """The weights of points in flat triangles, and which points lie within them."""
-    spans = triangles - points[:, None]
-    areas = np.stack([_cross(spans[:, (c + 1) % 3], spans[:, (c + 2) % 3]) for c in range(3)], axis=1)
+    x, y = np.moveaxis(triangles - points[:, None], 2, 0)
+    areas = x[:, [1, 2, 0]] * y[:, [2, 0, 1]] - y[:, [1, 2, 0]] * x[:, [2, 0, 1]]  # opposite of each corner, doubled
     doubled = areas.sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = areas / doubled[:, None]
     return weights, np.asarray((weights >= 0).all(axis=1) & (doubled != 0))
-
-
-def _cross(a: Float[np.ndarray, "t 2"], b: Float[np.ndarray, "t 2"]) -> Float[np.ndarray, " t"]:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def bake_texture(

@@ -89,9 +89,10 @@ class DeformedTemplate:
             total, right = pull + _HOLD * self.mass, pulled + bent
             if number >= _FREE_ROUNDS:
                 orientation = orientation or self._orientation(positions)
+                normals = orientation * self._normals(positions) if orientation else None
+                below = self.target.positions(self.target.project(positions, normals))
                 surface_pull = _SURFACE_PULL * self.mass * self.paired
-                total = total + surface_pull
-                right = right + surface_pull[:, None] * self._projected(positions, orientation)
+                total, right = total + surface_pull, right + surface_pull[:, None] * below
             positions = _Factors(sparse.diags_array(total) + stiffness * self.stiffness_matrix).solve(right)
             # Geman and McClure's robust weights: pairs far from the deformed template count less.
             away = np.linalg.norm(self.pairs.positions - positions[self.pairs.points], axis=1)
@@ -143,10 +144,6 @@ class DeformedTemplate:
     def _normals(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
         assert self.source.surface is not None
         return Surface(positions, self.source.surface.faces).vertex_normals
-
-    def _projected(self, positions: Float[np.ndarray, "n 3"], orientation: int) -> Float[np.ndarray, "n 3"]:
-        normals = orientation * self._normals(positions) if orientation else None
-        return self.target.positions(self.target.project(positions, normals))
 
 
 def _incidence(ends: Int[np.ndarray, "2 e"], count: int, *, sign: float) -> sparse.csr_array:

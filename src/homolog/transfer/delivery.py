@@ -25,7 +25,7 @@ from homolog.transfer.appearance import Appearance, Checkerboard, left_out
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels
-from homolog.transfer.landmarks import read_landmarks
+from homolog.transfer.landmarks import read_landmarks, system_of
 from homolog.transfer.obj import write_obj
 from homolog.transfer.projection import SurfaceProjector
 from homolog.transfer.skin import Skin
@@ -40,8 +40,8 @@ _CHECKERED = "checkered.glb"
 OUTPUT_NAMES = (_OBJ, _MTL, _PNG, _PLY, _GLB, _CHECKERED, _REPORT)
 """Names of the files that a transfer may write, beside those of arrays, labels and landmarks."""
 
-# A landmark farther from the surface than this many point spacings gets a warning.
-_FAR = 3.0
+FAR_LANDMARK = 3.0
+"""A landmark farther from the surface than this many point spacings gets a warning."""
 
 # Writes files into a folder, and returns their entries in the report by file name.
 _Writer = Callable[[Path], dict[str, Any]]
@@ -229,7 +229,7 @@ class Delivery:
     def _axes_of(self, side: Side) -> System:
         """The anatomical axes of a shape: those that were given, or that its file names."""
         named = self.transfer.found.report.get("inputs", {}).get(side, {}).get("space")
-        return self.axes or ("RAS" if named == "RAS" else "LPS")
+        return system_of(named, self.axes)
 
     def _note_left_out(self, original: Original) -> None:
         if names := left_out(original.path):
@@ -238,7 +238,7 @@ class Delivery:
     def _note_landmarks(self, path: Path, unmatched: int, farthest: float | None) -> None:
         if unmatched:
             self.notes.append(f"{path.name}: no counterpart for {unmatched} of its landmarks")
-        if farthest is not None and farthest > _FAR * self.transfer.source.spacing:
+        if farthest is not None and farthest > FAR_LANDMARK * self.transfer.source.spacing:
             self.notes.append(
                 f"Warning: a landmark of {path.name} is {farthest:.3g} away from the source's surface; "
                 "look at its units and at --axes"

@@ -71,7 +71,10 @@ def write_glb(
         pieces = _pieces(projector.given, look)
     else:
         pieces = [_Piece(np.arange(shape.n_points), shape.faces)]
-    normals, primitives = _normals(projector), list[dict[str, Any]]()
+    assert projector.surface is not None
+    normals = unit(projector.repaired.to_original(projector.surface.vertex_normals, fill=0.0))
+    normals[~normals.any(axis=1)] = 0.0, 1.0, 0.0  # glTF demands length one of all
+    primitives = list[dict[str, Any]]()
     for piece in pieces:
         attributes = {"POSITION": glb.accessor(shape.points[piece.point_of].astype("<f4"), bounds=True)}
         attributes["NORMAL"] = glb.accessor(normals[piece.point_of].astype("<f4"))
@@ -80,9 +83,12 @@ def write_glb(
         elif colours is not None:
             attributes["COLOR_0"] = _colours(glb, colours)
         if skin is not None:
-            attributes |= _influences(glb, skin, piece.point_of)
+            joints, weights = strongest_influences(skin.weights[piece.point_of])
+            attributes["JOINTS_0"] = glb.accessor(joints.astype("<u2"))
+            attributes["WEIGHTS_0"] = glb.accessor(weights.astype("<f4"))
         material = glb.add("materials", _material(glb, piece, clamped=look is None))
-        primitives.append({"attributes": attributes, "indices": _indices(glb, piece.faces), "material": material})
+        indices = glb.accessor(piece.faces.ravel().astype("<u4"), indices=True)
+        primitives.append({"attributes": attributes, "indices": indices, "material": material})
     node: dict[str, Any] = {"mesh": glb.add("meshes", {"primitives": primitives}), "name": path.stem}
     roots = [] if skin is None else _skeleton(glb, skin, node)
     glb.header["scenes"] = [{"nodes": [*roots, glb.add("nodes", node)]}]
@@ -133,27 +139,11 @@ def _pieces(given: Shape, look: Texture) -> list[_Piece]:
     return found
 
 
-def _normals(projector: SurfaceProjector) -> Float[np.ndarray, "n 3"]:
-    """Unit normals of all points; +y where a point has none, as glTF demands length one."""
-    assert projector.surface is not None
-    normals = unit(projector.repaired.to_original(projector.surface.vertex_normals, fill=0.0))
-    return np.where(normals.any(axis=1, keepdims=True), normals, np.array([0.0, 1.0, 0.0]))
-
-
-def _indices(glb: GlbWriter, faces: Int[np.ndarray, "m 3"]) -> int:
-    return glb.accessor(faces.ravel().astype("<u4"), indices=True)
-
-
 def _colours(glb: GlbWriter, colours: UInt8[np.ndarray, "n 3"]) -> int:
     opaque = np.concatenate([colours, np.full((len(colours), 1), 255, np.uint8)], axis=1)
     accessor = glb.accessor(opaque)
     glb.header["accessors"][accessor]["normalized"] = True
     return accessor
-
-
-def _influences(glb: GlbWriter, skin: Skin, point_of: Int[np.ndarray, " v"]) -> dict[str, int]:
-    joints, weights = strongest_influences(skin.weights[point_of])
-    return {"JOINTS_0": glb.accessor(joints.astype("<u2")), "WEIGHTS_0": glb.accessor(weights.astype("<f4"))}
 
 
 def _material(glb: GlbWriter, piece: _Piece, *, clamped: bool) -> dict[str, Any]:

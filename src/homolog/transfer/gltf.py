@@ -51,7 +51,7 @@ def read_gltf_look(path: Path) -> GltfLook:
     colours = np.full((sum(len(part.points) for part in found), 3), np.nan)
     for part in found:
         if "COLOR_0" in part.primitive["attributes"]:
-            own = file.accessor(part.primitive["attributes"]["COLOR_0"])[:, :3]
+            own = file.accessor(part.primitive["attributes"]["COLOR_0"], "VEC3", "VEC4")[:, :3]
             colours[part.first : part.first + len(own)] = own
     materials = tuple(_material(file, part.primitive) for part in found)
     return GltfLook(np.concatenate(coordinates), np.concatenate(numbers), materials, colours)
@@ -64,7 +64,7 @@ def _corners(file: Gltf, part: Part) -> Float[np.ndarray, "m 3 2"]:
     name = f"TEXCOORD_{moved.get('texCoord', texture.get('texCoord', 0))}"
     if name not in part.primitive["attributes"]:
         return np.zeros((len(part.faces), 3, 2))
-    corners: np.ndarray = file.accessor(part.primitive["attributes"][name]).astype(np.float64)[part.faces]
+    corners: np.ndarray = file.accessor(part.primitive["attributes"][name], "VEC2").astype(np.float64)[part.faces]
     angle = moved.get("rotation", 0.0)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     moved_corners: np.ndarray = (corners * moved.get("scale", (1.0, 1.0))) @ turn.T + moved.get("offset", (0.0, 0.0))

@@ -11,7 +11,7 @@ from jaxtyping import Int, Num
 
 from homolog.core.array_files import ArrayFileError, read_npy
 from homolog.core.errors import DataError
-from homolog.core.files import expanded, sha256
+from homolog.core.files import expanded, is_there, sha256
 from homolog.core.messages import shorten
 from homolog.matching import Match
 from homolog.pairs import Side
@@ -64,7 +64,7 @@ def read_original(result: Match, side: Side, path: Path | None = None) -> Origin
     if path is None and "file" not in recorded:
         raise DataError(f"the report of this match does not name its {side}; give the file with --from")
     file = expanded(recorded["file"] if path is None else path)
-    if not file.is_file():
+    if not (is_there(file) and file.is_file()):
         raise DataError(f"{file}, the {side} of this match, is not there; say with --from FILE where it is now")
     shape = read_shape(file)
     digest = sha256(*files_of_shape(file))
@@ -90,14 +90,14 @@ def read_array(path: Path, shape: Shape) -> Num[np.ndarray, "n ..."]:
     except OSError as error:
         raise DataError(f"{path} cannot be read as an NPY array: {error.strerror or error}") from None
     except ArrayFileError as error:
-        raise DataError(
-            f"{path} cannot be read as an NPY array: {error}; write it anew with numpy.save, from an array of numbers"
-        ) from None
+        # A reason may say itself what to do.
+        mend = "" if "; " in str(error) else "; write it anew with numpy.save, from an array of numbers"
+        raise DataError(f"{path} cannot be read as an NPY array: {error}{mend}") from None
     if array.dtype.kind not in "biuf":
         raise DataError(f"{path} holds {shorten(array.dtype)}, but must be one array of numbers")
     if array.ndim < 1 or len(array) != shape.n_points:
         raise DataError(
-            f"{path} has shape {array.shape}, but must have one row for each of the {shape.n_points} points "
+            f"{path} has shape {shorten(array.shape)}, but must have one row for each of the {shape.n_points} points "
             f"of {shape.name}"
         )
     return array
@@ -111,7 +111,7 @@ def read_labels(path: Path, shape: Shape) -> Int[np.ndarray, " n"]:
     """
     array = read_array(path, shape)
     if array.ndim > 1:
-        raise DataError(f"{path} has shape {array.shape}, but labels must have shape ({shape.n_points},)")
+        raise DataError(f"{path} has shape {shorten(array.shape)}, but labels must have shape ({shape.n_points},)")
     with np.errstate(invalid="ignore"):
         labels = array.astype(np.int64)
     if not np.array_equal(labels, array):

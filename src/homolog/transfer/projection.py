@@ -58,11 +58,12 @@ class SurfacePoints:
             ArgumentError: if there are fewer rows than the largest corner asks for.
         """
         self._check(values)
-        columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
-        found = np.zeros((len(self.corners), columns.shape[1]))
-        for corner, weight in zip(self.corners.T, self.weights.T, strict=True):
-            # A value that is NaN does not count where its weight is zero.
-            found += np.where(weight[:, None] == 0, 0.0, weight[:, None] * columns[corner])
+        found = np.zeros((len(self.corners), int(np.prod(np.shape(values)[1:]))))
+        with np.errstate(over="ignore", invalid="ignore"):  # of values that are infinite, or nearly
+            columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+            for corner, weight in zip(self.corners.T, self.weights.T, strict=True):
+                # A value that is NaN does not count where its weight is zero.
+                found += np.where(weight[:, None] == 0, 0.0, weight[:, None] * columns[corner])
         return found.reshape(len(found), *np.shape(values)[1:])
 
     def labels(self, labels: Int[np.ndarray, " n"], *, fill: int = -1) -> Int[np.ndarray, " p"]:

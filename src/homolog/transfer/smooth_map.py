@@ -43,7 +43,11 @@ class SurfaceMap:
         orientation: int = 0,
     ) -> None:
         self.source, self.target, self.orientation = source, target, orientation
-        normals = self._deformed_normals(positions) if orientation else None
+        normals = None
+        if orientation:  # those of the deformed source, oriented as the target
+            assert source.shape.faces is not None
+            deformed = Surface(np.nan_to_num(positions[source.repaired.kept]), source.shape.faces)
+            normals = source.repaired.to_original(orientation * deformed.vertex_normals, fill=0.0)
         self.surface_points: SurfacePoints = target.project(positions, normals)
         """The image of each source point, in barycentric coordinates of the target."""
 
@@ -89,12 +93,6 @@ class SurfaceMap:
     def _normals(self) -> Float[np.ndarray, "n 3"] | None:
         found = self.target.normals(self.surface_points)
         return None if found is None else np.where(self.surface_points.valid[:, None], found, 0.0)
-
-    def _deformed_normals(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """The vertex normals of the deformed source, oriented as the target."""
-        assert self.source.shape.faces is not None
-        deformed = Surface(np.nan_to_num(positions[self.source.repaired.kept]), self.source.shape.faces)
-        return self.source.repaired.to_original(self.orientation * deformed.vertex_normals, fill=0.0)
 
 
 def surface_map(source: Shape | SurfaceProjector, target: Shape | SurfaceProjector, found: Match) -> SurfaceMap:

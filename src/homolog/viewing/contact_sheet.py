@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int, UInt8
-from scipy.spatial import KDTree
 
 from homolog.core.errors import ArgumentError, needs_extra
 from homolog.viewing.drawing import RADIUS, Canvas, averaged, shape_drawing, view_rotation
+from homolog.viewing.scene import typical_spacing
 
 MOST_TILES = 240
 """More would take long to draw and longer to look at; the first ones are those to look at."""
@@ -21,7 +21,8 @@ MOST_TILES = 240
 _WIDTH, _HEIGHT, _LINE = 200, 230, 17
 _FONT_SIZE = 13
 _MARGIN = 0.06  # of a shape's place
-_AROUND = 4  # neighbours of a point, of which the farthest is a spacing away
+# Which neighbour of a point is a spacing away. Registered points come in clumps: the nearest says little.
+_AROUND = 4
 # So many times as large or small as the middle one, a shape would be a dot, or make dots of all others.
 _MUCH_LARGER = 5.0
 _OWN_SCALE = "not to scale"
@@ -108,7 +109,7 @@ class _Body:
         if tile.points is None or tile.colours is None:
             return None
         seen = tile.points @ view_rotation().T
-        reach = RADIUS * _spacing(tile.points) if tile.faces is None else 0.0
+        reach = RADIUS * typical_spacing(tile.points, neighbour=_AROUND) if tile.faces is None else 0.0
         return cls(seen - (seen.min(axis=0) + seen.max(axis=0)) / 2, tile.faces, tile.colours, reach)
 
     @property
@@ -126,11 +127,6 @@ class _Body:
         places = per_unit * self.points * [1, -1, 1] + [width / 2, height / 2, 0]
         canvas.draw(shape_drawing(places, self.faces, self.colours.astype(np.float64), per_unit * self.reach))
         return averaged(canvas.image)
-
-
-def _spacing(points: Float[np.ndarray, "n 3"]) -> float:
-    # Registered points come in clumps: the nearest one says little of the density.
-    return float(np.median(KDTree(points).query(points, k=_AROUND + 1)[0][:, -1]))
 
 
 def _units(bodies: Sequence[_Body | None]) -> tuple[Float[np.ndarray, " t"], Bool[np.ndarray, " t"]]:

@@ -55,19 +55,15 @@ def _errors(
     """Per point of ``shape``: how far on ``other`` it is matched from where it truly is."""
     matched = found[truth[0]] >= 0
     asked, true = truth[0][matched], truth[1][matched]
-    measure = geodesic_errors if geodesic else _euclidean_errors
+    if geodesic:
+        apart = geodesic_errors(other, true, found[asked])
+    else:
+        apart = np.linalg.norm(other.points[true] - other.points[found[asked]], axis=1) / _diagonal(other.points)
     errors = np.full(shape.n_points, np.nan)
-    errors[asked] = 100 * measure(other, true, found[asked])
+    errors[asked] = 100 * apart
     filled = _filled(shape.points, errors)
     filled[found < 0] = np.nan
     return filled
-
-
-def _euclidean_errors(
-    shape: Shape, truth: Int[np.ndarray, " q"], mapped: Int[np.ndarray, " q"]
-) -> Float[np.ndarray, " q"]:
-    distances: np.ndarray = np.linalg.norm(shape.points[truth] - shape.points[mapped], axis=1) / _diagonal(shape.points)
-    return distances
 
 
 def _filled(points: Float[np.ndarray, "n 3"], values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
-from scipy.spatial import KDTree
 
 from homolog.viewing.page import PackedArrays, assembled
+from homolog.viewing.scene import typical_spacing
 
 # Standard deviations of a mode that its slider reaches to, either way; so far the picture has room, and colours go.
 _FARTHEST = 3.0
@@ -81,7 +81,7 @@ def _body(scene: ModesScene, points: Float[np.ndarray, "n 3"], arrays: PackedArr
     """The mean, as the renderer wants it."""
     return {
         "title": f"{len(scene.names):,} shapes, {len(points):,} points",
-        "spacing": float(np.median(KDTree(points).query(points, k=2)[0][:, 1])),
+        "spacing": typical_spacing(points),
         "points": arrays.add(points, "float32"),
         "faces": None if scene.faces is None else arrays.add(scene.faces, "uint32"),
         "colours": arrays.add(scene.colours, "uint8"),

@@ -112,7 +112,7 @@ def _body(result: Match, side: Side, points: Float[np.ndarray, "n 3"]) -> Body:
     )
 
 
-def typical_spacing(points: Float[np.ndarray, "n 3"]) -> float:
-    """The median distance from a point to the nearest other one, estimated from some 2,000 points."""
+def typical_spacing(points: Float[np.ndarray, "n 3"], *, neighbour: int = 1) -> float:
+    """The median distance from a point to its nearest other one, or a farther one, estimated from some 2,000 points."""
     sample = points[:: max(1, len(points) // _SAMPLE)]
-    return float(np.median(KDTree(points).query(sample, k=2)[0][:, 1]))
+    return float(np.median(KDTree(points).query(sample, k=neighbour + 1)[0][:, -1]))

@@ -73,7 +73,8 @@ def _read(file: Path, reader: Any, voxels_size: int, folder: Path) -> Any:
             unpacked = folder / "volume.nii"
             length = _unpack(file, unpacked, begin + needed)
             reader.SetFileName(str(unpacked))
-        _check_length(length, begin + needed)
+        if length < begin + needed:
+            raise ValueError(f"it ends after {length} of {begin + needed} bytes; copy or write it again")
     with TemporaryFile() as printed:
         os.dup2(printed.fileno(), 1)
         os.dup2(printed.fileno(), 2)
@@ -84,11 +85,6 @@ def _read(file: Path, reader: Any, voxels_size: int, folder: Path) -> Any:
     if reader.GetImageIO() == "MetaImageIO" and re.search("fail|not read|error", said, re.IGNORECASE):
         raise ValueError("it ends early, or its voxels are damaged; copy or write it again")
     return image
-
-
-def _check_length(length: int, needed: int) -> None:
-    if length < needed:
-        raise ValueError(f"it ends after {length} of {needed} bytes; copy or write it again")
 
 
 def _unpack(file: Path, unpacked: Path, most: int) -> int:

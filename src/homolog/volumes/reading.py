@@ -74,7 +74,10 @@ def read_mask(path: str | Path, *, label: int | None = None) -> Mask:
     else:
         inside = values == label
         if not inside.any():
-            raise ShapeError(f"{path}: no voxel has label {label}; those there are {_labels(values)}")
+            labels = np.unique(values)
+            shown = ", ".join(f"{value:g}" for value in labels[:_LABELS_SHOWN])
+            more = f" and {len(labels) - _LABELS_SHOWN} more" if len(labels) > _LABELS_SHOWN else ""
+            raise ShapeError(f"{path}: no voxel has label {label}; those there are {shown}{more}")
     del values, found["values"]
     return Mask(inside, found["origin"], found["steps"], name=file.name)
 
@@ -158,9 +161,3 @@ def _check_values(path: str | Path, values: np.ndarray) -> None:
             break
     if len(labels) > _MOST_LABELS:
         raise ShapeError(f"{path} has more than {_MOST_LABELS} values and looks like an image; give a mask, or a label")
-
-
-def _labels(values: np.ndarray) -> str:
-    found = np.unique(values)
-    shown = ", ".join(f"{value:g}" for value in found[:_LABELS_SHOWN])
-    return f"{shown} and {len(found) - _LABELS_SHOWN} more" if len(found) > _LABELS_SHOWN else shown

@@ -10,7 +10,7 @@ import base64
 import json
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -19,9 +19,10 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from jaxtyping import Float, Int
 
+from homolog.core.arguments import is_count, is_number
 from homolog.core.files import parse_json, read_bytes
 from homolog.core.memory import expansion_fault
-from homolog.core.messages import shorten
+from homolog.core.messages import shorten, shown
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out
 from homolog.shapes.polygons import fans, strips
@@ -46,11 +47,34 @@ _TYPES = {width: name for name, width in _WIDTHS.items()}
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 # The modes of primitives.
 _POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
+# The kinds of a binary file's chunks.
+_JSON, _BIN = 0x4E4F534A, 0x004E4942
+# Bytes before the first chunk, and those of a chunk before its content: its length and its kind.
+_GLB_START, _CHUNK_START = 12, 8
 # Of a coordinate or an index of a shape, and as often as reading holds it at a time.
 _NUMBER_BYTES = 40
 # To place a mesh takes as long as to read so many numbers.
 _PLACING = 100
 _MOST_JOINTS_PER_POINT = 16
+
+
+class _Entries(list[Any]):
+    """The objects of one of the header's lists, by their numbers, of which none is negative.
+
+    Args:
+        name: of the list, such as ``nodes``.
+        entries: its objects.
+    """
+
+    def __init__(self, name: str, entries: Iterable[Any] = ()) -> None:
+        super().__init__(entries)
+        self._name = name
+
+    def __getitem__(self, number: Any) -> Any:
+        if not is_count(number, least=0) or number >= len(self):
+            found = f"it refers to number {shown(number)} of its {self._name}, but has {len(self)}"
+            raise UnreadableError(f"{found}; {CUT_OFF}")
+        return super().__getitem__(number)
 
 
 class Gltf:
@@ -65,7 +89,7 @@ class Gltf:
 
     def __init__(self, path: Path) -> None:
         content, self.folder = read_bytes(path), path.parent
-        self.header, binary = _opened(path, content)
+        self.header, binary, self.n_bytes_over = _opened(path, content)
         self.files = _files_beside(path.parent, self.header)
         entries = self.header.get("buffers", [])
         available = len(content) + sum(file.stat().st_size for file in self.files.values())
@@ -91,23 +115,34 @@ class Gltf:
     def view(self, number: int) -> bytes:
         """The bytes of a buffer view."""
         view = self.header["bufferViews"][number]
-        content: bytes | None = self.buffers[view["buffer"]]
+        content: bytes | None = _Entries("buffers", self.buffers)[view["buffer"]]
         if content is None:
-            raise self._compressed(_used(view, *_MESHOPT) or _MESHOPT[0])
+            told = self.header.get("extensionsUsed", [])
+            extension = _used(view, *_MESHOPT) or next((name for name in _MESHOPT if name in told), None)
+            nothing = UnreadableError(f"its buffer {view['buffer']} holds nothing; {CUT_OFF}")
+            raise self._compressed(extension) if extension else nothing
         start = int(view.get("byteOffset", 0))
         end = start + int(view["byteLength"])
         if not 0 <= start <= end <= len(content):
             raise UnreadableError(f"a buffer ends after {len(content)} bytes, too early; {CUT_OFF}")
         return content[start:end]
 
-    def accessor(self, number: int) -> np.ndarray:
-        """The rows (count, width) of an accessor: sparse ones filled in, normalised whole numbers as shares of one."""
+    def accessor(self, number: int, *types: str) -> np.ndarray:
+        """The rows (count, width) of an accessor: sparse ones filled in, normalised whole numbers as shares of one.
+
+        Args:
+            number: of the accessor.
+            types: what it may hold, such as ``VEC3``.
+        """
         accessor = self.header["accessors"][number]
+        if types and accessor["type"] not in types:
+            needed = " or ".join(types)
+            raise UnreadableError(f"it holds {shown(accessor['type'])} where {needed} is needed; {CUT_OFF}")
         dtype, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
         rows = self._rows(accessor, dtype, width, accessor["count"])
         if sparse := accessor.get("sparse"):
             index_type = np.dtype(_COMPONENTS[sparse["indices"]["componentType"]])
-            which = self._rows(sparse["indices"], index_type, 1, sparse["count"])[:, 0]
+            which = _from_zero(self._rows(sparse["indices"], index_type, 1, sparse["count"])[:, 0])
             rows = rows.copy()
             rows[which] = self._rows(sparse["values"], dtype, width, sparse["count"])
         if accessor.get("normalized") and dtype.kind != "f":
@@ -120,7 +155,9 @@ class Gltf:
             return np.zeros((count, width), dtype)
         content, start = self.view(entry["bufferView"]), entry.get("byteOffset", 0)
         row = dtype.itemsize * width
-        stride = self.header["bufferViews"][entry["bufferView"]].get("byteStride", row)
+        stride = self.header["bufferViews"][entry["bufferView"]].get("byteStride", 0) or row
+        if 0 < stride < row:
+            raise UnreadableError(f"the rows of an accessor take {row} bytes, but begin every {stride}; {CUT_OFF}")
         if start < 0 or stride < 0 or count < 0 or (count and start + (count - 1) * stride + row > len(content)):
             raise UnreadableError(f"an accessor leaves its {len(content)} bytes; {CUT_OFF}")
         return np.ndarray((count, width), dtype, content, start, (stride, dtype.itemsize))
@@ -139,7 +176,7 @@ class Gltf:
     @cached_property
     def nodes(self) -> list[dict[str, Any]]:
         """All nodes, as the file has them."""
-        return list(self.header.get("nodes", []))
+        return _Entries("nodes", self.header.get("nodes", []))
 
     @cached_property
     def parents(self) -> dict[int, int]:
@@ -192,6 +229,13 @@ class Gltf:
                 raise self._compressed(_DRACO)
 
 
+def _from_zero(indices: Int[np.ndarray, ...]) -> Int[np.ndarray, ...]:
+    """Indices that are whole numbers, and not negative."""
+    if indices.dtype.kind == "f" or (indices < 0).any():
+        raise UnreadableError(f"its indices are not whole numbers from 0; {CUT_OFF}")
+    return indices
+
+
 def _used(entry: dict[str, Any], *extensions: str) -> str | None:
     """The first of some extensions that an object has."""
     return next((name for name in extensions if name in entry.get("extensions", {})), None)
@@ -209,24 +253,46 @@ def _embedded(uri: str) -> bytes:
     return base64.b64decode(plain) if kind.endswith(";base64") else plain
 
 
-def _opened(path: Path, content: bytes) -> tuple[dict[str, Any], bytes | None]:
-    """The header, and the binary chunk of a GLB."""
+def _opened(path: Path, content: bytes) -> tuple[dict[str, Any], bytes | None, int]:
+    """The header, the binary chunk of a GLB, and the number of bytes that follow its end."""
     if content.startswith(b"glTF") or (path.suffix.lower() == ".glb" and not content.lstrip().startswith(b"{")):
         return _glb_chunks(content)
-    return _checked_header(content), None
+    return _checked_header(content), None, 0
 
 
-def _glb_chunks(content: bytes) -> tuple[dict[str, Any], bytes | None]:
-    if len(content) < 20 or content[:4] != b"glTF":
+def _glb_chunks(content: bytes) -> tuple[dict[str, Any], bytes | None, int]:
+    if content[:4] != b"glTF":
         raise UnreadableError("it does not start with glTF")
-    version, length, chunk = struct.unpack("<III", content[4:16])
+    if len(content) < _GLB_START + _CHUNK_START:
+        raise UnreadableError(f"it has only {len(content)} bytes; {CUT_OFF}")
+    version, length = struct.unpack("<II", content[4:_GLB_START])
     if version != 2:
         raise _other_version(str(version))
-    if length > len(content) or chunk > len(content) - 20:
+    if length > len(content):
         raise UnreadableError(f"the header announces {length} bytes, but the file has {len(content)}; {CUT_OFF}")
-    # Behind the header come the length and the kind of the second chunk, and then its bytes.
-    binary = content[28 + chunk :] if len(content) >= 28 + chunk else None
-    return _checked_header(content[20 : 20 + chunk]), binary
+    kind, header, end = _chunk(content, _GLB_START)
+    if kind != _JSON:
+        raise UnreadableError(f"its first chunk is not JSON; {CUT_OFF}")
+    binary: bytes | None = None
+    # Chunks of other kinds may lie before the binary one; behind the end that the header announces are none.
+    while binary is None and end + _CHUNK_START <= len(content) and (end < length or _kind(content, end) == _BIN):
+        kind, found, end = _chunk(content, end)
+        binary = found if kind == _BIN else None
+    # Some programs fill the text up with zeros.
+    return _checked_header(header.rstrip(b"\0")), binary, len(content) - max(length, end)
+
+
+def _kind(content: bytes, start: int) -> int:
+    """The kind of the chunk that starts somewhere, behind its length."""
+    return int.from_bytes(content[start + 4 : start + _CHUNK_START], "little")
+
+
+def _chunk(content: bytes, start: int) -> tuple[int, bytes, int]:
+    """The kind and the bytes of a chunk, and where it ends."""
+    length, first = int.from_bytes(content[start : start + 4], "little"), start + _CHUNK_START
+    if length > len(content) - first:
+        raise UnreadableError(f"a chunk announces {length} bytes, but {len(content) - first} follow; {CUT_OFF}")
+    return _kind(content, start), content[first : first + length], first + length
 
 
 def _other_version(found: str) -> UnreadableError:
@@ -242,6 +308,7 @@ def _checked_header(content: bytes) -> dict[str, Any]:
         raise UnreadableError(f"it holds no valid JSON; {CUT_OFF}") from None
     if not isinstance(header, dict):
         raise UnreadableError("its JSON is not an object")
+    header |= {name: _Entries(name, entry) for name, entry in header.items() if isinstance(entry, list)}
     _check_version(header)
     required = header.get("extensionsRequired", [])
     unknown = [str(name) for name in required if not _HARMLESS.fullmatch(str(name)) and name not in _READ]
@@ -261,7 +328,7 @@ def _check_version(header: dict[str, Any]) -> None:
         raise _other_version(version if version.startswith("1.") else "1")
     if not version:
         raise UnreadableError(f"it does not say its version of glTF, asset.version; {CUT_OFF}")
-    if not version.startswith("2."):
+    if not version.startswith("2.") and version != "2":
         raise _other_version(version)
     if least != "2.0":
         raise UnreadableError(
@@ -271,7 +338,7 @@ def _check_version(header: dict[str, Any]) -> None:
 
 def buffer_files(path: Path) -> tuple[Path, ...]:
     """The files beside a GLB or glTF that hold its buffers, in the order of the buffers."""
-    header, _ = _opened(path, read_bytes(path))
+    header, _, _ = _opened(path, read_bytes(path))
     return tuple(_files_beside(path.parent, header).values())
 
 
@@ -337,7 +404,7 @@ def parts(file: Gltf, *, pose: Pose = "posed") -> Iterator[Part]:
         for placed in _placements(file, node):
             known = dict[str, int]()
             for primitive in mesh["primitives"]:
-                mode = primitive.get("mode", _TRIANGLES)
+                mode = _mode(primitive)
                 if (mode != _POINTS and mode < _TRIANGLES) or not _positions(primitive):
                     continue
                 key = _key(primitive)
@@ -351,6 +418,14 @@ def parts(file: Gltf, *, pose: Pose = "posed") -> Iterator[Part]:
                 mirrored = np.linalg.det(placed[:3, :3]) < 0 and "skin" not in file.nodes[node]
                 yield Part(node, primitive, points, known[key], faces[:, [0, 2, 1]] if mirrored else faces)
                 n_points += len(points)
+
+
+def _mode(primitive: dict[str, Any]) -> int:
+    """What a primitive is made of: points, lines or triangles."""
+    mode: int = primitive.get("mode", _TRIANGLES)
+    if mode not in range(_FAN + 1):
+        raise UnreadableError(f"a primitive has the mode {shown(mode)}, but glTF has 0 to {_FAN}; {CUT_OFF}")
+    return mode
 
 
 def _key(primitive: dict[str, Any]) -> str:
@@ -383,10 +458,10 @@ def _placed(
     pose: Pose,
 ) -> Float[np.ndarray, "n 3"]:
     """The points of a primitive in the scene: moved by morph targets, and then by joints or by the node."""
-    points: np.ndarray = file.accessor(primitive["attributes"]["POSITION"]).astype(np.float64)
+    points: np.ndarray = file.accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
     for weight, target in zip(weights, primitive.get("targets", []), strict=False):
         if weight and "POSITION" in target:
-            points = points + weight * file.accessor(target["POSITION"])
+            points = points + weight * file.accessor(target["POSITION"], "VEC3")
     if "skin" not in file.nodes[node] or "JOINTS_0" not in primitive["attributes"]:
         return np.asarray(points @ world[:3, :3].T + world[:3, 3])
     return _posed(file, file.nodes[node]["skin"], primitive["attributes"], points) if pose == "posed" else points
@@ -413,8 +488,8 @@ def influences(
     for layer in range(_MOST_JOINTS_PER_POINT // 4):
         if f"JOINTS_{layer}" not in attributes:
             return
-        joints = file.accessor(attributes[f"JOINTS_{layer}"]).astype(np.int64)
-        shares = file.accessor(attributes[f"WEIGHTS_{layer}"]).astype(np.float64)
+        joints = _from_zero(file.accessor(attributes[f"JOINTS_{layer}"], "VEC4")).astype(np.int64)
+        shares = file.accessor(attributes[f"WEIGHTS_{layer}"], "VEC4").astype(np.float64)
         yield from zip(joints.T, shares.T, strict=True)
 
 
@@ -423,7 +498,9 @@ def _inverse_binds(file: Gltf, skin: int) -> Float[np.ndarray, "j 4 4"]:
     entry = file.header["skins"][skin]
     if "inverseBindMatrices" not in entry:
         return np.tile(np.eye(4), (len(entry["joints"]), 1, 1))
-    matrices = file.accessor(entry["inverseBindMatrices"]).astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+    matrices = (
+        file.accessor(entry["inverseBindMatrices"], "MAT4").astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)
+    )
     if len(matrices) < len(entry["joints"]):
         raise UnreadableError(f"a skin has {len(entry['joints'])} joints, but {len(matrices)} matrices; {CUT_OFF}")
     return matrices[: len(entry["joints"])]
@@ -434,7 +511,7 @@ def _faces(file: Gltf, primitive: dict[str, Any], mode: int, n_points: int) -> I
         return np.zeros((0, 3), dtype=np.int64)
     corners: np.ndarray = np.arange(n_points)
     if "indices" in primitive:
-        corners = file.accessor(primitive["indices"])[:, 0].astype(np.int64)
+        corners = _from_zero(file.accessor(primitive["indices"], "SCALAR"))[:, 0].astype(np.int64)
     if mode == _TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3)
     triangles = {_STRIP: strips, _FAN: fans}[mode](np.array([len(corners)]))
@@ -455,7 +532,7 @@ def read(path: Path, *, pose: Pose = "posed") -> Arrays:
     if not found:
         raise UnreadableError("its scene holds no mesh and no points")
     points = np.concatenate([part.points for part in found])
-    faces = [part.first + part.faces for part in found if part.primitive.get("mode", _TRIANGLES) != _POINTS]
+    faces = [part.first + part.faces for part in found if _mode(part.primitive) != _POINTS]
     return Arrays(points, np.concatenate(faces) if faces else None, tuple(_notes(file, pose)))
 
 
@@ -473,7 +550,7 @@ def _check_size(file: Gltf) -> None:
         sizes.append(
             (n_points, n_points + sum(int(accessors[p["indices"]]["count"]) for p in primitives if "indices" in p))
         )
-    total, n_numbers = 0, 0
+    sizes, total, n_numbers = _Entries("meshes", sizes), 0, 0
     for node in file.nodes:
         instances = node.get("extensions", {}).get(_INSTANCES, {}).get("attributes", {})
         often = max([int(accessors[number]["count"]) for number in instances.values()], default=1)
@@ -493,9 +570,11 @@ def _positions(primitive: dict[str, Any]) -> tuple[int, ...]:
 
 def _notes(file: Gltf, pose: Pose) -> Iterator[Finding]:
     """What viewers show that a shape has not, and what of the file the scene leaves out."""
+    if file.n_bytes_over > 0:
+        yield left_out("bytes after its end", file.n_bytes_over, "the header announces no more")
     shown = set(file.shown())
     meshes = [file.header["meshes"][file.nodes[node]["mesh"]] for node in shown if "mesh" in file.nodes[node]]
-    n_lines = sum(0 < p.get("mode", _TRIANGLES) < _TRIANGLES for mesh in meshes for p in mesh["primitives"])
+    n_lines = sum(0 < _mode(p) < _TRIANGLES for mesh in meshes for p in mesh["primitives"])
     if n_lines:
         yield left_out("primitives of lines", n_lines, "a shape has points and triangles")
     if n_empty := sum(not _positions(p) for mesh in meshes for p in mesh["primitives"]):
@@ -510,8 +589,8 @@ def _notes(file: Gltf, pose: Pose) -> Iterator[Finding]:
 def local_transform(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
     """A node's transform relative to the one above it."""
     if "matrix" in node:
-        return np.array(node["matrix"], dtype=np.float64).reshape(4, 4).T
-    x, y, z, w = node.get("rotation", (0.0, 0.0, 0.0, 1.0))
+        return np.array(_numbers(node, "matrix", np.eye(4).ravel().tolist())).reshape(4, 4).T
+    x, y, z, w = _numbers(node, "rotation", [0.0, 0.0, 0.0, 1.0])
     rotation = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -520,9 +599,17 @@ def local_transform(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
         ]
     )
     transform = np.eye(4)
-    transform[:3, :3] = rotation * np.array(node.get("scale", (1.0, 1.0, 1.0)))
-    transform[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    transform[:3, :3] = rotation * np.array(_numbers(node, "scale", [1.0, 1.0, 1.0]))
+    transform[:3, 3] = _numbers(node, "translation", [0.0, 0.0, 0.0])
     return transform
+
+
+def _numbers(node: dict[str, Any], name: str, otherwise: list[float]) -> list[float]:
+    """The numbers of one of a node's entries, as many as those that stand for it where it is missing."""
+    given = node.get(name, otherwise)
+    if not isinstance(given, list) or len(given) != len(otherwise) or not all(map(is_number, given)):
+        raise UnreadableError(f"the {name} of a node must be {len(otherwise)} numbers; {CUT_OFF}")
+    return [float(number) for number in given]
 
 
 class GlbWriter:
@@ -578,7 +665,7 @@ class GlbWriter:
         header = json.dumps(self.header | {"buffers": [{"byteLength": self._size}]}, allow_nan=False).encode()
         header += b" " * (-len(header) % 4)
         body = b"".join(self._chunks)
-        chunks = struct.pack("<II", len(header), 0x4E4F534A) + header + struct.pack("<II", len(body), 0x004E4942) + body
+        chunks = struct.pack("<II", len(header), _JSON) + header + struct.pack("<II", len(body), _BIN) + body
         return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
 
 

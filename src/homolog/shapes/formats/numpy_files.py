@@ -25,6 +25,8 @@ _POINT_KEYS = ("points", "vertices", "verts", "v", "xyz", "pos", "positions", "c
 _FACE_KEYS = ("faces", "triangles", "tris", "f", "face", "triangle", "tri", "polygons", "polys", "cells")
 # Three rows of more numbers than this are faces as columns, and not three polygons.
 _MOST_CORNERS = 8
+# No shape has so many points, and below it floating-point numbers are exact.
+_TOO_LARGE = 2**53
 
 
 def read_npy(path: Path) -> Arrays:
@@ -52,7 +54,7 @@ def read_npz(path: Path) -> Arrays:
         if others
         else []
     )
-    return Arrays(points, None if faces is None or not len(faces) else _triangles(points, faces), tuple(notes))
+    return Arrays(points, None if faces is None or not faces.size else _triangles(points, faces), tuple(notes))
 
 
 @contextmanager
@@ -60,15 +62,20 @@ def _as_unreadable() -> Iterator[None]:
     try:
         yield
     except ArrayFileError as error:
-        raise UnreadableError(f"{error}; {CUT_OFF}") from None
+        # A reason that says itself what to do is not about damage.
+        raise UnreadableError(str(error) if "; " in str(error) else f"{error}; {CUT_OFF}") from None
 
 
 def _triangles(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Faces of three corners as they are, and those of more triangulated."""
+    if faces.dtype.kind == "b":
+        raise UnreadableError("faces holds truth values, but must hold indices of points")
     lying = faces.ndim == 2 and faces.shape[0] == 3 and faces.shape[1] > _MOST_CORNERS
-    if faces.ndim == 2 and faces.shape[1] > 3 and not lying and faces.dtype.kind in "iu":
-        corners = faces.astype(np.int64).ravel()
-        return polygon_faces(points.astype(np.float64), np.full(len(faces), faces.shape[1]), corners)
+    whole = faces.dtype.kind in "iu" or (faces.dtype.kind == "f" and bool((np.abs(faces) < _TOO_LARGE).all()))
+    if faces.ndim == 2 and faces.shape[1] > 3 and not lying and whole:
+        corners = faces.astype(np.int64)
+        if np.array_equal(corners, faces):
+            return polygon_faces(points.astype(np.float64), np.full(len(faces), faces.shape[1]), corners.ravel())
     return _columns(faces, "faces", at_most=3)
 
 
@@ -83,7 +90,7 @@ def _columns(array: np.ndarray, what: str, *, at_most: int | None = None) -> np.
     if array.dtype.kind not in "biuf":
         raise UnreadableError(f"{what} holds values of type {shorten(array.dtype)}, but real numbers are needed")
     if array.ndim != 2 or array.shape[1] < 3 or array.shape[1] > (at_most or array.shape[1]) or lying:
-        raise UnreadableError(f"{what} has shape {array.shape}, but must have shape (n, 3)")
+        raise UnreadableError(f"{what} has shape {shorten(array.shape)}, but must have shape (n, 3)")
     return array[:, :3]
 
 

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from homolog.core.messages import shorten
+from homolog.core.reasons import reason_of
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, left_out
 from homolog.shapes.formats.text_lines import GrowingArray, batches, n_lines, number_rows, text_blocks, text_lines
@@ -29,9 +31,12 @@ _AXIS = re.compile(
 # Numbers with decimal commas, with nothing but blanks between them.
 _DECIMAL_COMMAS = re.compile(r"(?=.*\d,\d)(?:[-+]?\d+(?:,\d+)?(?:e[-+]?\d+)?(?:\s+|$)){2,}", re.IGNORECASE)
 # A cell without a number.
-_MISSING = re.compile(r"(?<![^,;\t])[ ]*(?:NA|N/A|null|none)?[ ]*(?=[,;\t]|$)", re.IGNORECASE)
+_MISSING = re.compile(r"(?<![^,;\t])[ ]*(?:(?:NA|N/A|null|none)[ ]*)?(?=[,;\t]|$)", re.IGNORECASE)
 # First lines that tell what the columns are, and the most digits of a number of a row.
 _HEAD, _DIGITS = 8, 18
+# Fewer words than coordinates are a title.
+_FEWEST_NAMES = 3
+_BLANKS_BEFORE_QUOTES = re.compile(r'(?<=[,;\t]) +(?=")')
 # What some programs write before a table, to say what separates its cells.
 _SEPARATOR = re.compile(r"sep=.?", re.IGNORECASE)
 
@@ -52,12 +57,15 @@ def read(path: Path) -> Arrays:
         UnreadableError: if more than three columns have names, and x, y and z are not among them.
     """
     table = read_table_lines(path)
-    lines = iter(table.lines) if table.delimiter is None else (_with_nan(line, table.columns) for line in table.lines)
-    return Arrays(number_rows(lines, table.columns, delimiter=table.delimiter), notes=table.notes)
+    return Arrays(table.points(), notes=table.notes)
 
 
-def _with_nan(line: str, columns: list[int]) -> str:
-    """A row without coordinates as one of NaN; where only some are missing it stays, and is refused."""
+def _readable(line: str, columns: list[int]) -> str:
+    """A row as NumPy reads it: quotes right behind what separates cells, and NaN where there are no coordinates.
+
+    Where only some are missing it stays, and is refused.
+    """
+    line = _BLANKS_BEFORE_QUOTES.sub("", line) if '"' in line else line
     if not _MISSING.search(line):
         return line
     cells = _cells(line)
@@ -83,6 +91,10 @@ class TextRows:
         lines = islice(text_lines(self.path), self.skip, None)
         return (line.replace(",", ".") for line in lines) if self.decimal_commas else lines
 
+    def as_written(self) -> list[str]:
+        """The rows with their decimal commas."""
+        return list(replace(self, decimal_commas=False))
+
 
 class TableLines(NamedTuple):
     """The rows of a table of points, without comments and names, and where in a row the coordinates are.
@@ -100,6 +112,11 @@ class TableLines(NamedTuple):
     delimiter: str | None
     axes: str = "xyz"
     notes: tuple[Finding, ...] = ()
+
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """The coordinates of all rows; NaN in a row that has none."""
+        lines = iter(self.lines) if self.delimiter is None else (_readable(line, self.columns) for line in self.lines)
+        return number_rows(lines, self.columns, delimiter=self.delimiter)
 
 
 def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLines:
@@ -125,7 +142,7 @@ def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLi
     for axes in other_axes:
         if all(names.count(axis) == 1 for axis in axes):
             return TableLines(rows, [names.index(axis) for axis in axes], delimiter, axes)
-    names = names or _commented_names(text, lines[0])
+    names = names if len(names) >= _FEWEST_NAMES else _commented_names(text, lines[0])
     if not names and len(cells) > 3 and _starts_with_index(rows, repeated=has_elements):
         note = left_out("first column", 1, "it names or numbers the rows")
         return TableLines(rows, [1, 2, 3], delimiter, notes=(note, *_other_columns(cells[1:], "the next three")))
@@ -207,16 +224,23 @@ def _delimiter(line: str) -> str | None:
 
 
 def _cells(line: str) -> list[str]:
-    """The cells of a line; a delimiter within double quotes is part of a cell."""
-    delimiter = _delimiter(line)
+    """The cells of a line, without the quotes around them."""
+    return [cell.strip(" \"'") for cell in row_cells(line, _delimiter(line))]
+
+
+def row_cells(line: str, delimiter: str | None) -> list[str]:
+    """The cells of a line; a delimiter within double quotes is part of a cell.
+
+    Raises:
+        UnreadableError: if it is no row of a table.
+    """
     try:
         rows = csv.reader([line], delimiter=delimiter or " ", skipinitialspace=True)
-        cells = line.split() if delimiter is None else next(rows)
+        return line.split() if delimiter is None else next(rows)
     except csv.Error as error:
         raise UnreadableError(
-            f"the line {shorten(line)!r} is no row of a table ({error}); correct or remove it"
+            f"the line {shorten(line)!r} is no row of a table ({reason_of(error)}); correct or remove it"
         ) from None
-    return [cell.strip(" \"'") for cell in cells]
 
 
 def _is_numbers(line: str) -> bool:
@@ -243,7 +267,7 @@ def _commented_names(text: str, first_row: str) -> list[str]:
     comment = re.sub(r"^\w+:\s+", "", before[-1].lstrip("# ")) if before else ""
     names, n_columns = _names(comment), len(_cells(first_row))
     named = len(names) == n_columns or (len(names) < n_columns and _axes(names) is not None)
-    return names if named and not _is_numbers(comment) else []
+    return names if len(names) >= _FEWEST_NAMES and named and not _is_numbers(comment) else []
 
 
 def _xyz_columns(names: list[str]) -> list[int]:

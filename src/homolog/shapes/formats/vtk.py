@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import re
+from collections.abc import Iterator
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Int
@@ -36,19 +38,13 @@ _LEGACY_COUNTS = re.compile(
 )
 _LEGACY_KIND = re.compile(rb"^[ \t]*dataset[ \t]+(\w+)", re.IGNORECASE | re.MULTILINE)
 _XML_COUNTS = re.compile(rb"""\bNumberOf\w+\s*=\s*["']\s*(\d+)""")
-_XML_PIECE = re.compile(rb"<Piece\b(?P<head>[^>]*)>(?P<body>.*?)</Piece>", re.DOTALL)
-_XML_ASCII = rb"""<DataArray\b(?=[^>]*\bformat\s*=\s*["']ascii)%s[^>]*>([^<]*)<"""
-# Per kind of cells, the array of text that has a number for each of them; of points it has three.
-_XML_SECTIONS = {
-    b"Points": re.compile(rb"<Points\b[^>]*>\s*" + _XML_ASCII % b""),
-    **{
-        kind: re.compile(
-            rb"<%s\b[^>]*>(?:(?!</%s>).)*?" % (kind, kind) + _XML_ASCII % rb"""(?=[^>]*\bName\s*=\s*["']offsets)""",
-            re.DOTALL,
-        )
-        for kind in (b"Verts", b"Lines", b"Strips", b"Polys", b"Cells")
-    },
-}
+# The parts of a piece that the head of it counts.
+_XML_SECTIONS = (b"Points", b"Verts", b"Lines", b"Strips", b"Polys", b"Cells")
+_XML_ARRAY = re.compile(rb"<DataArray\b(?P<head>[^<>]*)>(?P<text>[^<]*)")
+_XML_ATTRIBUTE = re.compile(rb"""\b(\w+)\s*=\s*["']\s*([^"']*)""")
+_XML_APPENDED = re.compile(rb"<AppendedData\b([^<>]*)>\s*_")
+# Characters that hold the words before the numbers of an array, with what blanks there may be.
+_XML_WORDS = 100
 # Of a point or of a cell, once it is expanded.
 _LEAST_BYTES = 12
 # A number of more digits is too large in any case.
@@ -82,26 +78,87 @@ def _check_legacy(content: bytes) -> None:
 def _check_xml(content: bytes) -> None:
     if not content.rstrip().endswith(b"</VTKFile>"):
         raise UnreadableError(f"it does not end with </VTKFile>; {CUT_OFF}")
-    _check_piece_counts(content)
     announced = sum(_LEAST_BYTES * int(match[1][:_DIGITS]) for match in _XML_COUNTS.finditer(content))
     if fault := expansion_fault(announced, len(content)):
         raise UnreadableError(fault)
+    _check_piece_counts(content)
 
 
 def _check_piece_counts(content: bytes) -> None:
-    """Refuse arrays of text that hold more points or cells than their piece announces, which VTK passes over."""
-    for piece in _XML_PIECE.finditer(content):
-        for kind, section in _XML_SECTIONS.items():
-            announced = re.search(rb"""\bNumberOf%s\s*=\s*["']\s*(\d+)""" % kind, piece["head"])
-            held = re.search(section, piece["body"])
-            if announced is None or held is None:
-                continue
-            count, found = int(announced[1][:_DIGITS]), len(held[1].split()) // (3 if kind == b"Points" else 1)
-            if found > count:
-                what = kind.decode().lower()
-                raise UnreadableError(
-                    f"a piece of it announces {count} {what}, but holds {found}; correct the count, or export it again"
-                )
+    """Refuse arrays that hold other numbers of points or cells than their piece announces; VTK passes over more."""
+    numbers = _XmlNumbers(content)
+    for head, piece in _elements(content, b"Piece"):
+        counts = dict(_XML_ATTRIBUTE.findall(head))
+        for kind in _XML_SECTIONS:
+            count = int(counts.get(b"NumberOf" + kind, b"0").strip()[:_DIGITS] or 0)
+            section = next((section for _, section in _elements(piece, kind)), b"")
+            found = numbers.count(section, kind)
+            if found not in (count, None):
+                announced = f"a piece of it announces {count} {kind.decode().lower()}"
+                raise UnreadableError(f"{announced}, but holds {found}; correct the count, or export it again")
+
+
+def _elements(content: bytes, name: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """The attributes and the content of each element of a name; none behind one that does not end."""
+    opening, end = re.compile(rb"<%s\b([^<>]*)>" % name), 0
+    while begin := opening.search(content, end):
+        end = content.find(b"</%s>" % name, begin.end())
+        if end < 0:
+            return
+        yield begin[1], content[begin.end() : end]
+
+
+class _XmlNumbers:
+    """How many numbers the arrays of an XML file hold, as text, inline or appended, compressed or not."""
+
+    def __init__(self, content: bytes) -> None:
+        root = re.search(rb"<VTKFile\b[^>]*", content[:2000])
+        told = dict(_XML_ATTRIBUTE.findall(root[0])) if root else {}
+        self._word = 8 if told.get(b"header_type") == b"UInt64" else 4
+        self._order: Literal["big", "little"] = "big" if told.get(b"byte_order") == b"BigEndian" else "little"
+        self._compressed, self._content = bool(told.get(b"compressor")), content
+        appended = _XML_APPENDED.search(content)
+        self._appended = len(content) if appended is None else appended.end()
+        self._is_raw = appended is not None and dict(_XML_ATTRIBUTE.findall(appended[1])).get(b"encoding") == b"raw"
+
+    def count(self, section: bytes, kind: bytes) -> int | None:
+        """The number of points or cells that a section holds, by the ends of these; None where it cannot be told."""
+        for array in _XML_ARRAY.finditer(section):
+            told = dict(_XML_ATTRIBUTE.findall(array["head"]))
+            if kind == b"Points" or told.get(b"Name", b"") == b"offsets":
+                numbers = self._numbers(told, array)
+                return None if numbers is None else numbers // (3 if kind == b"Points" else 1)
+        return 0
+
+    def _numbers(self, told: dict[bytes, bytes], array: re.Match[bytes]) -> int | None:
+        if told.get(b"format") == b"ascii":
+            return len(array["text"].split())
+        bits = re.fullmatch(rb"(?:Float|Int|UInt)(8|16|32|64)", told.get(b"type", b""))
+        offset = told.get(b"offset", b"0").strip()
+        if bits is None or not offset.isdigit():
+            return None
+        is_appended = told.get(b"format") == b"appended"
+        first = self._appended + int(offset[:_DIGITS]) if is_appended else array.start("text")
+        start = (self._content if is_appended else array.string)[first : first + _XML_WORDS]
+        n_bytes = self._n_bytes(start, is_raw=is_appended and self._is_raw)
+        return None if n_bytes is None else n_bytes // (int(bits[1]) // 8)
+
+    def _n_bytes(self, start: bytes, *, is_raw: bool) -> int | None:
+        """The bytes of an array, once expanded, by the words before them; None where these are damaged."""
+        n_words = 3 if self._compressed else 1
+        size = n_words * self._word
+        try:
+            # Groups of four characters hold three bytes.
+            head = start if is_raw else base64.b64decode(b"".join(start.split())[: -(-size // 3) * 4])
+        except ValueError:
+            return None
+        words = [int.from_bytes(head[at : at + self._word], self._order) for at in range(0, size, self._word)]
+        if len(head) < (size if words[0] else self._word):
+            return None
+        if not self._compressed or not words[0]:
+            return words[0]
+        n_blocks, block, last = words
+        return (n_blocks - 1) * block + last if last else n_blocks * block
 
 
 def _xml_kind(content: bytes) -> str:

@@ -1,0 +1,37 @@
+"""How shapes of a collection are matched to its template."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from homolog.core.choices import Orient
+from homolog.core.settings import CountOrZero, Settings
+from homolog.pairs import PairOptions
+from homolog.shapes import Up
+
+
+@dataclass(frozen=True)
+class ShapeModelSettings(Settings):
+    """How shapes are matched to the template, besides the matcher's own settings.
+
+    Args:
+        template_up: the axis of the template that points up.
+        shapes_up: the axis of the shapes that points up.
+        template_as_cloud: match without the template's faces.
+        shapes_as_cloud: match without the shapes' faces.
+        orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
+        strict: refuse shapes that need repair or would get a warning.
+        adapt: steps for which the weights are trained on all shapes at once; 0 for none.
+    """
+
+    template_up: Up = "y"
+    shapes_up: Up = "y"
+    template_as_cloud: bool = False
+    shapes_as_cloud: bool = False
+    orient: Orient = "auto"
+    strict: bool = False
+    adapt: CountOrZero = 0
+
+    def pair_options(self) -> PairOptions:
+        """Of the template with a shape, both of them preprocessed."""
+        return PairOptions(orient=self.orient)

@@ -1,0 +1,93 @@
+"""One choice of features, or of a method without any, for all shapes of a collection."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from without_weights import axiomatic
+
+from homolog.datasets import demo_folder
+from homolog.matching import Match, Matcher, map_misfit
+from homolog.shape_models import ShapeModelSettings, batch, build, choice_for_all, subjects_of
+from homolog.shapes import Shape, read_shape, write_shape
+
+pytest.importorskip("h5py")
+pytest.importorskip("matplotlib")
+pytest.importorskip("PIL.Image")
+
+
+@pytest.fixture(scope="module")
+def people():
+    demo = demo_folder()
+    return [demo.file(name) for name in demo.names[:2]]
+
+
+def table(root):
+    return list(csv.DictReader((root / "quality.csv").read_text().splitlines()))
+
+
+def test_people_are_matched_by_the_weights_for_people(people, tmp_path):
+    one, other = people
+    built = build(one, [other], tmp_path / "out", Matcher.from_weights())
+    choice = built.folder.choice()
+    assert [candidate.name for candidate in choice] == ["people"] and choice[0].map_misfit is None
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["choice"][0]["name"] == "people"
+    assert [row["matched_by"] for row in table(tmp_path / "out")] == ["functional-map, people"]
+    match = Match.load(built.folder.match_folder(other.stem))
+    assert float(table(tmp_path / "out")[0]["map_misfit"]) == pytest.approx(map_misfit(match.quality), rel=1e-4)
+    assert match.report["features"]["name"] == "people" and match.report["choice"] == []
+
+
+def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path, monkeypatch):
+    """The best by the medians of what single matches have; later shapes follow without a question."""
+    template, files, _ = family
+    matcher = Matcher.from_weights()
+    built = build(template, files[:2], tmp_path / "out", matcher)
+    best, *others = built.folder.choice()
+    assert {"axiomatic", "registration"} <= {best.name, *(candidate.name for candidate in others)}
+    assert all(best.map_misfit <= candidate.map_misfit for candidate in others)
+    shapes = [read_shape(file) for file in files[:2]]
+    for candidate in (best, *others):
+        limited = matcher.limited_to(candidate.name)
+        alone = [map_misfit(limited.match(read_shape(template), shape).quality) for shape in shapes]
+        assert candidate.map_misfit == pytest.approx(np.median(alone), abs=1e-3)
+
+    def asked(*_, **__):
+        raise AssertionError("the choice is made once")
+
+    monkeypatch.setattr(batch, "choice_for_all", asked)
+    build(template, files, tmp_path / "out", matcher)
+    matched_by = {row["matched_by"] for row in table(tmp_path / "out")}
+    assert len(table(tmp_path / "out")) == 3 and len(matched_by) == 1
+    assert matched_by.pop().startswith(best.name)
+
+
+def test_one_odd_shape_does_not_decide(family, people, tmp_path):
+    template, files, _ = family
+    matcher = Matcher.from_weights()
+    settings = ShapeModelSettings()
+    odd = [people[0], tmp_path / "none.ply"]
+    alone = choice_for_all(read_shape(template), subjects_of(files), matcher, settings)
+    both = choice_for_all(read_shape(template), subjects_of([*files, *odd]), matcher, settings)
+    assert both[0].name == alone[0].name
+
+
+def test_at_most_eight_shapes_are_asked(make, tmp_path):
+    class Stub:
+        has_choice = True
+
+        def preprocess(self, shape, **_):
+            return shape
+
+        def choice_for(self, shapes, options):
+            assert all(first.name == "template" for first, _ in shapes)
+            return tuple(second.name for _, second in shapes)
+
+    for number in range(30):
+        write_shape(tmp_path / f"{number:02d}.ply", make.blob(0))
+    subjects = subjects_of(sorted(tmp_path.glob("*.ply")))
+    found = choice_for_all(Shape(make.blob(0).points, name="template"), subjects, Stub())
+    assert len(found) == 8 and (found[0], found[-1]) == ("00.ply", "29.ply") and list(found) == sorted(found)
+    assert choice_for_all(make.blob(0), subjects, axiomatic()) == ()
