@@ -55,7 +55,7 @@ def test_names_that_are_no_utf_8_are_kept(written):
         ('{"name": "a", "x": NaN}', "is damaged .*NaN"),
         ('{"name": "a", "x": -1e400}', "is damaged .*-1e400"),
         ('{"name": "a", "x": ' + "1" * 5000 + "}", "is damaged"),
-        ("[]", "is damaged"),
+        ("[1]", r"is damaged \(it is \[1\], but must be a table\)"),
         ("{}", r"cannot be used \(it has no entry 'name'; an older version of homolog may have written it\)"),
         ('{"name": 1}', r"is damaged \(its entry name is 1, but must be a text"),
         ('{"name": "a", "inner": 1}', r"is damaged \(its entry inner is 1, but must be a table"),
@@ -71,6 +71,10 @@ def test_anything_else_is_one_line(written, text, said):
         read_record(path, Outer, instead="go")
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
     assert stored_record(path, Outer) is None
+
+
+def test_a_byte_order_mark_is_passed_over(written):
+    assert read_record(written('\ufeff{"name": "a"}'), Outer, instead="go") == {"name": "a"}
 
 
 def test_a_file_that_is_not_there(tmp_path):

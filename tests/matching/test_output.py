@@ -213,6 +213,11 @@ QUALITY = dict.fromkeys(("coverage", "cycle_error", "dirichlet_energy", "flipped
         {"quality": {"source": QUALITY, "target": {**QUALITY, "coverage": 2}}},
         {"quality": {"source": QUALITY, "target": {**QUALITY, "coverage": "0.5"}}},
         {"quality": {"source": {"coverage": 1}, "target": None}},
+        {"features": 3},
+        {"choice": {}},
+        {"choice": ["people"]},
+        {"adaptation": [1]},
+        {"device": 0},
         {"sha256": []},
         {"sha256": {"source.ply": 1}},
     ],
@@ -226,6 +231,20 @@ def test_reports_that_are_damaged_are_one_line(found, tmp_path, report):
     with pytest.raises(DataError, match=rf"^{path} (cannot be (read|used)|is damaged).*; match again$") as error:
         Match.load(tmp_path)
     assert "\n" not in str(error.value) and len(str(error.value)) < 400
+
+
+@pytest.mark.parametrize("hashes", [None, {}, {"source.ply": ""}])
+def test_files_that_nothing_ties_together_are_a_warning(found, tmp_path, hashes):
+    found.save(tmp_path)
+    path = tmp_path / "report.json"
+    report = json.loads(path.read_text())
+    known = report.pop("sha256")
+    if hashes is not None:
+        report["sha256"] = {name: known[name] for name in hashes}
+    path.write_text(json.dumps(report))
+    for _ in range(2):
+        *before, last = Match.load(tmp_path).warnings
+        assert before == ["look!"] and "does not say the hashes of the files beside it" in last
 
 
 def test_rotations_that_are_some_are_read(found, tmp_path):

@@ -202,6 +202,14 @@ def test_stl_text_with_any_end(tmp_path, end):
         read_shape(put(tmp_path, "a.stl", "solid x\n" + facets.removesuffix("endfacet\n") + end))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-32"])
+def test_stl_text_with_a_byte_order_mark(tmp_path, encoding):
+    corners = "".join(f"vertex {x} {y} {z}\n" for x, y, z in POINTS[:3])
+    text = "solid x\nfacet normal 0 0 1\nouter loop\n" + corners + "endloop\nendfacet\nendsolid x\n"
+    text += text.replace("1.0", "2.0")
+    np.testing.assert_array_equal(read_shape(put(tmp_path, "a.stl", text.encode(encoding))).points[:3], POINTS[:3])
+
+
 def decimal_commas(index, mark):
     lines = [index.format(number) + mark.join(map(str, point)) for number, point in enumerate(POINTS)]
     return "\n".join(lines).replace(".", ",") + "\n"
@@ -275,8 +283,42 @@ def test_three_columns_leave_nothing_out(tmp_path):
     assert notes(read_shape(put(tmp_path, "a.csv", "x,y,z\n" + rows(POINTS).replace(" ", ",")))) == {}
 
 
-def test_tables_in_utf_16(tmp_path):
-    assert is_cloud(read_shape(put(tmp_path, "a.txt", rows(POINTS).encode("utf-16"))))
+@pytest.mark.parametrize(
+    "encoding", ["utf-8-sig", "utf-16", "utf-32", "utf-16-le", "utf-16-be", "utf-32-le", "utf-32-be"]
+)
+def test_tables_with_a_byte_order_mark(tmp_path, encoding):
+    mark = "\ufeff" if encoding[-2:] in ("le", "be") else ""
+    assert is_cloud(read_shape(put(tmp_path, "a.txt", (mark + rows(POINTS)).encode(encoding))))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("x,y\n1.5,2.5\n2,3\n", "its columns are named x, y; a z is missing"),
+        ("z pos_x\n1.5 2.5\n", "its columns are named z, pos_x; a y is missing"),
+        (",x,y\n0,1.5,2.5\n1,2,3\n", "its columns are named x, y; a z is missing"),
+        ("x|y\n1.5|2.5\n", "its columns are named x, y; a z is missing"),
+        ("x\n1.5\n", "its columns are named x; y and z are missing"),
+        ("1.5,2.5\n3.5,4.5\n", "its first row '1.5,2.5' has 2 values, but three columns are needed"),
+        ("1.5 2.5\n3.5 4.5\n", "its first row '1.5 2.5' has 2 values, but three columns are needed"),
+        ("1.5~2.5~3.5\n" * 2, "the line '1.5~2.5~3.5' is one value, but x, y and z are needed, separated by commas"),
+    ],
+)
+def test_tables_of_too_few_columns_say_what_is_missing(tmp_path, table, said):
+    with pytest.raises(ShapeError) as caught:
+        read_shape(put(tmp_path, "a.csv", table))
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("head", ["", "x|y|z\n", "x | y | z\n", "sep=|\n"])
+@pytest.mark.parametrize("point", [".", ","])
+def test_tables_that_bars_separate(tmp_path, head, point):
+    cells = "".join(" | ".join(map(str, row)) + "\n" for row in POINTS).replace(".", point)
+    assert is_cloud(read_shape(put(tmp_path, "a.csv", head + cells)))
+
+
+def test_a_bar_within_a_name_separates_nothing(tmp_path):
+    assert is_cloud(read_shape(put(tmp_path, "a.csv", rows(POINTS, "left|up {}").replace(" ", ","))))
 
 
 def test_rows_without_coordinates_stay_points(tmp_path):
@@ -329,6 +371,14 @@ def test_faces_as_columns_are_refused(tmp_path):
         read_shape(tmp_path / "a.npz")
     with pytest.raises(ShapeError, match=r"faces have shape \(3, 9\), but must have shape \(m, 3\)"):
         as_shape((POINTS, faces))
+
+
+@pytest.mark.parametrize("face", [[0, 1, 0.5], [0, 1, np.nan]])
+def test_npz_faces_that_are_no_indices_name_the_path(tmp_path, face):
+    np.savez(tmp_path / "a.npz", points=POINTS, faces=np.array([face]))
+    with pytest.raises(ShapeError) as caught:
+        read_shape(tmp_path / "a.npz")
+    assert str(caught.value).startswith(f"{tmp_path / 'a.npz'} could not be read as NPZ: faces hold {face[2]}")
 
 
 def test_npz_with_quadrilaterals(tmp_path):

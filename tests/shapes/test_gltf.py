@@ -331,19 +331,50 @@ def test_chunks_that_do_not_fit(tmp_path, chunks, make, reason):
         ("accessors", 1, {"componentType": 5126, "count": 4}, "indices are not whole numbers from 0"),
         ("nodes", 0, {"mesh": -1}, "number -1 of its meshes, but has 1"),
         ("nodes", 0, {"mesh": 3}, "number 3 of its meshes, but has 1"),
-        ("nodes", 0, {"mesh": True}, "number True of its meshes, but has 1"),
+        ("nodes", 0, {"mesh": True}, "entry nodes.0.mesh is True, but must be a whole number"),
         ("nodes", 0, {"children": [-1]}, "number -1 of its nodes, but has 1"),
-        ("nodes", 0, {"matrix": [1] * 15}, "the matrix of a node must be 16 numbers"),
-        ("nodes", 0, {"rotation": [0, 0, 1]}, "the rotation of a node must be 4 numbers"),
-        ("nodes", 0, {"scale": 2}, "the scale of a node must be 3 numbers"),
-        ("nodes", 0, {"translation": 5}, "the translation of a node must be 3 numbers"),
-        ("nodes", 0, {"translation": [0, "1", 0]}, "the translation of a node must be 3 numbers"),
+        ("nodes", 0, {"matrix": [1] * 12}, "node 0 has a matrix of 12 numbers, but must have 16"),
+        ("nodes", 0, {"rotation": [0, 0, 1]}, "node 0 has a rotation of 3 numbers, but must have 4"),
+        ("nodes", 0, {"scale": [1, 1]}, "node 0 has a scale of 2 numbers, but must have 3"),
+        ("nodes", 0, {"translation": []}, "node 0 has a translation of 0 numbers, but must have 3"),
+        ("nodes", 0, {"scale": 2}, "node 0 has the scale 2, but must have 3 numbers"),
+        (
+            "nodes",
+            0,
+            {"translation": [0, "1", 0]},
+            r"node 0 has the translation \[0, '1', 0\], but must have 3 numbers",
+        ),
+        ("accessors", 0, {"componentType": 5}, "an accessor has the componentType 5, but must have one of 5120, 5121"),
+        ("accessors", 0, {"type": "MAT7"}, "holds 'MAT7' where VEC3 is needed"),
+        ("accessors", 0, {"count": "5"}, "its entry accessors.0.count is '5', but must be a whole number"),
+        ("accessors", 0, {"sparse": 1}, "its entry accessors.0.sparse is 1, but must be a table"),
+        ("bufferViews", 0, {"byteLength": None}, "its entry bufferViews.0.byteLength is None, but must be a number"),
+        ("nodes", 0, {"children": 1}, "its entry nodes.0.children is 1, but must be a list"),
+        ("meshes", 0, {"primitives": {}}, "its entry meshes.0.primitives is {}, but must be a list"),
+        *(
+            (
+                "meshes",
+                0,
+                {"primitives": [{"attributes": found}]},
+                f"primitives.0.attributes{name}, but must be {needed}",
+            )
+            for found, name, needed in (
+                ("POSITION", " is 'POSITION'", "a table"),
+                ({"POSITION": "0"}, ".POSITION is '0'", "a whole number"),
+                ({"POSITION": 0, "NORMAL": [1]}, r".NORMAL is \[1\]", "a whole number"),
+            )
+        ),
         ("scenes", 0, {"nodes": [-1]}, "number -1 of its nodes, but has 1"),
         ("meshes", 0, {"primitives": [{"attributes": {"POSITION": 1}}]}, "holds 'SCALAR' where VEC3 is needed"),
         ("meshes", 0, {"primitives": [{"attributes": {"POSITION": -2}}]}, "number -2 of its accessors, but has 2"),
         *(
-            ("meshes", 0, {"primitives": [{"attributes": {"POSITION": 0}, "mode": mode}]}, "has the mode")
-            for mode in (7, -1, "4", [])
+            ("meshes", 0, {"primitives": [{"attributes": {"POSITION": 0}, "mode": mode}]}, said)
+            for mode, said in (
+                (7, r"primitive mode 7 does not exist \(0 to 6\)"),
+                (-1, "primitive mode -1 does not exist"),
+                ("4", "entry meshes.0.primitives.0.mode is '4', but must be a whole number"),
+                ([], "entry meshes.0.primitives.0.mode is .*, but"),
+            )
         ),
     ],
 )

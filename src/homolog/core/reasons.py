@@ -147,11 +147,12 @@ def toml_reason(error: ValueError, text: str) -> str:
 
 def _mistake(details: ErrorDetails) -> str:
     """The first mistake that pydantic found."""
-    entry = ".".join(map(str, details["loc"])) or "it"
+    entry = ".".join(map(str, details["loc"]))
+    subject = f"its entry {entry}" if entry else "it"
     if details["type"] == "missing":
         return f"it has no entry {entry!r}"
     context: dict[str, Any] = details.get("ctx", {})
     if details["type"] == "value_error":
-        return f"its entry {entry} is not as it should be: {context['error']}"
+        return f"{subject} is not as it should be: {context['error']}"
     allowed = _ALLOWED.get(details["type"], "of another kind")
-    return f"its entry {entry} is {shown(details['input'])}, but must be {allowed.format(**context)}"
+    return f"{subject} is {shown(details['input'])}, but must be {allowed.format(**context)}"

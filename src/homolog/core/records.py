@@ -49,7 +49,7 @@ def read_record(path: Path, kind: Any, *, instead: str) -> dict[str, Any]:
         DataError: if it cannot be read, or an entry is not as the model says; numbers that are not finite never are.
     """
     try:
-        text = read_text(path)
+        text = read_text(path, encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         raise DataError(f"{path} cannot be read ({reason_of(error)}); {instead}") from None
     try:
@@ -81,6 +81,20 @@ def checked_json(text: str, kind: Any) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise ValueError(reason_of(error)) from None
     return dict(content)
+
+
+def check_record(content: Any, kind: Any) -> None:
+    """Refuse an object of JSON, which others wrote, where it is not as a model says.
+
+    Raises:
+        ValueError: with one line that says what is wrong.
+    """
+    from pydantic import ValidationError
+
+    try:
+        _model(kind).validate_python(content)
+    except ValidationError as error:
+        raise ValueError(reason_of(error)) from None
 
 
 def _writer(content: dict[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from os import PathLike, fspath
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from torch import Tensor
 
 from homolog.core.arguments import check_kind
-from homolog.core.errors import ArgumentError
+from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.progress import Timings
 from homolog.matching.result import Match
 from homolog.pairs import SIDES, PairOptions, Side
@@ -29,11 +29,11 @@ def options_of(options: PairOptions | None, words: dict[str, Any]) -> PairOption
     if options is not None:
         check_kind("options", options, PairOptions)
         return options
-    try:
-        return PairOptions(**words)
-    except TypeError:
-        unknown = next(name for name in words if name not in PairOptions.__dataclass_fields__)
-        raise TypeError(f"match() got an unexpected keyword argument {unknown!r}") from None
+    known = [field.name for field in fields(PairOptions)]
+    for name in words:
+        if name not in known:
+            raise bad_choice("an option", name, known)
+    return PairOptions(**words)
 
 
 def check_two_arrays(features: Any) -> None:

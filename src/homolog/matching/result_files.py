@@ -47,6 +47,10 @@ MAPS, REPORT = "correspondence.npz", "report.json"
 RESULT_FILES = (MAPS, "source.ply", "target.ply", REPORT)
 """What a match writes into its folder."""
 
+_UNTIED = (
+    f"{REPORT} does not say the hashes of the files beside it, so whether they belong together is not known; "
+    "match again"
+)
 _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
 _DIRECTIONS = ("target_to_source", "source_to_target")
 # The first index of each format, as other programs write it.
@@ -117,6 +121,10 @@ class _Report(TypedDict):
     warnings: NotRequired[list[str]]
     inputs: NotRequired[_Inputs]
     options: NotRequired[PairOptions]
+    choice: NotRequired[list[dict[str, Any]]]
+    adaptation: NotRequired[dict[str, Any] | None]
+    features: NotRequired[dict[str, Any] | None]
+    device: NotRequired[str]
     orientation: NotRequired[_Orientation | None]
     alignment: NotRequired[_Turn | None]
     quality: NotRequired[MapQuality | None]
@@ -185,7 +193,10 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
         if not (root / name).is_file():
             raise DataError(f"{folder} has no {name}, so that it is no result; give a folder that homolog match wrote")
     report = read_record(root / REPORT, _Report, instead="match again")
-    for name, digest in report.pop("sha256", {}).items():
+    hashes, told = report.pop("sha256", {}), report.setdefault("warnings", [])
+    if not {*RESULT_FILES[:-1]} <= hashes.keys() and _UNTIED not in told:
+        told.append(_UNTIED)
+    for name, digest in hashes.items():
         if name in RESULT_FILES and sha256(root / name) != digest:
             raise DataError(
                 f"{root / name} is not the file that {REPORT} belongs to: it was changed, or a run was killed while it "
@@ -196,7 +207,7 @@ def read_folder(folder: str | Path) -> dict[str, Any]:
         "target": _read_shape(root, report, "target"),
         **_read_arrays(root / MAPS),
         "method": report["method"],
-        "warnings": tuple(report.setdefault("warnings", [])),
+        "warnings": tuple(told),
         "quality": None if report.get("quality") is None else MapQuality.from_dict(report["quality"]),
         "report": report,
     }

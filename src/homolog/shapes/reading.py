@@ -74,7 +74,10 @@ def _shape(found: Any, name: str) -> Shape:
     faces: Any = arrays.faces
     if isinstance(found, Arrays):  # of Homolog's own readers, which keep nothing
         points, faces = Owned(points), None if faces is None else Owned(faces)
-    return Shape(points, faces, name=name, notes=arrays.notes, space=arrays.space, allow_broken=True)
+    try:
+        return Shape(points, faces, name=name, notes=arrays.notes, space=arrays.space, allow_broken=True)
+    except ShapeError as error:  # the path is named where all other faults of a file are told
+        raise UnreadableError(str(error).removeprefix(f"{name}: ")) from None
 
 
 def check_suffix(path: str | Path) -> None:

@@ -13,20 +13,25 @@ import struct
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 from jaxtyping import Float, Int
+from typing_extensions import TypedDict
 
 from homolog.core.arguments import is_count, is_number
 from homolog.core.files import parse_json, read_bytes
 from homolog.core.memory import expansion_fault
 from homolog.core.messages import shorten, shown
+from homolog.core.records import check_record, record
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out
 from homolog.shapes.polygons import fans, strips
 from homolog.shapes.shape import Shape
+
+K = TypeVar("K")
+V = TypeVar("V")
 
 Pose = Literal["posed", "rest"]
 """Skinned meshes as their joints pose them in the file, as viewers show them, or as they were bound."""
@@ -56,6 +61,84 @@ _NUMBER_BYTES = 40
 # To place a mesh takes as long as to read so many numbers.
 _PLACING = 100
 _MOST_JOINTS_PER_POINT = 16
+
+
+class _Primitive(TypedDict, total=False):
+    attributes: dict[str, int]
+    indices: int
+    mode: int
+    targets: list[dict[str, int]]
+
+
+class _Mesh(TypedDict, total=False):
+    primitives: list[_Primitive]
+    weights: list[float]
+
+
+class _Node(TypedDict, total=False):
+    """Its transform is checked where it is used (``local_transform``)."""
+
+    children: list[int]
+    mesh: int
+    skin: int
+    weights: list[float]
+    extensions: dict[str, Any]
+
+
+class _Skin(TypedDict, total=False):
+    joints: list[int]
+    inverseBindMatrices: int
+
+
+class _Stored(TypedDict, total=False):
+    bufferView: int
+    byteOffset: int
+    componentType: int
+
+
+class _Sparse(TypedDict, total=False):
+    count: int
+    indices: _Stored
+    values: _Stored
+
+
+class _Accessor(TypedDict, total=False):
+    bufferView: int
+    byteOffset: int
+    componentType: int
+    count: int
+    type: str
+    sparse: _Sparse
+
+
+class _View(TypedDict, total=False):
+    buffer: int
+    byteOffset: float
+    byteLength: float
+    byteStride: int
+
+
+class _Buffer(TypedDict, total=False):
+    uri: str
+    byteLength: float
+
+
+class _Scene(TypedDict, total=False):
+    nodes: list[int]
+
+
+@record
+class _Header(TypedDict, total=False):
+    """The kinds of the entries that shapes are read from."""
+
+    accessors: list[_Accessor]
+    buffers: list[_Buffer]
+    bufferViews: list[_View]
+    meshes: list[_Mesh]
+    nodes: list[_Node]
+    scene: int
+    scenes: list[_Scene]
+    skins: list[_Skin]
 
 
 class _Entries(list[Any]):
@@ -138,10 +221,10 @@ class Gltf:
         if types and accessor["type"] not in types:
             needed = " or ".join(types)
             raise UnreadableError(f"it holds {shown(accessor['type'])} where {needed} is needed; {CUT_OFF}")
-        dtype, width = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]]
+        dtype, width = np.dtype(_known(_COMPONENTS, accessor, "componentType")), _known(_WIDTHS, accessor, "type")
         rows = self._rows(accessor, dtype, width, accessor["count"])
         if sparse := accessor.get("sparse"):
-            index_type = np.dtype(_COMPONENTS[sparse["indices"]["componentType"]])
+            index_type = np.dtype(_known(_COMPONENTS, sparse["indices"], "componentType"))
             which = _from_zero(self._rows(sparse["indices"], index_type, 1, sparse["count"])[:, 0])
             rows = rows.copy()
             rows[which] = self._rows(sparse["values"], dtype, width, sparse["count"])
@@ -195,7 +278,7 @@ class Gltf:
             step = self.parents.get(step)
         transform = np.eye(4) if step is None else self._worlds[step]
         for number in reversed(above):
-            transform = self._worlds[number] = transform @ local_transform(self.nodes[number])
+            transform = self._worlds[number] = transform @ local_transform(self.nodes[number], f"node {number}")
         return transform
 
     def shown(self) -> list[int]:
@@ -227,6 +310,16 @@ class Gltf:
             held = all("bufferView" in accessors[number] for number in numbers if number is not None)
             if not held and _used(primitive, _DRACO):
                 raise self._compressed(_DRACO)
+
+
+def _known(kinds: dict[K, V], entry: dict[str, Any], name: str) -> V:
+    """What stands for one of an accessor's kinds."""
+    if entry[name] not in kinds:
+        allowed = ", ".join(map(str, kinds))
+        raise UnreadableError(
+            f"an accessor has the {name} {shown(entry[name])}, but must have one of {allowed}; {CUT_OFF}"
+        )
+    return kinds[entry[name]]
 
 
 def _from_zero(indices: Int[np.ndarray, ...]) -> Int[np.ndarray, ...]:
@@ -308,8 +401,12 @@ def _checked_header(content: bytes) -> dict[str, Any]:
         raise UnreadableError(f"it holds no valid JSON; {CUT_OFF}") from None
     if not isinstance(header, dict):
         raise UnreadableError("its JSON is not an object")
-    header |= {name: _Entries(name, entry) for name, entry in header.items() if isinstance(entry, list)}
     _check_version(header)
+    try:
+        check_record(header, _Header)
+    except ValueError as error:
+        raise UnreadableError(f"{error}; {CUT_OFF}") from None
+    header |= {name: _Entries(name, entry) for name, entry in header.items() if isinstance(entry, list)}
     required = header.get("extensionsRequired", [])
     unknown = [str(name) for name in required if not _HARMLESS.fullmatch(str(name)) and name not in _READ]
     if unknown:
@@ -424,7 +521,7 @@ def _mode(primitive: dict[str, Any]) -> int:
     """What a primitive is made of: points, lines or triangles."""
     mode: int = primitive.get("mode", _TRIANGLES)
     if mode not in range(_FAN + 1):
-        raise UnreadableError(f"a primitive has the mode {shown(mode)}, but glTF has 0 to {_FAN}; {CUT_OFF}")
+        raise UnreadableError(f"primitive mode {mode} does not exist (0 to {_FAN}); {CUT_OFF}")
     return mode
 
 
@@ -446,7 +543,7 @@ def _placements(file: Gltf, node: int) -> list[Float[np.ndarray, "4 4"]]:
         {name: row.tolist() for name, row in zip(rows, values, strict=True)}
         for values in zip(*rows.values(), strict=True)
     ]
-    return [world @ local_transform(entry) for entry in own]
+    return [world @ local_transform(entry, f"an instance of node {node}") for entry in own]
 
 
 def _placed(
@@ -586,11 +683,11 @@ def _notes(file: Gltf, pose: Pose) -> Iterator[Finding]:
         yield Finding("skinned meshes", skinned, "note", how)
 
 
-def local_transform(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
-    """A node's transform relative to the one above it."""
+def local_transform(node: dict[str, Any], called: str) -> Float[np.ndarray, "4 4"]:
+    """A node's transform relative to the one above it; ``called`` is what messages call the node."""
     if "matrix" in node:
-        return np.array(_numbers(node, "matrix", np.eye(4).ravel().tolist())).reshape(4, 4).T
-    x, y, z, w = _numbers(node, "rotation", [0.0, 0.0, 0.0, 1.0])
+        return np.array(_numbers(node, called, "matrix", np.eye(4).ravel().tolist())).reshape(4, 4).T
+    x, y, z, w = _numbers(node, called, "rotation", [0.0, 0.0, 0.0, 1.0])
     rotation = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -599,16 +696,21 @@ def local_transform(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
         ]
     )
     transform = np.eye(4)
-    transform[:3, :3] = rotation * np.array(_numbers(node, "scale", [1.0, 1.0, 1.0]))
-    transform[:3, 3] = _numbers(node, "translation", [0.0, 0.0, 0.0])
+    transform[:3, :3] = rotation * np.array(_numbers(node, called, "scale", [1.0, 1.0, 1.0]))
+    transform[:3, 3] = _numbers(node, called, "translation", [0.0, 0.0, 0.0])
     return transform
 
 
-def _numbers(node: dict[str, Any], name: str, otherwise: list[float]) -> list[float]:
+def _numbers(node: dict[str, Any], called: str, name: str, otherwise: list[float]) -> list[float]:
     """The numbers of one of a node's entries, as many as those that stand for it where it is missing."""
     given = node.get(name, otherwise)
-    if not isinstance(given, list) or len(given) != len(otherwise) or not all(map(is_number, given)):
-        raise UnreadableError(f"the {name} of a node must be {len(otherwise)} numbers; {CUT_OFF}")
+    if not isinstance(given, list) or not all(map(is_number, given)):
+        raise UnreadableError(
+            f"{called} has the {name} {shown(given)}, but must have {len(otherwise)} numbers; {CUT_OFF}"
+        )
+    if len(given) != len(otherwise):
+        found = f"{called} has a {name} of {len(given)} numbers"
+        raise UnreadableError(f"{found}, but must have {len(otherwise)}; {CUT_OFF}")
     return [float(number) for number in given]
 
 

@@ -12,7 +12,7 @@ from homolog.core.files import opened, read_bytes
 from homolog.shapes.equal_rows import first_of_equal_rows
 from homolog.shapes.finding import Finding
 from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, left_out, space_of
-from homolog.shapes.formats.text_lines import GrowingArray, batches, number_rows, text_lines
+from homolog.shapes.formats.text_lines import GrowingArray, batches, encoding_of, number_rows, text_lines
 from homolog.shapes.shape import Shape
 from homolog.shapes.topology import face_vectors
 
@@ -33,7 +33,9 @@ def read(path: Path) -> Arrays:
     head, size = read_bytes(path, first=_LONGEST_HEAD), path.stat().st_size
     announced = int.from_bytes(head[80:_HEAD], "little") if size >= _HEAD else -1
     exact = size == _HEAD + announced * _FACET.itemsize
-    if not exact and head.lstrip()[:5].lower() == b"solid" and _is_text(path):
+    encoding = encoding_of(head)
+    titled = head.decode(encoding, errors="replace").lstrip()[:5].lower() == "solid"
+    if not exact and titled and (encoding != "utf-8-sig" or _is_text(path)):
         corners, notes = _text_corners(path), tuple[Finding, ...]()
     else:
         corners, notes = _binary_corners(read_bytes(path), announced)

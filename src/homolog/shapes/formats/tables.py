@@ -31,18 +31,18 @@ _AXIS = re.compile(
 # Numbers with decimal commas, with nothing but blanks between them.
 _DECIMAL_COMMAS = re.compile(r"(?=.*\d,\d)(?:[-+]?\d+(?:,\d+)?(?:e[-+]?\d+)?(?:\s+|$)){2,}", re.IGNORECASE)
 # A cell without a number.
-_MISSING = re.compile(r"(?<![^,;\t])[ ]*(?:(?:NA|N/A|null|none)[ ]*)?(?=[,;\t]|$)", re.IGNORECASE)
+_MISSING = re.compile(r"(?<![^,;|\t])[ ]*(?:(?:NA|N/A|null|none)[ ]*)?(?=[,;|\t]|$)", re.IGNORECASE)
 # First lines that tell what the columns are, and the most digits of a number of a row.
 _HEAD, _DIGITS = 8, 18
 # Fewer words than coordinates are a title.
 _FEWEST_NAMES = 3
-_BLANKS_BEFORE_QUOTES = re.compile(r'(?<=[,;\t]) +(?=")')
+_BLANKS_BEFORE_QUOTES = re.compile(r'(?<=[,;|\t]) +(?=")')
 # What some programs write before a table, to say what separates its cells.
 _SEPARATOR = re.compile(r"sep=.?", re.IGNORECASE)
 
 
 def read(path: Path) -> Arrays:
-    """Read a text file with one point a line, separated by commas, semicolons, tabs or blanks.
+    """Read a text file with one point a line, separated by commas, semicolons, tabs, ``|`` or blanks.
 
     ``#`` starts a comment. Numbers may have decimal commas where something else separates them. A row whose coordinates
     are empty, or say NA, is a point of NaN.
@@ -54,7 +54,8 @@ def read(path: Path) -> Arrays:
     numbers before them is left out.
 
     Raises:
-        UnreadableError: if more than three columns have names, and x, y and z are not among them.
+        UnreadableError: if there are fewer than three columns, or more than three have names, and x, y and z are not
+            among them.
     """
     table = read_table_lines(path)
     return Arrays(table.points(), notes=table.notes)
@@ -142,6 +143,7 @@ def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLi
     for axes in other_axes:
         if all(names.count(axis) == 1 for axis in axes):
             return TableLines(rows, [names.index(axis) for axis in axes], delimiter, axes)
+    _check_width(names, lines[0], cells)
     names = names if len(names) >= _FEWEST_NAMES else _commented_names(text, lines[0])
     if not names and len(cells) > 3 and _starts_with_index(rows, repeated=has_elements):
         note = left_out("first column", 1, "it names or numbers the rows")
@@ -149,6 +151,29 @@ def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLi
     columns = _xyz_columns(names)
     notes = _other_columns(cells, ", ".join(names[column] for column in columns) if names else "the first three")
     return TableLines(rows, columns, delimiter, notes=notes)
+
+
+def _check_width(names: list[str], row: str, cells: list[str]) -> None:
+    """Refuse a table of fewer columns than coordinates, by their names or by its first row."""
+    named, n_cells = list(filter(None, names)), len(list(filter(None, cells)))
+    missing = [axis for axis in "xyz" if axis not in map(_axis, named)]
+    numbered = len(cells) == _FEWEST_NAMES and names[:1] == [""] and missing == ["z"]  # row numbers, x and y
+    if max(len(names), len(cells)) >= _FEWEST_NAMES and not numbered:
+        return
+    if 0 < len(missing) < _FEWEST_NAMES:
+        lacks = (
+            f"{'an' if missing == ['x'] else 'a'} {missing[0]} is missing"
+            if len(missing) == 1
+            else f"{' and '.join(missing)} are missing"
+        )
+        raise UnreadableError(f"its columns are named {shorten(', '.join(named), 100)}; {lacks}; add what is missing")
+    if n_cells == 1:
+        raise UnreadableError(
+            f"the line {shorten(row)!r} is one value, but x, y and z are needed, separated by commas, semicolons, "
+            "tabs, | or blanks"
+        )
+    found = f"its first row {shorten(row)!r} has {n_cells} values"
+    raise UnreadableError(f"{found}, but three columns are needed, x, y and z; add what is missing")
 
 
 def _other_columns(cells: list[str], taken: str) -> tuple[Finding, ...]:
@@ -218,8 +243,8 @@ def _starts_with_index(lines: Iterable[str], *, repeated: bool) -> bool:
 
 
 def _delimiter(line: str) -> str | None:
-    """What separates the cells of a line; None for blanks."""
-    marks = ";\t" if _DECIMAL_COMMAS.fullmatch(line) else ";,\t"
+    """What separates the cells of a line; None for blanks. A single ``|`` may be a part of a name."""
+    marks = ";\t" if _DECIMAL_COMMAS.fullmatch(line) else ";|,\t" if line.count("|") > 1 else ";,\t|"
     return next((mark for mark in marks if mark in line), None)
 
 

@@ -23,8 +23,15 @@ T = TypeVar("T")
 _BLOCK, _LINES = 2**20, 2**14
 
 
+def encoding_of(head: bytes) -> str:
+    """The encoding of a text, by the byte order mark that its first bytes may be; UTF-8 without one."""
+    if head.startswith((codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE)):  # the former begins as UTF-16 does
+        return "utf-32"
+    return "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
+
+
 def text_blocks(path: Path, *, start: int = 0, padded: bool = False) -> Iterator[str]:
-    """The text of a file in blocks of whole lines, which end with line feeds; UTF-16 by its byte order mark.
+    """The text of a file in blocks of whole lines, which end with line feeds; UTF-16 and UTF-32 by their marks.
 
     A line that ends with a backslash is in one block with the next one.
 
@@ -38,16 +45,15 @@ def text_blocks(path: Path, *, start: int = 0, padded: bool = False) -> Iterator
     """
     with opened(path) as file:
         file.seek(start)
-        mark = file.read(2)
+        encoding = encoding_of(file.read(4))
         file.seek(start)
-        utf_16 = mark in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-        text = TextIOWrapper(file, "utf-16" if utf_16 else "utf-8-sig", errors="replace")
+        text = TextIOWrapper(file, encoding, errors="replace")
         while block := text.read(_BLOCK):
             parts = [block, text.readline()]
             while (parts[-2][-1:] + parts[-1]).endswith("\\\n"):  # also where a block ends between the two
                 parts.append(text.readline())
             whole = "".join(parts)
-            if "\0" in whole and not (padded or utf_16):
+            if "\0" in whole and not (padded or encoding != "utf-8-sig"):
                 raise UnreadableError("it holds binary data where text is expected; check the suffix")
             yield whole.replace("\0", "") if padded else whole
 
