@@ -61,7 +61,7 @@ FLOORS = CORE | {
     "datasets": GROUND | {"shapes"},
     "volumes": GROUND | {"shapes"},
     "synthesis": GROUND | {"shapes", "geometry", "datasets"},
-    "evaluation": GROUND | BENEATH_EVALUATION | {"statistics"},
+    "evaluation": GROUND | BENEATH_EVALUATION | {"statistics", "synthesis"},
     "training": GROUND | BENEATH_EVALUATION | {"synthesis", "evaluation"},
     "viewing": GROUND | {"shapes", "geometry", "pairs", "matching", "datasets", "evaluation"},
     "serving": GROUND | {"shapes", "pairs", "matching", "viewing"},

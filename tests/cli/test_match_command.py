@@ -102,6 +102,8 @@ def test_report(homolog, files, tmp_path):
     assert all("doubtful" in warning for warning in found["warnings"])
     assert found["options"] == {
         "as_cloud": "target",
+        "clutter": "remove",
+        "landmarks": None,
         "partial": "target",
         "partial_scale": 1.0,
         "orient": "auto",

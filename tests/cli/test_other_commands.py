@@ -75,8 +75,13 @@ def test_evaluate(homolog, data, tmp_path):
         "partial": False,
         "pre_aligned": False,
         "noise": 0.0,
+        "outliers": 0.0,
+        "outlier_kind": "box",
+        "background": "none",
+        "clutter": "remove",
         "turn": "none",
         "orient": "auto",
+        "landmarks": 0,
         "seed": 0,
     }
     assert found["features"]["name"] == "axiomatic"

@@ -41,7 +41,9 @@ class Stub:
         self.back, self.forth = back, forth
         self.prepared, self.frames, self.matched = [], [], []
 
-    def preprocess(self, shape, *, as_cloud=False, scale=None, centre=None, orient="auto", partial=False):
+    def preprocess(
+        self, shape, *, as_cloud=False, scale=None, centre=None, orient="auto", partial=False, clutter="remove"
+    ):
         self.prepared.append(shape)
         self.frames.append((scale, centre))
         return Ready(shape, "cloud" if as_cloud else "mesh")

@@ -93,7 +93,9 @@ class Stub:
         self.answer, self.confidence = answer, confidence
         self.prepared, self.centres, self.matched, self.partial = [], [], [], []
 
-    def preprocess(self, shape, *, as_cloud=False, scale=None, centre=None, orient="auto", partial=False):
+    def preprocess(
+        self, shape, *, as_cloud=False, scale=None, centre=None, orient="auto", partial=False, clutter="remove"
+    ):
         self.prepared.append((shape, as_cloud, scale))
         self.centres.append(centre)
         return Ready(shape, shape.name.removesuffix(".off"), "cloud" if as_cloud else "mesh")

@@ -41,6 +41,9 @@ def objects(make) -> dict[type, Any]:
         maps.RefinementSettings(),
         maps.ConfidenceSettings(),
         maps.RegistrationSettings(),
+        maps.RegistrationStart(maps.Similarity(torch.eye(3), 2.0, torch.zeros(3))),
+        maps.LandmarkRows(torch.arange(2), torch.arange(2), torch.ones(2)),
+        geometry.find_clutter(sphere),
         maps.Similarity(torch.eye(3), 2.0, torch.zeros(3)),
     ]
     return {type(each): each for each in found}

@@ -47,12 +47,21 @@ def test_a_network_does_not_mind_pieces_either(build, blobs, make, method, modal
 
 def test_pieces_go_where_the_nearest_point_of_the_body_goes_and_the_report_says_so(build, blobs, make):
     littered = make.littered(blobs.source, PIECES)
-    found = build("axiomatic").match(littered, blobs.target)
+    found = build("axiomatic").match(littered, blobs.target, clutter="keep")
     n = blobs.source.n_points
     nearest = KDTree(blobs.source.points).query(littered.points[n:])[1]
     np.testing.assert_array_equal(found.source_to_target[n:], found.source_to_target[nearest])
     (finding,) = (f for f in check(littered).findings if f.rule == "components")
     assert finding.count == PIECES + 1 and "nearest larger one" in finding.action
+
+
+def test_pieces_at_a_distance_are_set_apart(build, blobs, make):
+    littered = make.littered(blobs.source, PIECES)
+    found, plain = (build("axiomatic").match(shape, blobs.target) for shape in (littered, blobs.source))
+    n = blobs.source.n_points
+    np.testing.assert_array_equal(found.source_to_target[:n], plain.source_to_target)
+    assert (found.source_to_target[n:] == -1).all()
+    assert found.target_to_source.max() < n
 
 
 def regular(name: str) -> Shape:

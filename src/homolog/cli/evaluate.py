@@ -16,6 +16,7 @@ from homolog.cli.options import (
     OUTPUT,
     PARTIAL,
     Adapt,
+    ClutterOption,
     DatasetOption,
     DeviceOption,
     Json,
@@ -37,7 +38,7 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import progress_bar, say
 from homolog.cli.wording import in_options
-from homolog.core.choices import Modalities, Split, Turn, Up
+from homolog.core.choices import Background, Modalities, OutlierKind, Split, Turn, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import write_csv
 from homolog.core.versions import versions
@@ -47,13 +48,16 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from homolog.datasets import ShapeFolder
-    from homolog.evaluation import Evaluation, Protocol
+    from homolog.evaluation import Detection, Evaluation, Protocol
     from homolog.matching import Match, Matcher
     from homolog.pairs import Pair
 
 # Options that have no effect on maps that are there already.
 _OF_MAKING_MAPS = (
     "noise",
+    "outliers",
+    "background",
+    "clutter",
     "turn",
     "orient",
     "landmarks",
@@ -109,6 +113,27 @@ def evaluate(
             rich_help_panel=INPUT,
         ),
     ] = 0.0,
+    outliers: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE",
+            help="Outliers added to every cloud, relative to the number of its points.",
+            min=0.0,
+            rich_help_panel=INPUT,
+        ),
+    ] = 0.0,
+    outlier_kind: Annotated[
+        OutlierKind,
+        typer.Option(
+            help="Where outliers lie: anywhere in the bounding box, in clusters there, or near the surface.",
+            rich_help_panel=INPUT,
+        ),
+    ] = "box",
+    background: Annotated[
+        Background,
+        typer.Option(help="Put every cloud on a floor with as many points.", rich_help_panel=INPUT),
+    ] = "none",
+    clutter: ClutterOption = "remove",
     up: Annotated[
         Up | None,
         typer.Option(
@@ -214,15 +239,14 @@ def evaluate(
 
       homolog evaluate SMAL_r --landmarks 5
 
+      homolog evaluate FAUST_r --modality cloud --outliers 0.1 --background floor
+
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_json(json)
     check_files(csv, plot)
-    if maps is not None:
-        _refuse_unused(context)
-    if maps is None and base is not None:
-        raise ArgumentError(f"--base is {base}, but is about the files of --maps; add --maps DIR, or leave it out")
+    _check_maps(context, maps, base)
     check_inputs(weights=weights)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
     partial = description.partial if partial is None else partial
@@ -234,6 +258,10 @@ def evaluate(
         partial=partial,
         pre_aligned=(description.pre_aligned and partial) if pre_aligned is None else pre_aligned,
         noise=noise,
+        outliers=outliers,
+        outlier_kind=outlier_kind,
+        background=background,
+        clutter=clutter,
         turn=turn,
         orient=orient,
         landmarks=landmarks,
@@ -251,11 +279,18 @@ def evaluate(
             progress=progress,
         )
     made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **described(matcher)}
-    _write(evaluation, folder, csv, plot)
     figures = {**evaluation.to_dict(), **_setup(folder, protocol), **made_by}
-    write_figures(json, figures)
+    _write(evaluation, folder, figures, json, csv, plot)
     if not quiet:
         _tell(evaluation, figures, _title(folder, protocol), table=not on_stdout(json))
+
+
+def _check_maps(context: typer.Context, maps: Path | None, base: int | None) -> None:
+    """Refuse options that do not go with maps that are there, or not there."""
+    if maps is not None:
+        _refuse_unused(context)
+    elif base is not None:
+        raise ArgumentError(f"--base is {base}, but is about the files of --maps; add --maps DIR, or leave it out")
 
 
 def _refuse_unused(context: typer.Context) -> None:
@@ -267,11 +302,19 @@ def _refuse_unused(context: typer.Context) -> None:
             )
 
 
-def _write(evaluation: Evaluation, folder: ShapeFolder, csv: Path | None, plot: Path | None) -> None:
+def _write(
+    evaluation: Evaluation,
+    folder: ShapeFolder,
+    figures: dict[str, Any],
+    json: Path | None,
+    csv: Path | None,
+    plot: Path | None,
+) -> None:
     if csv is not None:
         write_csv(csv, evaluation.rows())
     if plot is not None:
         homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
+    write_figures(json, figures)
 
 
 def _tell(evaluation: Evaluation, figures: dict[str, Any], title: str, *, table: bool) -> None:
@@ -319,10 +362,10 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     table.add_row(f"median {kind} error {unit}", f"{found[f'median_{kind}_error']:.2f}")
     if "pck" in found:
         table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")
-    if missing := evaluation.missing:
-        figures = {"precision": missing.precision, "recall": missing.recall, "F1": missing.f1}
-        told = (f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())
-        table.add_row("points without a counterpart", ", ".join(told))
+    found_points = {"points without a counterpart": evaluation.missing, "points that were added": evaluation.clutter}
+    for label, detection in found_points.items():
+        if detection is not None:
+            table.add_row(label, _described_detection(detection))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
         without = found[f"mean_{kind}_error_of_matched_points"]
@@ -347,6 +390,13 @@ def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     name = folder.description.name or folder.root.name
     partial = (", partial, pre-aligned" if protocol.pre_aligned else ", partial") if protocol.partial else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
+    noise += f", {protocol.outliers:g} outliers ({protocol.outlier_kind})" if protocol.outliers else ""
+    noise += "" if protocol.background == "none" else f", {protocol.background}"
     turned = {"none": "", "vertical": ", turned about the vertical", "any": ", turned"}[protocol.turn]
     guided = f", {protocol.landmarks} landmarks" if protocol.landmarks else ""
     return f"{name}, {protocol.modality}{partial}{noise}{turned}{guided}"
+
+
+def _described_detection(found: Detection) -> str:
+    figures = {"precision": found.precision, "recall": found.recall, "F1": found.f1}
+    return ", ".join(f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())

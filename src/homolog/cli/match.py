@@ -14,6 +14,7 @@ from homolog.cli.options import (
     PARTIAL,
     PICTURE_WIDTH,
     Adapt,
+    ClutterOption,
     DeviceOption,
     Lines,
     MethodOption,
@@ -97,6 +98,7 @@ def match(
         Side | None,
         typer.Option(help="This shape is a mirror image: reflect it before it is matched.", rich_help_panel=INPUT),
     ] = None,
+    clutter: ClutterOption = "remove",
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
     ] = False,
@@ -178,6 +180,7 @@ def match(
         target_up=target_up or up,
         orient=orient,
         mirror=mirror,
+        clutter=clutter,
         strict=strict,
         landmarks=known_points(landmarks, landmark_uncertainty, axes),
     )
@@ -277,6 +280,10 @@ def _summary(matches: list[Match], timings: Timings, paths: list[Path], *, verbo
     match, *others = matches
     for warning in match.warnings:
         say(f"Warning: {in_options(warning)}")
+    for side in get_args(Side):
+        for finding in match.report["inputs"][side]["findings"]:
+            if finding["rule"] in homolog.geometry.CLUTTER_RULES:
+                say(in_options(f"Note: {side}: {finding['count']} {finding['rule']} {finding['action']}."))
     for number, other in enumerate(others, 2):
         for warning in other.warnings:
             if warning not in match.warnings:

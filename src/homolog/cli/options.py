@@ -14,7 +14,7 @@ import typer
 
 import homolog
 from homolog.cli.lazy import OTHER
-from homolog.core.choices import PICTURE_WIDTHS, Device, Orient
+from homolog.core.choices import PICTURE_WIDTHS, Device, KeepClutter, Orient
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved, write_json
 from homolog.core.pretrained import AUTO_WEIGHTS, weights_file
@@ -78,6 +78,15 @@ OrientOption = Annotated[
     typer.Option(
         "--orient",
         help="auto: find which way round the shapes are. given: trust their coordinates.",
+        rich_help_panel=INPUT,
+    ),
+]
+ClutterOption = Annotated[
+    KeepClutter,
+    typer.Option(
+        "--clutter",
+        help="remove: set apart outliers, a floor or a wall, and other objects; their points get no counterpart. "
+        "keep: take them for parts of the shapes.",
         rich_help_panel=INPUT,
     ),
 ]

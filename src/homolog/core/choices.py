@@ -12,6 +12,12 @@ Up = Literal["x", "y", "z"]
 """The axis that points up in a file."""
 Orient = Literal["auto", "given"]
 """Whether the way round of shapes is found, or trusted as their files have it."""
+KeepClutter = Literal["remove", "keep"]
+"""Whether outliers, backgrounds and other objects are set apart before a shape is matched, or kept."""
+OutlierKind = Literal["box", "clusters", "near"]
+"""Where outliers lie: anywhere in the bounding box, in clusters there, or near the surface."""
+Background = Literal["none", "floor"]
+"""What stands around a shape."""
 Modalities = Literal["mesh", "cloud", "mesh-to-cloud", "cloud-to-mesh"]
 """What the source and the target of an evaluation are used as."""
 Turn = Literal["none", "vertical", "any"]

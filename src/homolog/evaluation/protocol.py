@@ -11,7 +11,7 @@ from annotated_types import Ge, Le
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from homolog.core.choices import Modalities, Orient, Side, Split, Turn
+from homolog.core.choices import Background, KeepClutter, Modalities, Orient, OutlierKind, Side, Split, Turn
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Count, CountOrZero, NotNegative, Settings
 from homolog.pairs.landmarks import MOST_LANDMARKS
@@ -31,6 +31,10 @@ class Protocol(Settings):
         pre_aligned: whether such parts lie in the coordinates of their sources, about where they belong.
         noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
             on source and target.
+        outliers: number of outliers added to every cloud, relative to its points; source and target have their own.
+        outlier_kind: where they lie: anywhere in the bounding box, in clusters there, or near the surface.
+        background: ``"floor"`` puts every cloud on a floor with as many points.
+        clutter: whether these are to be set apart before matching, or kept.
         turn: by which rotations the shapes are turned before anything sees them, each on its own.
         orient: whether the way round of full shapes is found, or trusted.
         landmarks: how many points of each pair's ground truth guide its match, by farthest point sampling on the source
@@ -46,6 +50,10 @@ class Protocol(Settings):
     partial: bool = False
     pre_aligned: bool = False
     noise: Annotated[NotNegative, "in units of sqrt(area)"] = 0.0
+    outliers: Annotated[NotNegative, "relative to the number of points"] = 0.0
+    outlier_kind: OutlierKind = "box"
+    background: Background = "none"
+    clutter: KeepClutter = "remove"
     turn: Turn = "none"
     orient: Orient = "auto"
     landmarks: Annotated[int, Ge(0), Le(MOST_LANDMARKS)] = 0
@@ -59,8 +67,14 @@ class Protocol(Settings):
             raise ArgumentError(
                 f"turn is {self.turn!r}, but pre_aligned parts lie where they belong; leave one of them out"
             )
-        if self.noise and self.modality == "mesh":
-            raise ArgumentError("noise is for clouds, but modality is 'mesh'; use 'cloud', or leave noise at 0")
+        added = {"noise": self.noise > 0, "outliers": self.outliers > 0, "background": self.background != "none"}
+        for name in (name for name, is_used in added.items() if is_used and self.modality == "mesh"):
+            raise ArgumentError(f"{name} is for clouds, but modality is 'mesh'; use 'cloud', or leave {name} out")
+
+    @property
+    def is_cluttered(self) -> bool:
+        """Whether points are added that do not belong to the shapes."""
+        return self.outliers > 0 or self.background != "none"
 
     def rotation(self, name: str) -> Float[np.ndarray, "3 3"]:
         """What a shape of this name is turned by, drawn from the seed (3, 3)."""

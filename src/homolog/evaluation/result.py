@@ -31,6 +31,7 @@ class PairErrors:
         matched: which of these points were mapped to some point (p,).
         confidences: of the map there (p,).
         missing: how well points of the source that a partial shape lacks are found; None where that is not known.
+        clutter: how well points that do not belong to the shapes are found; None where none were added.
         quality: what the maps tell of themselves, without the truth; None if whoever made them does not say.
         doubtful: whether the match had a warning of low confidence.
         metrics: figures of one's own.
@@ -45,6 +46,7 @@ class PairErrors:
     matched: Bool[np.ndarray, " p"]
     confidences: Float[np.ndarray, " p"]
     missing: Detection | None = None
+    clutter: Detection | None = None
     quality: MapQuality | None = None
     doubtful: bool = False
     metrics: Mapping[str, float] = field(default_factory=dict)
@@ -109,8 +111,12 @@ class Evaluation:
     @property
     def missing(self) -> Detection | None:
         """How well points of full shapes that partial ones lack are found, in all pairs together; None if not known."""
-        known = [pair.missing for pair in self.pairs if pair.missing is not None]
-        return sum(known[1:], known[0]) if known else None
+        return _pooled([pair.missing for pair in self.pairs])
+
+    @property
+    def clutter(self) -> Detection | None:
+        """How well points that were added to the shapes are found, in all pairs together; None if there are none."""
+        return _pooled([pair.clutter for pair in self.pairs])
 
     @property
     def rank_correlations(self) -> dict[str, float | None]:
@@ -141,7 +147,7 @@ class Evaluation:
         share = least_confident_share(errors[matched], confidences[matched])
         names = sorted({name for pair in self.pairs for name in pair.metrics})
         metrics = {name: float(np.mean([pair.metrics[name] for pair in self.pairs])) for name in names}
-        missing = self.missing
+        missing, clutter = self.missing, self.clutter
         return {
             f"mean_{kind}_error": self.shown(errors.mean()),
             f"median_{kind}_error": self.shown(np.median(errors)),
@@ -151,6 +157,7 @@ class Evaluation:
             # JSON has no NaN, which stands for no error at all.
             "least_confident_fifth_error_share": share if np.isfinite(share) else None,
             **({} if missing is None else {"without_counterpart": missing.to_dict()}),
+            **({} if clutter is None else {"clutter": clutter.to_dict()}),
             **({"quality_rank_correlations": self.rank_correlations} if self.rank_correlations else {}),
             **({"metrics": metrics} if metrics else {}),
             "method": self.method,
@@ -208,6 +215,7 @@ class Evaluation:
             **({} if pair.chosen is None else {"chosen": pair.chosen}),
             **({} if pair.adaptation is None else {"adaptation": dict(pair.adaptation)}),
             **({} if pair.missing is None else {"without_counterpart": pair.missing.to_dict()}),
+            **({} if pair.clutter is None else {"clutter": pair.clutter.to_dict()}),
             **({} if pair.quality is None else {"quality": pair.quality.to_dict()}),
             **({"metrics": dict(pair.metrics)} if pair.metrics else {}),
         }
@@ -215,6 +223,11 @@ class Evaluation:
     def __repr__(self) -> str:
         mean, unit = self.shown(self.errors.mean()), self.euclidean_unit or "x100"
         return f"Evaluation({len(self.pairs)} pairs by {self.method}: mean {self.error_kind} error {mean:.2f} {unit})"
+
+
+def _pooled(each: list[Detection | None]) -> Detection | None:
+    known = [detection for detection in each if detection is not None]
+    return sum(known[1:], known[0]) if known else None
 
 
 def _rank_correlation(figures: list[float | None], errors: list[float]) -> float | None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 
 from homolog.core.arguments import check_kind, given_or_default
 from homolog.core.errors import ArgumentError, DataError, bad_value
@@ -29,6 +30,7 @@ from homolog.geometry import unit_frame
 from homolog.matching import Match, Matcher, check_point_map, low_confidence_warnings
 from homolog.pairs import SIDES, LandmarkPairs, Pair, PairOptions, PreprocessedShape, Side, WarningSettings
 from homolog.shapes import Modality, Shape, add_noise, farthest_points, repair
+from homolog.synthesis.degradation import add_floor, add_strays
 
 # Name, side if that matters, whether it is a cloud, and whose scale it takes if not its own.
 _Variant = tuple[str, str, bool, str]
@@ -217,7 +219,7 @@ class _Run:
 
     def given(self, pair: PairOfNames, side: Side) -> Shape:
         """A shape as the protocol has it, turned, with its noise and with its faces."""
-        shape = self._noisy(pair, side)
+        shape = self._cluttered(self._noisy(pair, side), pair, side)
         if self.protocol.turn == "none":
             return shape
         turned = shape.points @ self.protocol.rotation(pair[SIDES.index(side)]).T
@@ -228,12 +230,47 @@ class _Run:
         shape = self.clouds.get(name, self.shapes[name]) if side == "target" else self.shapes[name]
         if not self.is_noisy(side):
             return shape
-        seed = zlib.crc32(f"{self.protocol.seed} {name} {side}".encode(errors="surrogateescape"))
-        return add_noise(shape, self.protocol.noise * self.frame(self.scaled_by(pair, side)).scale, seed=seed)
+        scale = self.frame(self.scaled_by(pair, side)).scale
+        return add_noise(shape, self.protocol.noise * scale, seed=self._seed(name, side))
+
+    def _cluttered(self, shape: Shape, pair: PairOfNames, side: Side) -> Shape:
+        """A cloud with outliers and a floor after its own points, where the protocol has them."""
+        if not self.is_cluttered(side):
+            return shape
+        protocol, scale = self.protocol, self.frame(self.scaled_by(pair, side)).scale
+        seed = self._seed(pair[SIDES.index(side)], f"{side} clutter")
+        strays = add_strays(shape, protocol.outliers, kind=protocol.outlier_kind, unit=scale, seed=seed)
+        if protocol.background == "none":
+            return strays
+        floor = add_floor(shape, shape.n_points, seed=seed + 1).points[shape.n_points :]
+        return Shape(np.concatenate([strays.points, floor]), name=shape.name)
+
+    def _seed(self, name: str, use: str) -> int:
+        return zlib.crc32(f"{self.protocol.seed} {name} {use}".encode(errors="surrogateescape"))
 
     def is_noisy(self, side: Side) -> bool:
         """Whether the shapes of a side have noise."""
         return bool(self.protocol.is_cloud(side) and self.protocol.noise)
+
+    def is_cluttered(self, side: Side) -> bool:
+        """Whether the shapes of a side have points that do not belong to them."""
+        return self.protocol.is_cloud(side) and self.protocol.is_cluttered
+
+    def n_own_points(self, pair: PairOfNames, side: Side) -> int:
+        """How many points a shape has of its own: the first ones."""
+        name = pair[SIDES.index(side)]
+        return (self.clouds.get(name, self.shapes[name]) if side == "target" else self.shapes[name]).n_points
+
+    def found_clutter(self, pair: PairOfNames, match: Match) -> Detection | None:
+        """How well the added points were found: those that have no counterpart. Of full shapes, parts lack others."""
+        sides = [side for side in SIDES if self.is_cluttered(side) and not (self.protocol.partial and side == "source")]
+        if not sides:
+            return None
+        maps = {"source": match.source_to_target, "target": match.target_to_source}
+        each = [
+            Detection.of(maps[side] < 0, np.arange(len(maps[side])) >= self.n_own_points(pair, side)) for side in sides
+        ]
+        return sum(each[1:], each[0])
 
     def scaled_by(self, pair: PairOfNames, side: Side) -> str:
         """Whose scale a shape takes: its own, but a partial one that of the full one."""
@@ -256,7 +293,7 @@ class _Run:
         by_source: dict[str, list[int]] = defaultdict(list)
         for number, pair in enumerate(self.pairs):
             by_source[pair[0]].append(number)
-        mapped = [match.target_to_source[truth.target] for match, truth in zip(matches, self.truths, strict=True)]
+        mapped = [self._mapped(*each) for each in zip(self.pairs, matches, self.truths, strict=True)]
         errors: dict[int, Float[np.ndarray, " p"]] = {}
         for source, numbers in by_source.items():
             starts, ends = (
@@ -266,6 +303,18 @@ class _Run:
             errors |= dict(zip(numbers, np.split(self._errors(self.shapes[source], starts, ends), cuts), strict=True))
         for number, pair in enumerate(self.pairs):
             yield self._pair(pair, matches[number], self.truths[number], mapped[number], errors[number])
+
+    def _mapped(self, pair: PairOfNames, match: Match, truth: Truth) -> Int[np.ndarray, " p"]:
+        """Where points with a known counterpart are mapped to; for an added point the nearest of the source's own."""
+        mapped: Int[np.ndarray, " p"] = match.target_to_source[truth.target]
+        n_own = self.n_own_points(pair, "source")
+        is_added = mapped >= n_own
+        if not is_added.any():
+            return mapped
+        points = match.source.points
+        own = mapped.copy()
+        own[is_added] = KDTree(points[:n_own]).query(points[mapped[is_added]])[1]
+        return own
 
     def _pair(
         self,
@@ -283,6 +332,7 @@ class _Run:
             matched=mapped >= 0,
             confidences=match.target_confidence[truth.target],
             missing=None if known is None else Detection.of(match.source_to_target[known.points] < 0, ~known.present),
+            clutter=self.found_clutter(pair, match),
             quality=match.quality,
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
@@ -294,7 +344,7 @@ class _Run:
     def _exchanged(self, pair: PairOfNames, match: Match) -> Exchange | None:
         if self.exchanges is None:
             return None
-        mapped = match.target_to_source[self._truth(pair).target]  # of all points, landmarks as well
+        mapped = self._mapped(pair, match, self._truth(pair))  # of all points, landmarks as well
         return self.exchanges.exchange(pair, mapped, scale=self.frame(pair[0]).scale)
 
     def _errors(
@@ -374,6 +424,7 @@ class _ByMatcher:
             partial="target" if run.protocol.partial else None,
             pre_aligned=run.protocol.pre_aligned,
             orient=run.protocol.orient,
+            clutter=run.protocol.clutter,
         )
         modalities: list[Modality] = [
             "cloud" if run.protocol.is_cloud(side) else run.shapes[name].modality
@@ -394,7 +445,7 @@ class _ByMatcher:
     def _variant(self, pair: PairOfNames, side: Side) -> _Variant:
         """What tells preparations apart: noise makes source and target of one name two clouds, scale a part several."""
         name, partner, cloud = pair[SIDES.index(side)], self.run.scaled_by(pair, side), self.run.protocol.is_cloud(side)
-        own = cloud and (self.run.protocol.noise or name in self.run.clouds)
+        own = cloud and (self.run.protocol.noise or self.run.protocol.is_cluttered or name in self.run.clouds)
         return name, side if own else "", cloud, "" if partner == name else partner
 
     def _take(self, pair: PairOfNames, side: Side) -> PreprocessedShape:
@@ -414,9 +465,10 @@ class _ByMatcher:
             as_cloud=run.protocol.is_cloud(side),
             orient="given" if run.protocol.pre_aligned else run.protocol.orient,
             partial=side == self.options.partial,
+            clutter=run.protocol.clutter,
         )
         scaled_by = run.scaled_by(pair, side)
-        if scaled_by == pair[SIDES.index(side)] and not run.is_noisy(side):
+        if scaled_by == pair[SIDES.index(side)] and not (run.is_noisy(side) or run.is_cluttered(side)):
             return preprocess()
         frame = run.frame(scaled_by)
         return preprocess(scale=frame.scale, centre=frame.centre if run.protocol.pre_aligned else None)

@@ -3,6 +3,7 @@
 from homolog.core.caches import cache_folder
 from homolog.geometry.basis import Basis, some_points
 from homolog.geometry.cache import OperatorCache
+from homolog.geometry.clutter import CLUTTER_RULES, Clutter, find_clutter, find_outliers, set_apart
 from homolog.geometry.geodesics import Geodesics, distances_from, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
@@ -21,8 +22,10 @@ from homolog.geometry.surface import (
 
 __all__ = [
     "CLOUD_NEIGHBOURS",
+    "CLUTTER_RULES",
     "BarycentricPoints",
     "Basis",
+    "Clutter",
     "Frame",
     "Geodesics",
     "LaplacianKind",
@@ -40,11 +43,14 @@ __all__ = [
     "compute_operators",
     "distances_from",
     "edge_graph",
+    "find_clutter",
+    "find_outliers",
     "geodesic_distances",
     "lowest_eigenpairs",
     "mesh_laplacian",
     "outward",
     "pair_distances",
+    "set_apart",
     "some_points",
     "split_long",
     "surface_area",

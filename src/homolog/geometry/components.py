@@ -56,14 +56,12 @@ def main_points(shape: Shape, neighbours: Int[np.ndarray, "n j"] | None = None) 
         True for each point of the main component (n,).
     """
     if shape.faces is None:
-        if neighbours is None:
-            neighbours = nearest_neighbours(shape.points, _NEIGHBOURS)
         return _main_points_of_cloud(shape.points, neighbours)
     component = components(shape.faces[:, 0], shape.faces[:, 1], shape.n_points, shape.faces[:, 2])
     areas = np.bincount(
         component[shape.faces[:, 0]], face_areas(shape.points, shape.faces), minlength=component.max() + 1
     )
-    return _in_large(component, areas)
+    return in_large_components(component, areas)
 
 
 def main_component(shape: Shape, main: Bool[np.ndarray, " n"]) -> Shape:
@@ -76,19 +74,31 @@ def main_component(shape: Shape, main: Bool[np.ndarray, " n"]) -> Shape:
     return Shape(shape.points[main], new_index[shape.faces[main[shape.faces[:, 0]]]], name=shape.name)
 
 
-def _main_points_of_cloud(
-    points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"]
-) -> Bool[np.ndarray, " n"]:
+def cloud_components(
+    points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"] | None = None
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " p"]]:
+    """Components of a cloud, which wide gaps separate: a label per point (n,), and the sizes of components (p,).
+
+    Sizes are numbers of points. Those with fewer points than a neighbourhood have neighbours across the gap: their size
+    is 0.
+    """
+    if neighbours is None:
+        neighbours = nearest_neighbours(points, _NEIGHBOURS)
     distances = np.linalg.norm(points[neighbours] - points[:, None], axis=2)
     near = distances <= _GAP * np.median(distances[:, -1])
-    count = neighbours.shape[1] + 1
     component = components(np.nonzero(near)[0], neighbours[near], len(points))
     counts = np.bincount(component)
-    # Components with fewer points than a neighbourhood have neighbours across the gap: they count as small.
-    main = _in_large(component, np.where(counts < min(count, counts.max()), 0, counts))
-    return main if main.mean() >= 1 - _MOST_IN_SMALL else np.ones(len(points), dtype=bool)
+    return component, np.where(counts < min(neighbours.shape[1] + 1, counts.max()), 0, counts)
 
 
-def _in_large(component: Int[np.ndarray, " n"], sizes: Float[np.ndarray, " p"]) -> Bool[np.ndarray, " n"]:
+def in_large_components(component: Int[np.ndarray, " n"], sizes: Float[np.ndarray, " p"]) -> Bool[np.ndarray, " n"]:
+    """Which points are on components that are not far smaller than the largest; all, where else too few would be."""
     main: np.ndarray = (sizes >= _SMALLEST_COMPONENT * sizes.max())[component]
     return main if main.sum() >= FEWEST_POINTS else np.ones(len(component), dtype=bool)
+
+
+def _main_points_of_cloud(
+    points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"] | None
+) -> Bool[np.ndarray, " n"]:
+    main = in_large_components(*cloud_components(points, neighbours))
+    return main if main.mean() >= 1 - _MOST_IN_SMALL else np.ones(len(points), dtype=bool)

@@ -50,6 +50,9 @@ class RegistrationSettings(Settings):
         most_apart: two surfaces are nearly rigid copies if the median distance between them is less than this share of
             the size of y (root mean square distance from its centre), at least 0. Vertebrae of two people have 0.04 to
             0.08.
+        most_bent: surfaces of which a tenth is farther apart than this share of the size of y, at least 0, are bent
+            against each other, and no nearly rigid copies. Vertebrae have up to 0.21, two people in other poses 0.25
+            and more.
         normal_weight: how far apart points with normals at 60 degrees are, as a share of the size of y, at least 0; 0.1
             to 0.4 are sensible. More tells the sides of thin parts apart, and follows differences in form less.
 
@@ -64,6 +67,7 @@ class RegistrationSettings(Settings):
     narrowing: Share = 0.5
     most_left: Share = 0.35
     most_apart: NotNegative = 0.025
+    most_bent: NotNegative = 0.24
     normal_weight: NotNegative = 0.2
 
     def widths(self, n_points: int) -> Iterator[int]:
@@ -216,8 +220,9 @@ def registration_start(
 
     Where normals are known, closest points go on from there (``closest_point_similarity``). They tell the turn, the
     size and the place that most of one and of the other agree about; centres and sizes are misled by what one of them
-    lacks. That is believed of shapes with a distinct form, and of those that then lie nearly in one surface: they are
-    nearly rigid copies. Without normals closest points slide along the surface, and are not looked for.
+    lacks. That is believed of shapes with a distinct form, and of those that then lie nearly in one surface, unless a
+    tenth of it lies far away: they are nearly rigid copies. Without normals closest points slide along the surface, and
+    are not looked for.
 
     Args:
         points_x: positions of one cloud (n_x, 3).
@@ -245,7 +250,9 @@ def registration_start(
     if y.normals.any():
         drawn_x, drawn_y = _drawn(x, 0), _drawn(y, 1)
         closest = _closest(drawn_x, drawn_y, x.onto(y, rotations[-1]))
-        if is_distinct or _apart(drawn_x.moved(closest), drawn_y) < settings.most_apart * y.size:
+        at_start = drawn_x.moved(closest)
+        is_near = is_distinct or _apart(at_start, drawn_y) < settings.most_apart * y.size
+        if is_near and _bent(at_start, drawn_y) < settings.most_bent * y.size:
             return RegistrationStart(closest, near_rigid=True)
     return RegistrationStart(x.onto(y, rotations[-1] if is_distinct else rotations[0]))
 
@@ -275,6 +282,13 @@ def _apart(x: _Cloud, y: _Cloud) -> float:
     """The median distance of closest points across the surface, which does not depend on how it is sampled."""
     away = x.points - y.points[_nearest(x.points, x.normals, y.points, y.normals)]
     return float(np.median(np.abs((away * x.normals).sum(axis=1)) / np.linalg.norm(x.normals, axis=1)))
+
+
+def _bent(x: _Cloud, y: _Cloud) -> float:
+    """How far the tenth of one that lies farthest from the other is away, at least; of the one that lies within."""
+    both = ((x, y), (y, x))
+    away = (a.points - b.points[_nearest(a.points, a.normals, b.points, b.normals)] for a, b in both)
+    return min(float(np.quantile(np.linalg.norm(each, axis=1), 0.9)) for each in away)
 
 
 def _turned(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> list[Float[Tensor, "3 3"]]:

@@ -20,7 +20,6 @@ from torch import Tensor
 from homolog.features import FeatureExtractor, Orientation
 from homolog.geometry import Basis, some_points
 from homolog.maps import (
-    RefinementSettings,
     best_rotation,
     closest_point_rotations,
     cycle_error,
@@ -33,8 +32,6 @@ from homolog.maps import (
 )
 from homolog.pairs import OrientationSettings, Pair, PairOrientation, PreprocessedShape
 
-# Of coarse maps: few rounds, as they are to be told apart and no more.
-_COARSE = RefinementSettings(k_init=15, k_step=12)
 # Hypotheses that differ by less lead to the same map.
 _SAME_MAP_DEGREES = 45.0
 # Of closest points, after principal axes have been brought together.
@@ -255,7 +252,7 @@ class Samples:
         if self.refined:
             k = self.settings.map_eigenpairs
             vectors = x.eigenvectors[:, :k].contiguous(), y.eigenvectors[:, :k].contiguous()
-            y_to_x, x_to_y = zoomout(y_to_x, x_to_y, *vectors, of_x, of_y, settings=_COARSE)
+            y_to_x, x_to_y = zoomout(y_to_x, x_to_y, *vectors, of_x, of_y, settings=self.settings.refinement)
         return x_to_y, y_to_x
 
     def _features(self, basis: Basis) -> Float[Tensor, "n d"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from homolog.core.choices import AsCloud, Orient, Side, Up
+from homolog.core.choices import AsCloud, KeepClutter, Orient, Side, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Positive, Settings
 from homolog.pairs.landmarks import LandmarkPairs
@@ -28,6 +28,8 @@ class PairOptions(Settings):
         target_up: which axis of the target.
         orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
         mirror: which of the two is a mirror image of what it should be, if one is, and is reflected first.
+        clutter: ``"remove"`` sets outliers, planes in the background and other objects apart, and their points get -1;
+            ``"keep"`` takes them for parts of the shapes.
         strict: fail if a shape needs repair or a warning would be issued.
         landmarks: points that are known to correspond: ``LandmarkPairs``, or two arrays, of the source and the target,
             of indices (p,) or positions in the files' coordinates (p, 3).
@@ -49,6 +51,7 @@ class PairOptions(Settings):
     target_up: Up = "y"
     orient: Orient = "auto"
     mirror: Side | None = None
+    clutter: KeepClutter = "remove"
     strict: bool = False
     landmarks: Annotated[LandmarkPairs, "or two arrays, of indices or positions"] | None = None
 

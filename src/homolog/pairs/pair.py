@@ -179,6 +179,7 @@ class Pair:
                 orient=options.orient,
                 partial=options.partial == side,
                 mirror=options.mirror == side,
+                clutter=options.clutter,
                 strict=options.strict,
                 timings=timings,
                 label=side,

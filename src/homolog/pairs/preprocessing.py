@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from homolog.core.arguments import check_choice, check_kind
-from homolog.core.choices import Orient
+from homolog.core.choices import KeepClutter, Orient
 from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
 from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, Orientation, checked_features
-from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, unit_frame
+from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, set_apart, unit_frame
 from homolog.maps import normalised, rotation_angle
 from homolog.pairs.settings import OrientationSettings
 from homolog.shapes import Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
@@ -161,6 +161,7 @@ class Preprocessor:
         orient: Orient = "auto",
         partial: bool = False,
         mirror: bool = False,
+        clutter: KeepClutter = "remove",
         strict: bool = False,
         timings: Timings | None = None,
         label: str = "shape",
@@ -178,6 +179,7 @@ class Preprocessor:
             orient: ``"auto"`` turns the shape as the features' orienter, if they have one, finds it to stand.
             partial: the shape is partial: only features that know partial shapes tell how it stands.
             mirror: reflect the shape first; points keep their numbers.
+            clutter: ``"remove"`` sets apart what does not belong to the shape, see ``homolog.geometry.find_clutter``.
             strict: refuse a shape that needs repair.
             timings: collects time and memory of each step.
             label: what the steps call the shape.
@@ -188,10 +190,13 @@ class Preprocessor:
         """
         check_kind(label, shape, Shape)
         check_choice("orient", orient, get_args(Orient))
+        check_choice("clutter", clutter, get_args(KeepClutter))
         timings = timings or Timings()
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
+            if clutter == "remove":
+                repaired = set_apart(repaired, partial=partial)
             severe = next((each for each in repaired.report.findings if each.severity != "note"), None)
             if strict and severe is not None:
                 raise ShapeError(f"{repaired.shape.name}: {severe} (refused as strict)")

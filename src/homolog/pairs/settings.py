@@ -125,6 +125,7 @@ class OrientationSettings(Settings):
         samples: points of each shape that a coarse map is made of.
         hypotheses: how many rotations get one.
         map_eigenpairs: eigenfunctions that coarse maps are refined with.
+        refinement: of coarse maps: few rounds, as they are to be told apart and no more.
         cycle: weight of the cycle error.
         handedness: weight of the handedness, where the source is turned to the target as a rigid body.
         handedness_upright: the same between ways in which an orienter may see a shape: those are often its front and
@@ -143,6 +144,7 @@ class OrientationSettings(Settings):
     samples: Count = 500
     hypotheses: Count = 6
     map_eigenpairs: Count = 50
+    refinement: RefinementSettings = field(default_factory=lambda: RefinementSettings(k_init=15, k_step=12))
     cycle: NotNegative = 1.0
     handedness: NotNegative = 0.1
     handedness_upright: NotNegative = 0.3

@@ -132,7 +132,8 @@ class Template:
         self.projector = SurfaceProjector(shape)
         self.matchers, self.orient = (matcher, *(() if adapted is None else (adapted,))), orient
         self.prepared = [
-            each.preprocess(shape, up=up, as_cloud=as_cloud, orient=orient, label="template") for each in self.matchers
+            each.preprocess(shape, up=up, as_cloud=as_cloud, orient=orient, clutter="keep", label="template")
+            for each in self.matchers
         ]
 
     def registered_to(self, shape: Shape, *, up: Up = "y", as_cloud: bool = False, strict: bool = False) -> Registered:

@@ -5,7 +5,7 @@ from homolog.synthesis.bodies import Body, BodySettings, Kind, MeshedBody, make_
 from homolog.synthesis.body_folder import BodyFolder, write_shape_files
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.cutting import cut, cut_holes
-from homolog.synthesis.degradation import add_outliers, subsample
+from homolog.synthesis.degradation import add_floor, add_outliers, add_strays, subsample
 from homolog.synthesis.hands import Hands
 from homolog.synthesis.heads import Heads
 from homolog.synthesis.partial_shape import PartialShape
@@ -36,7 +36,9 @@ __all__ = [
     "People",
     "View",
     "ViewSettings",
+    "add_floor",
     "add_outliers",
+    "add_strays",
     "cut",
     "cut_holes",
     "make_body",

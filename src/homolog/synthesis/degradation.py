@@ -7,12 +7,16 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
+from homolog.core.choices import OutlierKind
 from homolog.core.errors import ShapeError
 from homolog.geometry import surface_area
 from homolog.geometry.components import require_usable
 from homolog.shapes import FEWEST_POINTS, Shape
 from homolog.synthesis.partial_shape import PartialShape
 from homolog.synthesis.sampling import Range, check_number, check_range, checked_direction, sample, sample_direction
+
+# Points of a cluster of outliers.
+_CLUSTER = 25
 
 
 def add_outliers(shape: Shape, *, share: Range = 0.02, distance: float = 0.1, seed: int) -> PartialShape:
@@ -41,6 +45,57 @@ def add_outliers(shape: Shape, *, share: Range = 0.02, distance: float = 0.1, se
     far = _far_points(shape.points, count, distance * float(np.sqrt(surface_area(shape))), random)
     index = np.concatenate([np.arange(shape.n_points), np.full(count, -1)])
     return PartialShape(Shape(np.concatenate([shape.points, far]), name=shape.name), index)
+
+
+def add_strays(shape: Shape, share: float, *, kind: OutlierKind = "box", unit: float, seed: int) -> Shape:
+    """Append outliers of one kind to the points of a shape; some may lie on its surface by chance.
+
+    Args:
+        shape: a mesh, of which only the points are taken, or a cloud; not changed.
+        share: number of outliers relative to the number of points.
+        kind: ``"box"``: uniform in the bounding box. ``"clusters"``: in clusters of 25 and 0.02 units, whose
+            centres are. ``"near"``: up to 0.1 units away from points of the shape, in any direction.
+        unit: sqrt(area) of the shape.
+        seed: of all random choices.
+
+    Returns:
+        A cloud: the shape's points in their order, then the outliers.
+
+    Raises:
+        ArgumentError: if ``share`` is negative.
+    """
+    check_number("share", share, 0)
+    random = np.random.default_rng(seed)
+    count, points = round(share * shape.n_points), shape.points
+    low, high = points.min(axis=0), points.max(axis=0)
+    if kind == "box":
+        strays = random.uniform(low, high, (count, 3))
+    elif kind == "clusters":
+        centres = random.uniform(low, high, (-(-count // _CLUSTER), 3))
+        strays = np.repeat(centres, _CLUSTER, axis=0)[:count] + random.normal(scale=0.02 * unit, size=(count, 3))
+    else:
+        directions = random.normal(size=(count, 3))
+        away = directions / np.linalg.norm(directions, axis=1, keepdims=True) * random.uniform(0, 0.1, (count, 1))
+        strays = points[random.integers(len(points), size=count)] + unit * away
+    return Shape(np.concatenate([points, strays]), name=shape.name)
+
+
+def add_floor(shape: Shape, count: int, *, seed: int) -> Shape:
+    """Append a floor to a cloud: points uniform in a square at its lowest height, twice as wide as the cloud.
+
+    Args:
+        shape: a cloud, +y up; not changed.
+        count: how many points.
+        seed: of the points.
+
+    Returns:
+        A cloud: the shape's points in their order, then those of the floor.
+    """
+    low, high = shape.points.min(axis=0), shape.points.max(axis=0)
+    half = float((high - low)[[0, 2]].max())
+    floor = (low + high) / 2 + half * np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    floor[:, 1] = low[1]
+    return Shape(np.concatenate([shape.points, floor]), name=shape.name)
 
 
 def subsample(

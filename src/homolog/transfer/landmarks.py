@@ -215,14 +215,15 @@ def _read_fcsv(path: Path) -> Landmarks:
     labels = _fcsv_label_column(lines)
     cells = [next(csv.reader([lines[number]])) for number in rows]
     names = tuple((row[labels] if labels < len(row) else "") or row[0] for row in cells)
-    return Landmarks(points, system, write, names)
+    tells_apart = len(set(names)) == len(names)
+    return Landmarks(points, system, write, names if tells_apart else tuple(row[0] for row in cells))
 
 
 def _fcsv_label_column(lines: list[str]) -> int:
-    """The column of the labels, which the header names; the first one where it does not."""
+    """The column of the labels, which the header names; the twelfth one where it does not."""
     header = (line.partition("=")[2] for line in lines if re.match(r"#\s*columns\s*=", line))
     names = [name.strip() for name in next(header, "").split(",")]
-    return names.index("label") if "label" in names else 0
+    return names.index("label") if "label" in names else _FCSV_LABEL
 
 
 def _fcsv_system(lines: list[str]) -> System:
