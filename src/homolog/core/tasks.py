@@ -28,8 +28,9 @@ T = TypeVar("T")
 # A name to show, and what to do; several processes need functions and results that can be pickled.
 Task = tuple[str, Callable[[], T]]
 
-# Seconds for all workers to end in by themselves, once they are told to.
-_PATIENCE = 2.0
+# Seconds for all workers to end in by themselves, once they are told to, and those after which one gives its task up.
+# On a busy machine its last steps take some of what is left.
+_PATIENCE, _OF_TASKS = 4.0, 1.0
 
 
 def run_tasks(
@@ -149,7 +150,7 @@ def _begin_worker(parent: int, at_rest: Semaphore) -> None:
     _Worker.at_rest = at_rest
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, end)
-    bound_end(_PATIENCE / 2, lambda _: _rest())
+    bound_end(_OF_TASKS, lambda _: _rest())
     end_with_parent(parent)
 
 
