@@ -14,6 +14,8 @@ Orient = Literal["auto", "given"]
 """Whether the way round of shapes is found, or trusted as their files have it."""
 KeepClutter = Literal["remove", "keep"]
 """Whether outliers, backgrounds and other objects are set apart before a shape is matched, or kept."""
+UseProxy = Literal["auto", "never", "always"]
+"""Whether a surface around a shape is matched in its place: where it needs one, never, or always."""
 OutlierKind = Literal["box", "clusters", "near"]
 """Where outliers lie: anywhere in the bounding box, in clusters there, or near the surface."""
 Background = Literal["none", "floor"]

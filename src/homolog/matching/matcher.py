@@ -116,6 +116,7 @@ class Matcher:
         self.preprocess = Preprocessor(
             extractor=self.extractor,
             orientation=self.settings.orientation,
+            proxies=self.settings.proxy,
             settings=self.settings.operators or of_features,
             device=self.device,
             source=operators,

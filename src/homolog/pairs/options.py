@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from homolog.core.choices import AsCloud, KeepClutter, Orient, Side, Up
+from homolog.core.choices import AsCloud, KeepClutter, Orient, Side, Up, UseProxy
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Positive, Settings
 from homolog.pairs.landmarks import LandmarkPairs
@@ -30,6 +30,8 @@ class PairOptions(Settings):
         mirror: which of the two is a mirror image of what it should be, if one is, and is reflected first.
         clutter: ``"remove"`` sets outliers, planes in the background and other objects apart, and their points get -1;
             ``"keep"`` takes them for parts of the shapes.
+        proxy: ``"auto"`` matches one closed surface around a mesh in its place where the mesh is in loose shells; see
+            ``ProxySettings``. ``"always"`` does so for all meshes, ``"never"`` for none.
         strict: fail if a shape needs repair or a warning would be issued.
         landmarks: points that are known to correspond: ``LandmarkPairs``, or two arrays, of the source and the target,
             of indices (p,) or positions in the files' coordinates (p, 3).
@@ -52,6 +54,7 @@ class PairOptions(Settings):
     orient: Orient = "auto"
     mirror: Side | None = None
     clutter: KeepClutter = "remove"
+    proxy: UseProxy = "auto"
     strict: bool = False
     landmarks: Annotated[LandmarkPairs, "or two arrays, of indices or positions"] | None = None
 

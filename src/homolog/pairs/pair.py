@@ -180,6 +180,7 @@ class Pair:
                 partial=options.partial == side,
                 mirror=options.mirror == side,
                 clutter=options.clutter,
+                proxy=options.proxy,
                 strict=options.strict,
                 timings=timings,
                 label=side,

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from homolog.core.arguments import check_choice, check_kind
-from homolog.core.choices import KeepClutter, Orient
+from homolog.core.choices import KeepClutter, Orient, UseProxy
 from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
@@ -21,7 +21,8 @@ from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, Orientation, checked_features
 from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, set_apart, unit_frame
 from homolog.maps import normalised, rotation_angle
-from homolog.pairs.settings import OrientationSettings
+from homolog.pairs.proxy import with_proxy
+from homolog.pairs.settings import OrientationSettings, ProxySettings
 from homolog.shapes import Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
 
 OperatorSource = Callable[..., Operators]
@@ -141,10 +142,12 @@ class Preprocessor:
         device: where.
         source: where operators come from; an ``OperatorCache``'s ``operators`` keeps them on disk.
         orientation: how a shape is turned that the features' orienter finds to stand another way.
+        proxies: when a surface around a mesh is matched in its place, and how it is made.
     """
 
     extractor: FeatureExtractor | None = None
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
+    proxies: ProxySettings = field(default_factory=ProxySettings)
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     source: OperatorSource = compute_operators
@@ -162,6 +165,7 @@ class Preprocessor:
         partial: bool = False,
         mirror: bool = False,
         clutter: KeepClutter = "remove",
+        proxy: UseProxy = "auto",
         strict: bool = False,
         timings: Timings | None = None,
         label: str = "shape",
@@ -180,6 +184,7 @@ class Preprocessor:
             partial: the shape is partial: only features that know partial shapes tell how it stands.
             mirror: reflect the shape first; points keep their numbers.
             clutter: ``"remove"`` sets apart what does not belong to the shape, see ``homolog.geometry.find_clutter``.
+            proxy: ``"auto"`` matches a surface around a mesh in loose shells in its place, see ``ProxySettings``.
             strict: refuse a shape that needs repair.
             timings: collects time and memory of each step.
             label: what the steps call the shape.
@@ -191,6 +196,7 @@ class Preprocessor:
         check_kind(label, shape, Shape)
         check_choice("orient", orient, get_args(Orient))
         check_choice("clutter", clutter, get_args(KeepClutter))
+        check_choice("proxy", proxy, get_args(UseProxy))
         timings = timings or Timings()
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
@@ -201,6 +207,8 @@ class Preprocessor:
             if strict and severe is not None:
                 raise ShapeError(f"{repaired.shape.name}: {severe} (refused as strict)")
             repaired = replace(repaired, shape=_facing_outward(repaired.shape))
+            if not as_cloud:
+                repaired = with_proxy(repaired, proxy, self.proxies, partial=partial)
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(_position("centre", centre))

@@ -13,7 +13,7 @@ from homolog.core.choices import Device
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.method_names import AUTO, method_names
 from homolog.core.reprs import function_name
-from homolog.core.settings import Count, NotNegative, Positive, Settings
+from homolog.core.settings import Count, NotNegative, Positive, Settings, Share
 from homolog.geometry import OperatorSettings
 from homolog.maps import ConfidenceSettings, RefinementSettings, RegistrationSettings
 
@@ -227,6 +227,28 @@ class WarningSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ProxySettings(Settings):
+    """When a proxy is matched in place of a mesh, and how it is made; ``PairOptions.proxy`` says whether it may be.
+
+    Args:
+        most_outside: share of the area beyond the largest component from which on a mesh has a proxy. Of 380 meshes of
+            FAUST, SCAPE, SMAL, SHREC'16 and bones, all have none.
+        most_broken: share of edges that do not join two faces from which on it has one.
+        points: approximate number of points of the proxy.
+        resolution: voxels along the longest side; at least 64.
+        reach: how far from the proxy a point may be to have a counterpart, in units of sqrt(area).
+        least_covered: share of the area within reach that a proxy must have; else the mesh has none.
+    """
+
+    most_outside: Share = 0.05
+    most_broken: Share = 0.2
+    points: Annotated[int, Ge(100)] = 8000
+    resolution: Annotated[int, Ge(64)] = 192
+    reach: Positive = 0.1
+    least_covered: Share = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
 class MatcherSettings(Settings):
     """How maps are made from features.
 
@@ -239,6 +261,7 @@ class MatcherSettings(Settings):
         axiomatic: the method of that name.
         registration: the method of that name.
         choice: among features of several kinds of shapes, and of none.
+        proxy: when a surface around a mesh is matched in its place.
         orientation: the search for the way round of full shapes; ``PairOptions.orient`` says whether there is one.
         alignment: of a partial shape with the full one before matching; None for none.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
@@ -263,6 +286,7 @@ class MatcherSettings(Settings):
     axiomatic: AxiomaticSettings = field(default_factory=AxiomaticSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
+    proxy: ProxySettings = field(default_factory=ProxySettings)
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
     alignment: Annotated[AlignmentSettings, "or None"] | None = field(default_factory=AlignmentSettings)
     refinement: Annotated[RefinementSettings, "or None"] | None = field(default_factory=RefinementSettings)

@@ -2,21 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from homolog.core.choices import OutlierKind
 from homolog.core.errors import ShapeError
-from homolog.geometry import surface_area
+from homolog.geometry import Surface, surface_area
 from homolog.geometry.components import require_usable
-from homolog.shapes import FEWEST_POINTS, Shape
+from homolog.shapes import FEWEST_POINTS, Shape, farthest_points
 from homolog.synthesis.partial_shape import PartialShape
 from homolog.synthesis.sampling import Range, check_number, check_range, checked_direction, sample, sample_direction
 
 # Points of a cluster of outliers.
 _CLUSTER = 25
+# Pieces of a body, how far they overlap, and how far one stands off another, in units of sqrt(area).
+_PIECES, _OVERLAP, _APART = 6, 0.06, 0.004
+# The coat reaches up to a height below the top of the head and so far to the sides, down to another height, and stands
+# off; hair covers what is less than a height below the top, and stands off more or less, strip by strip.
+_COAT_FROM, _COAT_TO, _COAT_WIDE, _COAT_AWAY = 0.2, 0.8, 0.28, 0.02
+_HAIR, _HAIR_WIDE, _HAIR_AWAY, _STRIPS = 0.11, 0.15, (0.01, 0.03), 12
 
 
 def add_outliers(shape: Shape, *, share: Range = 0.02, distance: float = 0.1, seed: int) -> PartialShape:
@@ -153,3 +161,55 @@ def _far_points(
         tried = random.uniform(low, high, size=(2 * count, 3))
         far = np.concatenate([far, tried[tree.query(tried)[0] >= distance]])
     return far[:count]
+
+
+def add_shells(shape: Shape, *, seed: int) -> PartialShape:
+    """A body as characters of games are: in six overlapping pieces, with a coat and hair, none joined to another.
+
+    The coat is an open shell around the trunk, the hair a cap of loose strips. Pieces stand off by a little, so that no
+    two points are equal.
+
+    Args:
+        shape: a clean, closed mesh of a body, +y up; not changed.
+        seed: of all random choices.
+
+    Returns:
+        A mesh; ``full_index`` is -1 for points of the coat and the hair.
+
+    Raises:
+        ShapeError: if it is no mesh.
+    """
+    require_usable(shape)
+    if shape.faces is None:
+        raise ShapeError(f"{shape.name} has no faces, but clothes are made of them; give a mesh")
+    random, unit = np.random.default_rng(seed), float(np.sqrt(surface_area(shape)))
+    normals = Surface(shape.points, shape.faces).vertex_normals
+    middles = (shape.points[shape.faces].mean(axis=1) - np.median(shape.points, axis=0)) / unit
+    beside = np.hypot(middles[:, 0], middles[:, 2])
+    below = middles[beside < _HAIR_WIDE, 1].max() - middles[:, 1]
+    hair = (below < _HAIR) & (beside < _HAIR_WIDE)
+    shells = [
+        *((faces, random.uniform(0, _APART)) for faces in _overlapping(middles, seed)),
+        ((below > _COAT_FROM) & (below < _COAT_TO) & (beside < _COAT_WIDE), _COAT_AWAY),
+        *((faces, random.uniform(*_HAIR_AWAY)) for faces in _strips(middles, hair)),
+    ]
+    points, faces, index = [], [], []
+    for number, (chosen, away) in enumerate(shells):
+        used, corners = np.unique(shape.faces[chosen], return_inverse=True)
+        faces.append(corners.reshape(-1, 3) + sum(map(len, points)))
+        points.append(shape.points[used] + away * unit * normals[used])
+        index.append(used if number < _PIECES else np.full(len(used), -1))
+    return PartialShape(Shape(np.concatenate(points), np.concatenate(faces), name=shape.name), np.concatenate(index))
+
+
+def _overlapping(middles: Float[np.ndarray, "m 3"], seed: int) -> Iterator[Bool[np.ndarray, " m"]]:
+    """The faces of each piece: those around one of a few places, and some of the next pieces'."""
+    away = np.linalg.norm(middles[:, None] - middles[farthest_points(middles, _PIECES, seed=seed)], axis=2)
+    yield from (away <= away.min(axis=1, keepdims=True) + _OVERLAP).T
+
+
+def _strips(middles: Float[np.ndarray, "m 3"], hair: Bool[np.ndarray, " m"]) -> Iterator[Bool[np.ndarray, " m"]]:
+    """The faces of each strip of hair: every other one of the sectors around the head's axis."""
+    away = middles - middles[hair].mean(axis=0)
+    sector = ((np.arctan2(away[:, 0], away[:, 2]) / (2 * np.pi) + 0.5) * 2 * _STRIPS).astype(int)
+    yield from (hair & (sector == 2 * number) for number in range(_STRIPS))

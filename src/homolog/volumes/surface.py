@@ -87,7 +87,7 @@ def isosurface(
     voxels, faces, _, _ = extract(density, isovalue, allow_degenerate=False)
     found, faces = positions(voxels.astype(np.float64)), faces.astype(np.int64)
     if points is not None and len(found) > points:
-        found, faces = _simplified(found, faces, points)
+        found, faces = simplified(found, faces, points)
     p, q, r = np.moveaxis((found - found.mean(axis=0))[faces], 1, 0)
     outwards = np.einsum("nk,nk->", p, np.cross(q, r)) >= 0  # the sign of the enclosed volume
     return Shape(found, faces if outwards else faces[:, ::-1].copy(), name=name)
@@ -99,7 +99,7 @@ def _isovalue(density: Float[np.ndarray, "i j k"], inside: Bool[np.ndarray, "i j
     return float(np.partition(density, (n_outside - 1, n_outside), axis=None)[n_outside - 1 : n_outside + 1].mean())
 
 
-def _simplified(
+def simplified(
     points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"], count: int
 ) -> tuple[Float[np.ndarray, "p 3"], Int[np.ndarray, "f 3"]]:
     """Quadric edge collapse (Garland and Heckbert, 1997)."""
