@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 from scipy.spatial import KDTree
 
-from homolog.core.errors import bad_value
 from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.geometry.scale import surface_area
 from homolog.geometry.surface import Surface
