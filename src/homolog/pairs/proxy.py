@@ -26,8 +26,8 @@ def with_proxy(repaired: Repaired, use: UseProxy, settings: ProxySettings, *, pa
 
     Args:
         repaired: a clean shape.
-        use: ``"auto"`` makes one for a mesh in loose shells, or of faces that do not hang together, ``"always"`` for any
-            mesh.
+        use: ``"auto"`` makes one for a mesh in loose shells, or of faces that do not hang together, ``"always"`` for
+            any mesh.
         settings: when it is needed, and how it is made.
         partial: it is a part, whose openings are to stay: it has none by itself.
 

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from jaxtyping import Bool, Float
-from scipy.ndimage import label
+from jaxtyping import Bool, Float, Int
+from scipy.ndimage import distance_transform_edt, label, map_coordinates
 
 from homolog.core.arguments import check_count
 from homolog.core.errors import ShapeError
-from homolog.geometry import Surface, split_long
-from homolog.shapes import Shape
+from homolog.geometry import Surface, split_long, surface_area, unit
+from homolog.shapes import Shape, components, face_areas
 from homolog.volumes.surface import check_points, isosurface
 
 # Inside, the winding number of a closed surface is 1, and outside 0.
@@ -23,6 +23,10 @@ _MARGIN = 0.15
 _PIECE, _MOST_PIECES = 0.7, 4_000_000
 # Standard deviation of the Gaussian that the surface is smoothed by, in voxels.
 _SMOOTHING = 0.6
+# Layers are told on a coarser grid. A layer is not farther away than this from what it covers, in units of sqrt(area);
+# no more than the second share of the area may lose its cover without it. Components with less than the third share of
+# the area, or beyond so many, are taken together.
+_COARSE, _LAYER, _LOST, _SMALL, _MOST_SHELLS = 96, 0.05, 0.002, 0.01, 20
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,11 @@ class _Grid:
         found: np.ndarray = self.origin + self.side * voxels
         return found
 
+    def at(self, field: Float[np.ndarray, "i j k"], points: Float[np.ndarray, "p 3"]) -> Float[np.ndarray, " p"]:
+        """Interpolate a field at points, trilinearly."""
+        found: np.ndarray = map_coordinates(field, ((points - self.origin) / self.side).T, order=1)
+        return found
+
     def spread(self, points: Float[np.ndarray, "p 3"], values: Float[np.ndarray, " p"]) -> Float[np.ndarray, "i j k"]:
         """Sums of values at points, each spread over the eight voxels around it, trilinearly."""
         voxels = (points - self.origin) / self.side
@@ -64,11 +73,43 @@ class _Grid:
         return total.reshape(self.shape)
 
 
+@dataclass(frozen=True)
+class _Samples:
+    """Small pieces of triangles.
+
+    Args:
+        middles: of the pieces (p, 3).
+        vectors: their normals, as long as their areas (p, 3).
+    """
+
+    middles: Float[np.ndarray, "p 3"]
+    vectors: Float[np.ndarray, "p 3"]
+
+    @classmethod
+    def of(cls, surface: Surface, side: float) -> _Samples:
+        """Those of a surface on a grid of voxels of such a side."""
+        pieces = split_long(surface, _PIECE * side, most=_MOST_PIECES).surface
+        return cls(pieces.vertices[pieces.faces].mean(axis=1), pieces.face_vectors / 2)
+
+    @property
+    def areas(self) -> Float[np.ndarray, " p"]:
+        """The area of each piece."""
+        found: np.ndarray = np.linalg.norm(self.vectors, axis=1)
+        return found
+
+    def depth(self, grid: _Grid, winding: Float[np.ndarray, "i j k"]) -> float:
+        """How deep the pieces lie below others: the mean winding number in front of them."""
+        return float(
+            np.average(grid.at(winding, self.middles + 2 * grid.side * unit(self.vectors)), weights=self.areas)
+        )
+
+
 def wrapping_surface(mesh: Shape, *, points: int | None = 8000, resolution: int = 256) -> Shape:
     """The closed surface around all shells of a mesh: where the winding number of its triangles is one half.
 
     Shells may be open, overlap, lie within each other, or touch; of all regions inside, the largest is taken, and
-    cavities are filled. What is nearer than about a voxel grows together.
+    cavities are filled. What is nearer than about a voxel grows together. Clothes over a whole body are left out: the
+    surface goes around the innermost shells that are whole without the others.
 
     The winding number is as in A. Jacobson et al., "Robust inside-outside segmentation using generalized winding
     numbers" (SIGGRAPH 2013). Its gradient is minus the normals, so that it solves a Poisson equation, as in M. Kazhdan,
@@ -92,9 +133,9 @@ def wrapping_surface(mesh: Shape, *, points: int | None = 8000, resolution: int 
     if mesh.faces is None:
         raise ShapeError(f"{mesh.name} has no faces, but a surface around it needs them")
     grid = _Grid.around(mesh.points, resolution)
-    winding = _winding_number(grid, Surface(mesh.points, mesh.faces))
-    inside = _largest_solid(winding > _HALF)
-    if inside is None:
+    winding = _winding_number(grid, _Samples.of(Surface(mesh.points, _without_layers(mesh, mesh.faces)), grid.side))
+    inside = _largest_solid(winding)
+    if not inside.any():
         raise ShapeError(f"{mesh.name}: its faces enclose nothing; check which way they face")
     # Outside of the solid the number stays just below one half, and within just above: there is no other surface.
     step = np.finfo(np.float32).eps
@@ -102,30 +143,66 @@ def wrapping_surface(mesh: Shape, *, points: int | None = 8000, resolution: int 
     return isosurface(solid, _HALF, grid.positions, points=points, name=mesh.name)
 
 
-def _winding_number(grid: _Grid, surface: Surface) -> Float[np.ndarray, "i j k"]:
+def _winding_number(grid: _Grid, samples: _Samples) -> Float[np.ndarray, "i j k"]:
     """The winding number of triangles at all voxels, smoothed; 0 far away."""
-    pieces = split_long(surface, _PIECE * grid.side, most=_MOST_PIECES).surface
-    middles, areas = pieces.vertices[pieces.faces].mean(axis=1), pieces.face_vectors / (2 * grid.side**2)
     frequencies = [2 * np.pi * scipy.fft.fftfreq(n) for n in grid.shape[:2]]
     frequencies.append(2 * np.pi * scipy.fft.rfftfreq(grid.shape[2]))
     waves = np.meshgrid(*frequencies, indexing="ij", sparse=True)
     square = sum(wave**2 for wave in waves)
     square[0, 0, 0] = 1.0
     flux = sum(
-        1j * wave * scipy.fft.rfftn(grid.spread(middles, component).astype(np.float32))
-        for wave, component in zip(waves, areas.T, strict=True)
+        1j * wave * scipy.fft.rfftn(grid.spread(samples.middles, component).astype(np.float32))
+        for wave, component in zip(waves, samples.vectors.T / grid.side**2, strict=True)
     )
     found = scipy.fft.irfftn(flux / square * np.exp(-0.5 * _SMOOTHING**2 * square), s=grid.shape)
     winding: np.ndarray = (found - found[0, 0, 0]).astype(np.float32)
     return winding
 
 
-def _largest_solid(inside: Bool[np.ndarray, "i j k"]) -> Bool[np.ndarray, "i j k"] | None:
-    """The largest connected region of voxels, with its cavities; None if there is none."""
-    regions, count = label(inside)
+def _largest_solid(winding: Float[np.ndarray, "i j k"]) -> Bool[np.ndarray, "i j k"]:
+    """The largest connected region of voxels inside, with its cavities; no voxel if there is none."""
+    regions, count = label(winding > _HALF)
     if not count:
-        return None
+        return np.zeros(winding.shape, dtype=bool)
     largest = regions == 1 + int(np.bincount(regions.ravel())[1:].argmax())
     around, _ = label(~largest)
     outside: np.ndarray = around == around[0, 0, 0]
     return ~outside
+
+
+def _without_layers(mesh: Shape, faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 3"]:
+    """The faces without shells that only cover others, such as clothes over a whole body, or lie within.
+
+    The shells are gone through from the outside to the inside. One that can go without anything being left uncovered
+    goes.
+    """
+    grid, surface = _Grid.around(mesh.points, _COARSE), Surface(mesh.points, faces)
+    shells = _shells(mesh, faces)
+    samples = [
+        _Samples.of(Surface(mesh.points, faces[shells == number]), grid.side) for number in range(shells.max() + 1)
+    ]
+    windings = [_winding_number(grid, each) for each in samples]
+    total, reach = np.sum(windings, axis=0), _LAYER * float(np.sqrt(surface_area(mesh))) / grid.side
+    every, areas = [np.concatenate([getattr(each, name) for each in samples]) for name in ("middles", "areas")]
+
+    def covered(winding: Float[np.ndarray, "i j k"]) -> float:
+        inside = _largest_solid(winding)
+        return 0.0 if not inside.any() else float(areas[grid.at(distance_transform_edt(~inside), every) <= reach].sum())
+
+    kept, best = np.ones(len(faces), dtype=bool), covered(total)
+    for number in np.argsort([each.depth(grid, total) for each in samples]):
+        if covered(total - windings[number]) >= best - _LOST * areas.sum():
+            total = total - windings[number]
+            kept &= shells != number
+    return faces[kept]
+
+
+def _shells(mesh: Shape, faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, " m"]:
+    """Which shell each face belongs to: the largest connected components, and all the others together."""
+    component = components(faces[:, 0], faces[:, 1], mesh.n_points, faces[:, 2])[faces[:, 0]]
+    areas = np.bincount(component, face_areas(mesh.points, faces))
+    order = np.argsort(-areas)
+    is_large = np.arange(len(areas)) < np.minimum((areas > _SMALL * areas.sum()).sum(), _MOST_SHELLS)
+    rank = np.empty(len(areas), dtype=np.int64)
+    rank[order] = np.where(is_large, np.arange(len(areas)), is_large.sum())
+    return np.unique(rank[component], return_inverse=True)[1]
