@@ -99,9 +99,8 @@ class _Samples:
 
     def depth(self, grid: _Grid, winding: Float[np.ndarray, "i j k"]) -> float:
         """How deep the pieces lie below others: the mean winding number in front of them."""
-        return float(
-            np.average(grid.at(winding, self.middles + 2 * grid.side * unit(self.vectors)), weights=self.areas)
-        )
+        in_front = self.middles + 2 * grid.side * unit(self.vectors)
+        return float(np.average(grid.at(winding, in_front), weights=self.areas))
 
 
 def wrapping_surface(mesh: Shape, *, points: int | None = 8000, resolution: int = 256) -> Shape:
@@ -176,11 +175,9 @@ def _without_layers(mesh: Shape, faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarra
     The shells are gone through from the outside to the inside. One that can go without anything being left uncovered
     goes.
     """
-    grid, surface = _Grid.around(mesh.points, _COARSE), Surface(mesh.points, faces)
-    shells = _shells(mesh, faces)
-    samples = [
-        _Samples.of(Surface(mesh.points, faces[shells == number]), grid.side) for number in range(shells.max() + 1)
-    ]
+    grid, shells = _Grid.around(mesh.points, _COARSE), _shells(mesh, faces)
+    each_surface = (Surface(mesh.points, faces[shells == number]) for number in range(shells.max() + 1))
+    samples = [_Samples.of(surface, grid.side) for surface in each_surface]
     windings = [_winding_number(grid, each) for each in samples]
     total, reach = np.sum(windings, axis=0), _LAYER * float(np.sqrt(surface_area(mesh))) / grid.side
     every, areas = [np.concatenate([getattr(each, name) for each in samples]) for name in ("middles", "areas")]
