@@ -45,6 +45,8 @@ _UPRIGHT = 0.87
 
 # Other objects: this far away, in units of sqrt(area), and of less than this share of the shape's size.
 _APART, _SMALLER_OBJECT = 0.1, 1 / 3
+# The shape has at least this share of the area of all components.
+_LEAST_OF_ALL = 0.25
 # Where more would be set apart than this share, it is not told what the object is.
 _MOST_APART = 0.9
 
@@ -388,7 +390,9 @@ def _mesh_objects(shape: Shape, left: Bool[np.ndarray, " n"]) -> Bool[np.ndarray
     corners = shape.points[faces]
     # Vertices of large faces lie far apart: positions within them tell how near two components are.
     positions = np.concatenate([corners, (corners + np.roll(corners, 1, axis=1)) / 2], axis=1).reshape(-1, 3)
-    apart = _apart(positions, np.repeat(component[faces[:, 0]], 6), areas, _APART * float(np.sqrt(areas.max())))
+    # Where all is in small pieces, the largest tells nothing of the shape's size.
+    size = max(areas.max(), _LEAST_OF_ALL * areas.sum())
+    apart = _apart(positions, np.repeat(component[faces[:, 0]], 6), areas, _APART * float(np.sqrt(size)))
     found: np.ndarray = apart[component]
     return found
 

@@ -243,7 +243,7 @@ class ProxySettings(Settings):
     most_outside: Share = 0.05
     most_broken: Share = 0.2
     points: Annotated[int, Ge(100)] = 8000
-    resolution: Annotated[int, Ge(64)] = 192
+    resolution: Annotated[int, Ge(64)] = 256
     reach: Positive = 0.1
     least_covered: Share = 0.8
 

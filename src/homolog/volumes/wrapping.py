@@ -27,6 +27,9 @@ _SMOOTHING = 0.6
 # no more than the second share of the area may lose its cover without it. Components with less than the third share of
 # the area, or beyond so many, are taken together.
 _COARSE, _LAYER, _LOST, _SMALL, _MOST_SHELLS = 96, 0.05, 0.002, 0.01, 20
+# What is farther than this from all triangles, in voxels of the coarse grid, is free; one looks from so far before and
+# behind each triangle, and a shell is turned round if its back is seen by more than such a share of its area.
+_WALL, _LOOK, _SURE = 1.5, 3.5, 0.2
 
 
 @dataclass(frozen=True)
@@ -80,16 +83,19 @@ class _Samples:
     Args:
         middles: of the pieces (p, 3).
         vectors: their normals, as long as their areas (p, 3).
+        parents: the triangle that each is a piece of (p,).
     """
 
     middles: Float[np.ndarray, "p 3"]
     vectors: Float[np.ndarray, "p 3"]
+    parents: Int[np.ndarray, " p"]
 
     @classmethod
     def of(cls, surface: Surface, side: float) -> _Samples:
         """Those of a surface on a grid of voxels of such a side."""
-        pieces = split_long(surface, _PIECE * side, most=_MOST_PIECES).surface
-        return cls(pieces.vertices[pieces.faces].mean(axis=1), pieces.face_vectors / 2)
+        split = split_long(surface, _PIECE * side, most=_MOST_PIECES)
+        pieces = split.surface
+        return cls(pieces.vertices[pieces.faces].mean(axis=1), pieces.face_vectors / 2, split.parents)
 
     @property
     def areas(self) -> Float[np.ndarray, " p"]:
@@ -132,7 +138,8 @@ def wrapping_surface(mesh: Shape, *, points: int | None = 8000, resolution: int 
     if mesh.faces is None:
         raise ShapeError(f"{mesh.name} has no faces, but a surface around it needs them")
     grid = _Grid.around(mesh.points, resolution)
-    winding = _winding_number(grid, _Samples.of(Surface(mesh.points, _without_layers(mesh, mesh.faces)), grid.side))
+    faces = _without_layers(mesh, _facing_out(mesh, _in_accord(mesh.faces, mesh.n_points)))
+    winding = _winding_number(grid, _Samples.of(Surface(mesh.points, faces), grid.side))
     inside = _largest_solid(winding)
     if not inside.any():
         raise ShapeError(f"{mesh.name}: its faces enclose nothing; check which way they face")
@@ -167,6 +174,43 @@ def _largest_solid(winding: Float[np.ndarray, "i j k"]) -> Bool[np.ndarray, "i j
     around, _ = label(~largest)
     outside: np.ndarray = around == around[0, 0, 0]
     return ~outside
+
+
+def _in_accord(faces: Int[np.ndarray, "m 3"], n_points: int) -> Int[np.ndarray, "m 3"]:
+    """The faces with the fewer ones turned round of those that share an edge and run against each other."""
+    sides = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edge = np.sort(sides, axis=1) @ np.array([n_points, 1])
+    order, runs_up = np.argsort(edge, kind="stable"), sides[:, 0] < sides[:, 1]
+    _, first, count = np.unique(edge[order], return_index=True, return_counts=True)
+    one, other = order[first[count == 2]], order[first[count == 2] + 1]
+    # Each face is there twice, as it is and turned round, each linked to what it is in accord with.
+    turned = len(faces) * (runs_up[one] == runs_up[other])
+    a, b = one // 3, other // 3
+    n_both = 2 * len(faces)
+    links = np.concatenate([a, a + len(faces)]), np.concatenate([b + turned, (b + turned + len(faces)) % n_both])
+    as_it_is, reversed_ = components(*links, n_both).reshape(2, -1)
+    patch, is_turned = np.minimum(as_it_is, reversed_), reversed_ < as_it_is
+    mostly = np.bincount(patch, is_turned) > np.bincount(patch, ~is_turned)
+    return _turned(faces, (is_turned != mostly[patch]) & (as_it_is != reversed_))
+
+
+def _facing_out(mesh: Shape, faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m 3"]:
+    """The faces with those components turned round whose back is to be seen from afar, and not their front."""
+    grid = _Grid.around(mesh.points, _COARSE)
+    component = components(faces[:, 0], faces[:, 1], mesh.n_points, faces[:, 2])[faces[:, 0]]
+    samples = _Samples.of(Surface(mesh.points, faces), grid.side)
+    occupied = grid.spread(samples.middles, samples.areas) > 0
+    free, _ = label(distance_transform_edt(~occupied) > _WALL)
+    afar, step = (free == free[0, 0, 0]).astype(np.float32), _LOOK * grid.side * unit(samples.vectors)
+    seen = grid.at(afar, samples.middles + step) - grid.at(afar, samples.middles - step)
+    shell = component[samples.parents]
+    votes, areas = np.bincount(shell, samples.areas * seen), np.bincount(shell, samples.areas)
+    return _turned(faces, (votes < -_SURE * areas)[component])
+
+
+def _turned(faces: Int[np.ndarray, "m 3"], which: Bool[np.ndarray, " m"]) -> Int[np.ndarray, "m 3"]:
+    """The faces with some of them turned round."""
+    return np.where(which[:, None], faces[:, ::-1], faces)
 
 
 def _without_layers(mesh: Shape, faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 3"]:
