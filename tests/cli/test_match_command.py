@@ -103,6 +103,7 @@ def test_report(homolog, files, tmp_path):
     assert found["options"] == {
         "as_cloud": "target",
         "clutter": "remove",
+        "proxy": "auto",
         "landmarks": None,
         "partial": "target",
         "partial_scale": 1.0,

@@ -79,6 +79,7 @@ def test_evaluate(homolog, data, tmp_path):
         "outlier_kind": "box",
         "background": "none",
         "clutter": "remove",
+        "proxy": "auto",
         "turn": "none",
         "orient": "auto",
         "landmarks": 0,

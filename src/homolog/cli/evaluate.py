@@ -25,6 +25,7 @@ from homolog.cli.options import (
     OrientOption,
     Quiet,
     Seed,
+    UseProxyOption,
     Verbose,
     Weights,
     build_matcher,
@@ -58,6 +59,7 @@ _OF_MAKING_MAPS = (
     "outliers",
     "background",
     "clutter",
+    "proxy",
     "turn",
     "orient",
     "landmarks",
@@ -134,6 +136,7 @@ def evaluate(
         typer.Option(help="Put every cloud on a floor with as many points.", rich_help_panel=INPUT),
     ] = "none",
     clutter: ClutterOption = "remove",
+    proxy: UseProxyOption = "auto",
     up: Annotated[
         Up | None,
         typer.Option(
@@ -262,6 +265,7 @@ def evaluate(
         outlier_kind=outlier_kind,
         background=background,
         clutter=clutter,
+        proxy=proxy,
         turn=turn,
         orient=orient,
         landmarks=landmarks,

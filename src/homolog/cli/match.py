@@ -25,6 +25,7 @@ from homolog.cli.options import (
     PictureWidth,
     PreAligned,
     Quiet,
+    UseProxyOption,
     Verbose,
     Weights,
     build_matcher,
@@ -99,6 +100,7 @@ def match(
         typer.Option(help="This shape is a mirror image: reflect it before it is matched.", rich_help_panel=INPUT),
     ] = None,
     clutter: ClutterOption = "remove",
+    proxy: UseProxyOption = "auto",
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
     ] = False,
@@ -181,6 +183,7 @@ def match(
         orient=orient,
         mirror=mirror,
         clutter=clutter,
+        proxy=proxy,
         strict=strict,
         landmarks=known_points(landmarks, landmark_uncertainty, axes),
     )
@@ -282,7 +285,7 @@ def _summary(matches: list[Match], timings: Timings, paths: list[Path], *, verbo
         say(f"Warning: {in_options(warning)}")
     for side in get_args(Side):
         for finding in match.report["inputs"][side]["findings"]:
-            if finding["rule"] in homolog.geometry.CLUTTER_RULES:
+            if finding["rule"] in (*homolog.geometry.CLUTTER_RULES, *homolog.pairs.PROXY_RULES):
                 say(in_options(f"Note: {side}: {finding['count']} {finding['rule']} {finding['action']}."))
     for number, other in enumerate(others, 2):
         for warning in other.warnings:

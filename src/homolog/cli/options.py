@@ -14,7 +14,7 @@ import typer
 
 import homolog
 from homolog.cli.lazy import OTHER
-from homolog.core.choices import PICTURE_WIDTHS, Device, KeepClutter, Orient
+from homolog.core.choices import PICTURE_WIDTHS, Device, KeepClutter, Orient, UseProxy
 from homolog.core.errors import ArgumentError, bad_choice
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved, write_json
 from homolog.core.pretrained import AUTO_WEIGHTS, weights_file
@@ -87,6 +87,15 @@ ClutterOption = Annotated[
         "--clutter",
         help="remove: set apart outliers, a floor or a wall, and other objects; their points get no counterpart. "
         "keep: take them for parts of the shapes.",
+        rich_help_panel=INPUT,
+    ),
+]
+UseProxyOption = Annotated[
+    UseProxy,
+    typer.Option(
+        "--proxy",
+        help="auto: match one closed surface around a mesh in loose shells, in its place. never: match every mesh itself. "
+        "always: match such a surface around each.",
         rich_help_panel=INPUT,
     ),
 ]

@@ -11,7 +11,7 @@ from annotated_types import Ge, Le
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from homolog.core.choices import Background, KeepClutter, Modalities, Orient, OutlierKind, Side, Split, Turn
+from homolog.core.choices import Background, KeepClutter, Modalities, Orient, OutlierKind, Side, Split, Turn, UseProxy
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Count, CountOrZero, NotNegative, Settings
 from homolog.pairs.landmarks import MOST_LANDMARKS
@@ -35,6 +35,7 @@ class Protocol(Settings):
         outlier_kind: where they lie: anywhere in the bounding box, in clusters there, or near the surface.
         background: ``"floor"`` puts every cloud on a floor with as many points.
         clutter: whether these are to be set apart before matching, or kept.
+        proxy: whether a surface around a mesh is matched in its place: where it needs one, never, or always.
         turn: by which rotations the shapes are turned before anything sees them, each on its own.
         orient: whether the way round of full shapes is found, or trusted.
         landmarks: how many points of each pair's ground truth guide its match, by farthest point sampling on the source
@@ -54,6 +55,7 @@ class Protocol(Settings):
     outlier_kind: OutlierKind = "box"
     background: Background = "none"
     clutter: KeepClutter = "remove"
+    proxy: UseProxy = "auto"
     turn: Turn = "none"
     orient: Orient = "auto"
     landmarks: Annotated[int, Ge(0), Le(MOST_LANDMARKS)] = 0

@@ -425,6 +425,7 @@ class _ByMatcher:
             pre_aligned=run.protocol.pre_aligned,
             orient=run.protocol.orient,
             clutter=run.protocol.clutter,
+            proxy=run.protocol.proxy,
         )
         modalities: list[Modality] = [
             "cloud" if run.protocol.is_cloud(side) else run.shapes[name].modality
@@ -466,6 +467,7 @@ class _ByMatcher:
             orient="given" if run.protocol.pre_aligned else run.protocol.orient,
             partial=side == self.options.partial,
             clutter=run.protocol.clutter,
+            proxy=run.protocol.proxy,
         )
         scaled_by = run.scaled_by(pair, side)
         if scaled_by == pair[SIDES.index(side)] and not (run.is_noisy(side) or run.is_cluttered(side)):

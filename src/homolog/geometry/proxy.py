@@ -53,9 +53,10 @@ class Proxy(Repaired):
             fill: the value of points without a place on the proxy; see ``Repaired.to_original``.
         """
         values = np.asarray(values)
-        if values.dtype.kind not in "fc" or values.ndim < 1 or len(values) != len(self.kept):
+        if values.dtype.kind != "f" or values.ndim < 1 or len(values) != len(self.kept):
             return super().to_original(values, fill)
-        found = self.places.interpolate(values).astype(values.dtype)
+        # Weights of one in sum may be rounded to more, but nothing is interpolated beyond the values that there are.
+        found = np.clip(self.places.interpolate(values), values.min(axis=0), values.max(axis=0)).astype(values.dtype)
         if fill is not None:
             found[~self.places.valid] = fill
         return self.full.to_original(found, fill)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from homolog.pairs.options import SIDES, PairOptions
     from homolog.pairs.pair import Candidate, Pair, PairAdaptation, PairOrientation, PointMaps
     from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
+    from homolog.pairs.proxy import PROXY_RULES
     from homolog.pairs.settings import (
         AlignmentSettings,
         AxiomaticSettings,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "PROXY_RULES",
     "SIDES",
     "AlignmentSettings",
     "AsCloud",
@@ -62,6 +64,7 @@ __all__ = [
 ]
 
 _MODULES = {
+    "PROXY_RULES": "proxy",
     "SIDES": "options",
     "AlignmentSettings": "settings",
     "AsCloud": "options",

@@ -14,8 +14,9 @@ from homolog.pairs.settings import ProxySettings
 from homolog.shapes import Finding, Repaired, Shape, components, face_areas, repair
 from homolog.volumes.wrapping import wrapping_surface
 
-PROXY_RULE = "points of a proxy"
-"""The rule of the finding that says what is matched in place of a shape."""
+_PROXY, _LOOSE = "points of a proxy", "points in loose shells"
+PROXY_RULES = (_PROXY, _LOOSE)
+"""The rules of the findings that say what is matched in place of a shape, or why the shape is kept as it is."""
 
 # Grids that are so many times as coarse are tried where shells do not grow together on the finest.
 _COARSER = (1, 2, 4)
@@ -46,7 +47,7 @@ def with_proxy(repaired: Repaired, use: UseProxy, settings: ProxySettings, *, pa
     except (MissingExtraError, ShapeError) as error:
         if forced:
             raise
-        note = Finding("points in loose shells", shape.n_points, "note", f"kept as they are: {error}")
+        note = Finding(_LOOSE, shape.n_points, "note", f"kept as they are: {error}")
         return replace(repaired, report=replace(repaired.report, findings=(*repaired.report.findings, note)))
 
 
@@ -69,7 +70,7 @@ def _wrapped(repaired: Repaired, settings: ProxySettings, why: str) -> Proxy:
     for coarser in _COARSER:
         wrapping = wrapping_surface(repaired.shape, points=settings.points, resolution=settings.resolution // coarser)
         surface = repair(wrapping).shape
-        finding = Finding(PROXY_RULE, surface.n_points, "note", action)
+        finding = Finding(_PROXY, surface.n_points, "note", action)
         proxy = proxy_for(repaired, surface, finding=finding, reach=settings.reach)
         if _covered(proxy) >= settings.least_covered:
             return proxy

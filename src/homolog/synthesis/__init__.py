@@ -5,7 +5,7 @@ from homolog.synthesis.bodies import Body, BodySettings, Kind, MeshedBody, make_
 from homolog.synthesis.body_folder import BodyFolder, write_shape_files
 from homolog.synthesis.body_model import BodyModel
 from homolog.synthesis.cutting import cut, cut_holes
-from homolog.synthesis.degradation import add_floor, add_outliers, add_strays, subsample
+from homolog.synthesis.degradation import add_floor, add_outliers, add_shells, add_strays, subsample
 from homolog.synthesis.hands import Hands
 from homolog.synthesis.heads import Heads
 from homolog.synthesis.partial_shape import PartialShape
@@ -38,6 +38,7 @@ __all__ = [
     "ViewSettings",
     "add_floor",
     "add_outliers",
+    "add_shells",
     "add_strays",
     "cut",
     "cut_holes",
