@@ -46,3 +46,17 @@ def test_density_follows_the_cosine(least):
 
 def test_of_a_mesh_the_points_are_thinned(make):
     assert subsample(make.blob(3), seed=0).shape.faces is None
+
+
+def test_shells_are_apart_and_near_the_body_that_they_come_from(demo):
+    made = add_shells(demo.amber, seed=1)
+    own = made.full_index >= 0
+    unit = np.sqrt(surface_area(demo.amber))
+    away = np.linalg.norm(made.shape.points[own] - demo.amber.points[made.full_index[own]], axis=1) / unit
+    assert away.max() <= 0.004 + 1e-9 and set(made.full_index[own]) == set(range(demo.amber.n_points))
+    label = components(made.shape.faces[:, 0], made.shape.faces[:, 1], made.shape.n_points, made.shape.faces[:, 2])
+    assert len(np.unique(label[own])) >= 6 and not set(label[own]) & set(label[~own])
+    assert repair(made.shape).shape.n_points == made.shape.n_points
+    assert (add_shells(demo.amber, seed=1).shape.points == made.shape.points).all()
+    with pytest.raises(ShapeError, match="no faces"):
+        add_shells(demo.amber.as_cloud(), seed=0)

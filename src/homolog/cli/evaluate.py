@@ -283,8 +283,9 @@ def evaluate(
             progress=progress,
         )
     made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **described(matcher)}
-    figures = {**evaluation.to_dict(), **_setup(folder, protocol), **made_by}
-    _write(evaluation, folder, figures, json, csv, plot)
+    _write(
+        evaluation, folder, figures := {**evaluation.to_dict(), **_setup(folder, protocol), **made_by}, json, csv, plot
+    )
     if not quiet:
         _tell(evaluation, figures, _title(folder, protocol), table=not on_stdout(json))
 

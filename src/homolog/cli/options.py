@@ -94,8 +94,8 @@ UseProxyOption = Annotated[
     UseProxy,
     typer.Option(
         "--proxy",
-        help="auto: match one closed surface around a mesh in loose shells, in its place. never: match every mesh itself. "
-        "always: match such a surface around each.",
+        help="auto: match one closed surface around a mesh in loose shells, in its place. never: match the meshes "
+        "themselves. always: match such a surface around each.",
         rich_help_panel=INPUT,
     ),
 ]

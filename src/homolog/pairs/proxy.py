@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -67,16 +68,21 @@ def _why(shape: Shape, faces: Int[np.ndarray, "m 3"], settings: ProxySettings) -
 def _wrapped(repaired: Repaired, settings: ProxySettings, why: str) -> Proxy:
     """The proxy on the finest grid on which all shells are one."""
     action = f"matched in place of the shape, as {why}; proxy='never' matches the shape itself"
+    most = 0.0
     for coarser in _COARSER:
-        wrapping = wrapping_surface(repaired.shape, points=settings.points, resolution=settings.resolution // coarser)
-        surface = repair(wrapping).shape
-        finding = Finding(_PROXY, surface.n_points, "note", action)
-        proxy = proxy_for(repaired, surface, finding=finding, reach=settings.reach)
-        if _covered(proxy) >= settings.least_covered:
-            return proxy
+        with suppress(ShapeError):  # on coarse grids, faces may enclose nothing
+            wrapping = wrapping_surface(
+                repaired.shape, points=settings.points, resolution=settings.resolution // coarser
+            )
+            surface = repair(wrapping).shape
+            finding = Finding(_PROXY, surface.n_points, "note", action)
+            proxy = proxy_for(repaired, surface, finding=finding, reach=settings.reach)
+            most = max(most, _covered(proxy))
+            if most >= settings.least_covered:
+                return proxy
     raise ShapeError(
-        f"{repaired.shape.name}: one closed surface covers {100 * _covered(proxy):.0f} % of it; "
-        "its shells lie apart, or face either way"
+        f"{repaired.shape.name}: one closed surface covers {100 * most:.0f} % of it; "
+        "its shells lie apart, or enclose nothing"
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,7 +20,7 @@ from homolog.synthesis.sampling import Range, check_number, check_range, checked
 # Points of a cluster of outliers.
 _CLUSTER = 25
 # Pieces of a body, how far they overlap, and how far one stands off another, in units of sqrt(area).
-_PIECES, _OVERLAP, _APART = 6, 0.06, 0.004
+_PIECES, _OVERLAP, _MOST_OFF = 6, 0.06, 0.004
 # The coat reaches up to a height below the top of the head and so far to the sides, down to another height, and stands
 # off; hair covers what is less than a height below the top, and stands off more or less, strip by strip.
 _COAT_FROM, _COAT_TO, _COAT_WIDE, _COAT_AWAY = 0.2, 0.8, 0.28, 0.02
@@ -189,16 +189,25 @@ def add_shells(shape: Shape, *, seed: int) -> PartialShape:
     below = middles[beside < _HAIR_WIDE, 1].max() - middles[:, 1]
     hair = (below < _HAIR) & (beside < _HAIR_WIDE)
     shells = [
-        *((faces, random.uniform(0, _APART)) for faces in _overlapping(middles, seed)),
+        *((faces, random.uniform(0, _MOST_OFF)) for faces in _overlapping(middles, seed)),
         ((below > _COAT_FROM) & (below < _COAT_TO) & (beside < _COAT_WIDE), _COAT_AWAY),
         *((faces, random.uniform(*_HAIR_AWAY)) for faces in _strips(middles, hair)),
     ]
-    points, faces, index = [], [], []
+    return _apart(shape, normals * unit, shells)
+
+
+def _apart(
+    shape: Shape, steps: Float[np.ndarray, "n 3"], shells: Sequence[tuple[Bool[np.ndarray, " m"], float]]
+) -> PartialShape:
+    """Shells of some of the faces each, so many steps off the shape; the first of them are pieces of the body."""
+    assert shape.faces is not None
+    count, points, faces, index = 0, [], [], []
     for number, (chosen, away) in enumerate(shells):
         used, corners = np.unique(shape.faces[chosen], return_inverse=True)
-        faces.append(corners.reshape(-1, 3) + sum(map(len, points)))
-        points.append(shape.points[used] + away * unit * normals[used])
+        faces.append(corners.reshape(-1, 3) + count)
+        points.append(shape.points[used] + away * steps[used])
         index.append(used if number < _PIECES else np.full(len(used), -1))
+        count += len(used)
     return PartialShape(Shape(np.concatenate(points), np.concatenate(faces), name=shape.name), np.concatenate(index))
 
 
