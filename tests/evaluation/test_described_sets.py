@@ -42,7 +42,16 @@ class Stub:
         self.prepared, self.frames, self.matched = [], [], []
 
     def preprocess(
-        self, shape, *, as_cloud=False, scale=None, centre=None, orient="auto", partial=False, clutter="remove"
+        self,
+        shape,
+        *,
+        as_cloud=False,
+        scale=None,
+        centre=None,
+        orient="auto",
+        partial=False,
+        clutter="remove",
+        proxy="auto",
     ):
         self.prepared.append(shape)
         self.frames.append((scale, centre))

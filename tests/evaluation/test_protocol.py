@@ -94,7 +94,16 @@ class Stub:
         self.prepared, self.centres, self.matched, self.partial = [], [], [], []
 
     def preprocess(
-        self, shape, *, as_cloud=False, scale=None, centre=None, orient="auto", partial=False, clutter="remove"
+        self,
+        shape,
+        *,
+        as_cloud=False,
+        scale=None,
+        centre=None,
+        orient="auto",
+        partial=False,
+        clutter="remove",
+        proxy="auto",
     ):
         self.prepared.append((shape, as_cloud, scale))
         self.centres.append(centre)

@@ -282,12 +282,15 @@ def evaluate(
             match_pair=None if matcher is None else _adapting(matcher, adapt),
             progress=progress,
         )
-    made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **described(matcher)}
-    _write(
-        evaluation, folder, figures := {**evaluation.to_dict(), **_setup(folder, protocol), **made_by}, json, csv, plot
-    )
+    figures = {**evaluation.to_dict(), **_setup(folder, protocol), **_made_by(matcher, maps, adapt)}
+    _write(evaluation, folder, figures, json, csv, plot)
     if not quiet:
         _tell(evaluation, figures, _title(folder, protocol), table=not on_stdout(json))
+
+
+def _made_by(matcher: Matcher | None, maps: Path | None, adapt: int) -> dict[str, Any]:
+    """How the maps were made, for the JSON."""
+    return {"maps": str(maps)} if matcher is None else {"adapt": adapt, **described(matcher)}
 
 
 def _check_maps(context: typer.Context, maps: Path | None, base: int | None) -> None:
