@@ -1,4 +1,4 @@
-"""How well bodies in loose shells are matched, by a surface around them and without one: ``python benchmarks/proxies.py``.
+"""How well bodies in loose shells are matched, by a surface around them and without: ``python benchmarks/proxies.py``.
 
 Each demo body is matched to the other one made into shells (``homolog.synthesis.add_shells``), clean, with random
 triangles turned round, and as a soup of triangles without common points.
