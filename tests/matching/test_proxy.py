@@ -8,8 +8,9 @@ from scipy.spatial import KDTree
 
 from homolog.core.errors import ShapeError
 from homolog.evaluation import geodesic_errors
-from homolog.geometry import Operators, compute_operators
+from homolog.geometry import Operators, Surface, compute_operators, surface_area
 from homolog.geometry.proxy import Proxy
+from homolog.geometry.surface import subdivided
 from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings, Preprocessor, ProxySettings
 from homolog.shapes import Shape, read_shape
@@ -81,7 +82,7 @@ def test_two_bodies_apart_are_kept_as_they_are_and_it_is_said(demo):
     )
     assert matched_shape(both).n_points == both.n_points
     found = Preprocessor(source=lambda *_, **__: compute_operators(demo.amber), proxies=QUICK)(both)
-    told = [each for each in found.repaired.report.findings if each.rule == "points in loose shells"]
+    told = [each for each in found.repaired.report.findings if each.rule == "points without a proxy"]
     assert len(told) == 1 and "shells lie apart" in told[0].action
     with pytest.raises(ShapeError, match=r"twins: one closed surface covers \d+ % of it"):
         Preprocessor(source=no_operators, proxies=QUICK)(both, proxy="always")
@@ -103,6 +104,26 @@ def test_features_and_landmarks_are_those_of_the_file(demo, dressed):
     at = pair.target.repaired.shape.points[pair.guidance.y.numpy()]
     unit = pair.target.operators.scale
     assert np.linalg.norm(at - dressed.shape.points[[5, 7000]], axis=1).max() < 0.06 * unit
+
+
+def subdivided_twice(shape):
+    surface = Surface(shape.points, shape.faces)
+    for _ in range(2):
+        surface = subdivided(surface)[0]
+    return Shape(surface.vertices, surface.faces, name=shape.name)
+
+
+def test_large_shapes_are_matched_with_fewer_points(make):
+    """Of a bent ball four times as fine: the identity comes back, smoothly, at all points."""
+    fine = subdivided_twice(make.blob(3))
+    settings = MatcherSettings(method="axiomatic", proxy=ProxySettings(largest=2000, points=1000))
+    for one, other in ((fine, fine), (fine, fine.as_cloud()), (make.blob(3), fine)):
+        found = Matcher(settings=settings, device="cpu").match(one, other, orient="given")
+        away = np.linalg.norm(one.points[found.target_to_source] - other.points, axis=1)
+        assert away.mean() < 0.05 * np.sqrt(surface_area(fine)) and (found.target_to_source >= 0).all()
+        findings = found.report["inputs"]["target"]["findings"]
+        assert [each["count"] < 1100 for each in findings if each["rule"] == "points of a proxy"] == [True]
+    assert matched_shape(fine).n_points == fine.n_points
 
 
 @pytest.mark.reference

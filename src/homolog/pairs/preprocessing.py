@@ -207,8 +207,7 @@ class Preprocessor:
             if strict and severe is not None:
                 raise ShapeError(f"{repaired.shape.name}: {severe} (refused as strict)")
             repaired = replace(repaired, shape=_facing_outward(repaired.shape))
-            if not as_cloud:
-                repaired = with_proxy(repaired, proxy, self.proxies, partial=partial)
+            repaired = with_proxy(repaired, proxy, self.proxies, as_cloud=as_cloud, partial=partial)
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(_position("centre", centre))

@@ -228,7 +228,7 @@ class WarningSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class ProxySettings(Settings):
-    """When a proxy is matched in place of a mesh, and how it is made; ``PairOptions.proxy`` says whether it may be.
+    """When a proxy is matched in place of a shape, and how it is made; ``PairOptions.proxy`` says whether it may be.
 
     Args:
         most_outside: share of the area beyond the largest component from which on a mesh has a proxy. Of 380 meshes of
@@ -238,6 +238,8 @@ class ProxySettings(Settings):
         resolution: voxels along the longest side; at least 64.
         reach: how far from the proxy a point may be to have a counterpart, in units of sqrt(area).
         least_covered: share of the area within reach that a proxy must have; else the mesh has none.
+        largest: number of points beyond which fewer points are matched, of a simplified mesh or a part of a cloud; None
+            for no limit.
     """
 
     most_outside: Share = 0.05
@@ -246,6 +248,7 @@ class ProxySettings(Settings):
     resolution: Annotated[int, Ge(64)] = 256
     reach: Positive = 0.1
     least_covered: Share = 0.8
+    largest: _CountOrNone = 20_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,7 +264,7 @@ class MatcherSettings(Settings):
         axiomatic: the method of that name.
         registration: the method of that name.
         choice: among features of several kinds of shapes, and of none.
-        proxy: when a surface around a mesh is matched in its place.
+        proxy: when a surface around a mesh, or a simpler shape, is matched in its place.
         orientation: the search for the way round of full shapes; ``PairOptions.orient`` says whether there is one.
         alignment: of a partial shape with the full one before matching; None for none.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
