@@ -68,9 +68,20 @@ FLOORS = CORE | {
     "statistics": GROUND,
     "shape_models": GROUND
     | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"},
+    "reproduction": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "viewing"},
     "cli": GROUND
     | BENEATH_EVALUATION
-    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "shape_models"}
+    | {
+        "evaluation",
+        "training",
+        "reproduction",
+        "synthesis",
+        "volumes",
+        "transfer",
+        "viewing",
+        "serving",
+        "shape_models",
+    }
     | {"__init__"},
     "__main__": {"cli"},
     "__init__": GROUND
@@ -78,6 +89,7 @@ FLOORS = CORE | {
     | {
         "evaluation",
         "training",
+        "reproduction",
         "synthesis",
         "testing",
         "volumes",

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from homolog import matching as matching
     from homolog import methods as methods
     from homolog import pairs as pairs
+    from homolog import reproduction as reproduction
     from homolog import serving as serving
     from homolog import shape_models as shape_models
     from homolog import shapes as shapes
@@ -126,6 +127,7 @@ _PACKAGES = (
     "matching",
     "methods",
     "pairs",
+    "reproduction",
     "serving",
     "shape_models",
     "shapes",

@@ -27,6 +27,7 @@ app = typer.Typer(
         collection="homolog.cli.collection:collection",
         train="homolog.cli.train:train",
         evaluate="homolog.cli.evaluate:evaluate",
+        reproduce="homolog.cli.reproduce:reproduce",
         reconstruct="homolog.cli.reconstruct:reconstruct",
         info="homolog.cli.info:info",
         doctor="homolog.cli.doctor:doctor",

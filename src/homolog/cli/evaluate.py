@@ -13,6 +13,7 @@ import typer
 import homolog
 from homolog.cli.options import (
     INPUT,
+    METHOD,
     OUTPUT,
     PARTIAL,
     Adapt,
@@ -64,6 +65,8 @@ _OF_MAKING_MAPS = (
     "method",
     "weights",
     "adapt",
+    "refinement",
+    "alignment",
     "pre_aligned",
     "device",
     "no_cache",
@@ -163,6 +166,22 @@ def evaluate(
     method: MethodOption = AUTO,
     weights: Weights = None,
     adapt: Adapt = 0,
+    refinement: Annotated[
+        bool,
+        typer.Option(
+            "--refinement/--no-refinement",
+            help="Refine maps by ZoomOut, where they may be refined, or leave them as the method makes them.",
+            rich_help_panel=METHOD,
+        ),
+    ] = True,
+    alignment: Annotated[
+        bool,
+        typer.Option(
+            "--alignment/--no-alignment",
+            help="Align partial shapes with their full shapes before they are matched, or leave them as they lie.",
+            rich_help_panel=PARTIAL,
+        ),
+    ] = True,
     partial: Annotated[
         bool | None,
         typer.Option(
@@ -267,7 +286,10 @@ def evaluate(
         landmarks=landmarks,
         seed=seed,
     )
-    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache)
+    matcher = None
+    if maps is None:
+        left_out = [name for name, wanted in (("refinement", refinement), ("alignment", alignment)) if not wanted]
+        matcher = build_matcher(weights, method, device, no_cache=no_cache, left_out=left_out)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     with progress_bar(quiet=quiet) as progress:
         evaluation = homolog.evaluation.evaluate(

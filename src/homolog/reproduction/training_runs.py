@@ -1,0 +1,167 @@
+"""Trainings that experiments share: each is run once for a recipe and its data, and goes on where it was stopped."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from homolog.core.choices import Device
+from homolog.core.files import made_folder, sha256, write_json
+from homolog.core.pretrained import weights_file
+from homolog.core.progress import Progress, ignore
+from homolog.core.records import stored_record
+from homolog.core.versions import commit, machine, version_of
+from homolog.datasets import DatasetDescription, ShapeFolder
+from homolog.reproduction.cells import Trained, key_of
+from homolog.reproduction.experiments import TrainingPlan, data_places
+from homolog.training import WEIGHTS, Recipe, read_recipe, train
+from homolog.training.data import TrainingSet
+
+RUNS, SHAPES = "runs", "shapes"
+"""The folders of trainings, and of shapes that were gathered for them."""
+_DONE = "trained.json"
+
+
+@dataclass(frozen=True)
+class TrainingRun:
+    """A training of an experiment, in a folder of its own.
+
+    Args:
+        plan: what is trained.
+        recipe: with all changes.
+        changes: of the user, by ``"section.key"``.
+        data: the folder that is trained on.
+        description: of the dataset in it; None where shapes were gathered.
+        folder: of checkpoints and weights.
+        key: what tells it apart from trainings by other recipes, or on other shapes.
+    """
+
+    plan: TrainingPlan
+    recipe: Recipe
+    changes: Mapping[str, Any]
+    data: Path
+    description: DatasetDescription | None
+    folder: Path
+    key: str
+
+    @classmethod
+    def of(
+        cls, plan: TrainingPlan, folders: Mapping[str, Path], output: Path, changes: Mapping[str, Any]
+    ) -> TrainingRun:
+        """The run of a plan.
+
+        Args:
+            plan: what is trained.
+            folders: of the datasets, by name.
+            output: below which runs are kept.
+            changes: values to use instead of the plan's.
+
+        Raises:
+            ArgumentError: if a change is not as it should be.
+            DataError: if there are too few shapes.
+        """
+        recipe = read_recipe(plan.recipe, {**plan.changes, **changes})
+        data, description = _training_data(plan, folders, output)
+        shapes = TrainingSet.open(data, recipe, description)
+        contents = sha256(*(shapes.files[name] for name in shapes.used))
+        start = sha256(weights_file(plan.start)) if plan.start else None
+        key = key_of([asdict(recipe.for_dataset(description)), shapes.names, shapes.pairs, contents, start])
+        return cls(plan, recipe, changes, data, description, output / RUNS / f"{plan.name}-{key}", key)
+
+    @property
+    def weights(self) -> Path:
+        """The file of the weights, once they are trained."""
+        return self.folder / WEIGHTS
+
+    @property
+    def command(self) -> str:
+        """The command that makes these weights."""
+        words = ["homolog", "train", str(self.data), "-o", str(self.folder), "--recipe", self.plan.recipe]
+        for name, value in {**self.plan.changes, **self.changes}.items():
+            words += ["--set", f"{name}={toml_text(value)}"]
+        words += ["--dataset", self.description.name] if self.description is not None else []
+        return shlex.join(words + (["--weights", self.plan.start] if self.plan.start else []))
+
+    def done(self) -> dict[str, Any] | None:
+        """What is kept of it, if it is done and its weights are those that it wrote."""
+        found = stored_record(self.folder / _DONE, Trained)
+        is_whole = found is not None and found["key"] == self.key and self.weights.is_file()
+        return found if is_whole and found is not None and sha256(self.weights) == found["weights"] else None
+
+    def run(self, device: Device, progress: Progress | None = None) -> dict[str, Any]:
+        """Train, or go on with it, unless it is done."""
+        if found := self.done():
+            return found
+        state = train(
+            self.recipe,
+            self.data,
+            self.folder,
+            description=self.description,
+            resume=True,
+            weights=self.plan.start or None,
+            device=device,
+            progress=progress or ignore,
+        )
+        told = {
+            "key": self.key,
+            "training": self.plan.name,
+            "recipe": self.plan.recipe,
+            "changes": {**self.plan.changes, **self.changes},
+            "weights": sha256(self.weights),
+            "steps": state.step,
+            "seconds": state.seconds,
+            "command": self.command,
+            "commit": commit(),
+            "version": version_of("homolog"),
+            "machine": machine(),
+            "date": time.strftime("%Y-%m-%d"),
+        }
+        write_json(self.folder / _DONE, told)
+        return told
+
+
+def _training_data(
+    plan: TrainingPlan, folders: Mapping[str, Path], output: Path
+) -> tuple[Path, DatasetDescription | None]:
+    """The folder of a plan's shapes: a dataset as it is, or links to shapes of one or several."""
+    descriptions = {name: data_places()[name].description for name in plan.data}
+    if len(plan.data) == 1 and not plan.first:
+        name = plan.data[0]
+        return folders[name], None if descriptions[name].name == "own" else descriptions[name]
+    sources = [ShapeFolder.without_truth(folders[name], descriptions[name]) for name in plan.data]
+    chosen = {
+        f"{name}_{shape}": source.file(shape).resolve()
+        for name, source in zip(plan.data, sources, strict=True)
+        for shape in source.split("train")[: plan.first or None]
+    }
+    root = output / SHAPES / f"{'-'.join(plan.data)}-{key_of([str(file) for file in chosen.values()])}"
+    for name, file in chosen.items():
+        _link(made_folder(root / "off") / f"{name}{file.suffix}", file)
+    return root, None
+
+
+def _link(place: Path, file: Path) -> None:
+    """A link to a file, or a copy where there are no links."""
+    if place.exists():
+        return
+    place.unlink(missing_ok=True)  # a link that leads nowhere
+    try:
+        place.symlink_to(file)
+    except OSError:  # on Windows links need a right that users seldom have
+        shutil.copyfile(file, place)
+
+
+def toml_text(value: Any) -> str:
+    """A value of a recipe as TOML has it.
+
+    Examples:
+        >>> toml_text(["*_shape_1?"]), toml_text(False), toml_text(0.5)
+        ('["*_shape_1?"]', 'false', '0.5')
+    """
+    return json.dumps(value)
