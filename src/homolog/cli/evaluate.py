@@ -31,7 +31,6 @@ from homolog.cli.options import (
     build_matcher,
     check_files,
     check_inputs,
-    check_json,
     described,
     on_stdout,
     set_verbosity,
@@ -263,8 +262,7 @@ def evaluate(
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_json(json)
-    check_files(csv, plot)
+    check_files(csv, plot, None if on_stdout(json) else json)
     _check_maps(context, maps, base)
     check_inputs(weights=weights)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
@@ -286,10 +284,8 @@ def evaluate(
         landmarks=landmarks,
         seed=seed,
     )
-    matcher = None
-    if maps is None:
-        left_out = [name for name, wanted in (("refinement", refinement), ("alignment", alignment)) if not wanted]
-        matcher = build_matcher(weights, method, device, no_cache=no_cache, left_out=left_out)
+    without = [name for name, wanted in (("refinement", refinement), ("alignment", alignment)) if not wanted]
+    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=without)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     with progress_bar(quiet=quiet) as progress:
         evaluation = homolog.evaluation.evaluate(

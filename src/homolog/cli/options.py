@@ -215,7 +215,7 @@ def changes_of(given: list[str] | None) -> dict[str, Any]:
 def build_matcher(
     weights: str | None, method: str, device: Device, *, no_cache: bool, left_out: Iterable[str] = ()
 ) -> Matcher:
-    """The matcher that the shared options ask for, with some stages left out; some methods need no weights."""
+    """The matcher that the shared options ask for, without some stages; some methods need no weights."""
     from homolog.geometry import OperatorCache, compute_operators
     from homolog.matching import Matcher, features_of_weights
     from homolog.pairs import MatcherSettings

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from homolog.core.errors import bad_choice, needs_extra
 from homolog.core.files import atomic_path, expanded
 from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, pck_curve
 from homolog.evaluation.result import Evaluation
 
-PckCurve = tuple[Sequence[float], Sequence[float], float]
+PckCurve = tuple[ArrayLike, ArrayLike, float]
 """Thresholds, shares of points, and the area under the curve."""
 _SUFFIXES = (".png", ".pdf", ".svg")
 

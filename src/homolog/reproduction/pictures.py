@@ -11,7 +11,7 @@ from pathlib import Path
 
 from homolog.core.errors import MissingExtraError
 from homolog.core.files import made_folder
-from homolog.evaluation import plot_errors, plot_pck_curves
+from homolog.evaluation import PckCurve, plot_errors, plot_pck_curves
 from homolog.matching import Match
 from homolog.reproduction.cells import slug, stored_cells
 from homolog.reproduction.experiments import COLUMNS, Experiment
@@ -35,7 +35,7 @@ def write_curves(experiment: Experiment, folder: Path) -> None:
     """Draw the correct-points curves of each column and origin of weights, and errors along the experiment's axis."""
     cells = chosen_cells(experiment, stored_cells(folder))
     rows = {row.name: row for row in experiment.rows}
-    correct, along = defaultdict[str, dict](dict), defaultdict[str, dict[float, float]](dict)
+    correct, along = defaultdict[str, dict[str, PckCurve]](dict), defaultdict[str, dict[float, float]](dict)
     for (name, column, origin), cell in cells.items():
         curve, row = cell["figures"]["curve"], rows[name]
         if curve is not None:
