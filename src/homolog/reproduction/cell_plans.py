@@ -13,7 +13,7 @@ from homolog.evaluation import Evaluation, Protocol, area_under_pck, pck_curve
 from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings
 from homolog.reproduction.cells import key_of
-from homolog.reproduction.experiments import Column, Row
+from homolog.reproduction.experiments import Column, Row, data_places
 from homolog.reproduction.training_runs import TrainingRun
 
 # Options of the command by the fields of the protocol that they set. What is partial, and where it lies, the
@@ -86,9 +86,8 @@ class CellPlan:
     @property
     def command(self) -> str:
         """The command that makes this cell alone."""
-        described, usual = self.folder.description, Protocol()
-        words = ["homolog", "evaluate", str(self.folder.root)]
-        words += ["--dataset", described.name] if described.name != "own" else []
+        usual, dataset = Protocol(), data_places()[self.row.data].dataset
+        words = ["homolog", "evaluate", str(self.folder.root), "--dataset", dataset]
         for name, option in _OPTIONS.items():
             value = getattr(self.protocol, name)
             words += [option, str(value)] if value != getattr(usual, name) else []

@@ -22,7 +22,7 @@ _log = logging.getLogger(__name__)
 
 PICTURES = "pictures"
 """The folder of pictures, in that of an experiment."""
-_WIDTH = 1000
+_WIDTH = 800
 
 
 def write_match(folder: Path, name: str, match: Match) -> None:

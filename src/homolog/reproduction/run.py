@@ -61,7 +61,9 @@ class ReproductionSettings(Settings):
         """Weights are given, or trained."""
         for name, is_given in (("train", self.train), ("changes", bool(self.changes))):
             if self.weights is not None and is_given:
-                raise ArgumentError(f"weights are given, so that nothing is trained; leave out weights, or {name}")
+                raise ArgumentError(
+                    f"weights is {self.weights!r}, but {name} is given, too, and is for trainings; leave one of them out"
+                )
         if self.weights not in (None, AUTO_WEIGHTS):
             weights_file(str(self.weights))
 
@@ -302,7 +304,10 @@ class _Run:
     def _training(self, name: str) -> TrainingRun:
         plan = trainings()[name]
         folders = {each: self._place(each) for each in plan.data}
-        return TrainingRun.of(plan, folders, self.root, self.settings.changes)
+        try:
+            return TrainingRun.of(plan, folders, self.root, self.settings.changes)
+        except DataError as error:
+            raise _StaysEmpty(f"the training {name} is not there, and cannot be made ({error})") from None
 
     def _matcher(self, weights: str | None, settings: MatcherSettings) -> Matcher:
         features = features_of_weights(weights, settings)

@@ -85,7 +85,7 @@ class TrainingRun:
         words = ["homolog", "train", str(self.data), "-o", str(self.folder), "--recipe", self.plan.recipe]
         for name, value in {**self.plan.changes, **self.changes}.items():
             words += ["--set", f"{name}={toml_text(value)}"]
-        words += ["--dataset", self.description.name] if self.description is not None else []
+        words += ["--dataset", data_places()[self.plan.data[0]].dataset] if self.description is not None else []
         return shlex.join(words + (["--weights", self.plan.start] if self.plan.start else []))
 
     def done(self) -> dict[str, Any] | None:
@@ -133,7 +133,7 @@ def _training_data(
     descriptions = {name: data_places()[name].description for name in plan.data}
     if len(plan.data) == 1 and not plan.first:
         name = plan.data[0]
-        return folders[name], None if descriptions[name].name == "own" else descriptions[name]
+        return folders[name], descriptions[name]
     sources = [ShapeFolder.without_truth(folders[name], descriptions[name]) for name in plan.data]
     chosen = {
         f"{name}_{shape}": source.file(shape).resolve()
