@@ -65,10 +65,7 @@ MISTAKES = {
     "data": (("complete", "--data", "nowhere"), "nowhere: there is no such folder"),
     "row": (("complete", "--data", "data", "--only", "horse"), "--only is 'horse', but must be one of FAUST_r, mesh"),
     "weights": (("complete", "--data", "data", "--weights", "nobody"), "there are no weights 'nobody'"),
-    "both": (
-        ("complete", "--data", "data", "--weights", "people", "--train"),
-        "--weights is 'people', but --train is given, too",
-    ),
+    "both": (("complete", "--data", "data", "--weights", "people", "--train"), "but --train is given, too"),
     "set": (("complete", "--data", "data", "--set", "steps"), "--set is 'steps', but must be SECTION.KEY=VALUE"),
     "pairs": (("complete", "--data", "data", "-n", "0"), "-n"),
     "output": (("complete", "--data", "data", "-o", "full", "--weights", "people"), "full holds other things"),

@@ -62,7 +62,7 @@ class ReproductionSettings(Settings):
         for name, is_given in (("train", self.train), ("changes", bool(self.changes))):
             if self.weights is not None and is_given:
                 raise ArgumentError(
-                    f"weights is {self.weights!r}, but {name} is given, too, and is for trainings; leave one of them out"
+                    f"weights is {self.weights!r}, but {name} is given, too, and is for trainings; leave one out"
                 )
         if self.weights not in (None, AUTO_WEIGHTS):
             weights_file(str(self.weights))
