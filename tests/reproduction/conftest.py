@@ -36,6 +36,12 @@ recipe = "RECIPE"
 data = ["blobs"]
 changes = {"loss.infonce" = 0.0}
 
+[small_supervised]
+recipe = "RECIPE"
+data = ["blobs"]
+first = 2
+changes = {"loss.supervised" = 1.0}
+
 [small_both]
 recipe = "RECIPE"
 data = ["blobs", "more"]
@@ -71,6 +77,11 @@ rows = [
 title = "Two sets"
 about = "Trained on two sets."
 rows = [{name = "both", data = "more", training = "small_both"}]
+""",
+    "taught": """
+title = "By ground truth"
+about = "Trained on the first two shapes."
+rows = [{name = "taught", data = "blobs", training = "small_supervised"}]
 """,
     "parts_of_it": """
 title = "Some shapes"

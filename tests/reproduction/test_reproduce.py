@@ -293,6 +293,18 @@ def test_shapes_of_two_datasets_are_trained_on_together(data, output):
     assert report["shapes"] == 4
 
 
+def test_some_shapes_of_one_dataset_keep_their_ground_truth(data, output):
+    reproduce("taught", data, output, ReproductionSettings(train=True))
+    gathered = next((output / "shapes").iterdir())
+    assert (gathered / "train.txt").read_text() == "blobs_ape\nblobs_bee\n"
+    for name in ("ape", "bee"):
+        same = (data / "blobs" / "corres" / f"{name}.vts").read_bytes()
+        assert (gathered / "corres" / f"blobs_{name}.vts").read_bytes() == same
+    report = json.loads((next((output / "runs").iterdir()) / "report.json").read_text())
+    assert report["shapes"] == 2
+    assert report["validations"][0]["validation/supervised"] > 0
+
+
 def test_the_output_may_lie_in_the_data(data):
     """As with --data . and the usual folder for results."""
     assert reproduce("plain", data, data / "reproduced", ReproductionSettings(only=("mesh",))).made == 2

@@ -17,6 +17,8 @@ from homolog.core.records import read_record, record
 
 _log = logging.getLogger(__name__)
 
+_LONGEST_NAME = 80
+
 FOLDER = "cells"
 """The folder of an experiment's cells, in the experiment's own."""
 
@@ -90,13 +92,14 @@ def key_of(made_with: Any) -> str:
 
 
 def slug(text: str) -> str:
-    """A text as a part of a file's name.
+    """A text as a part of a file's name; a long one is cut, and told apart from others by its hash.
 
     Examples:
         >>> slug("FAUST_r, noisy cloud")
         'FAUST_r-noisy-cloud'
     """
-    return re.sub(r"[^\w.]+", "-", text).strip("-")
+    name = re.sub(r"[^\w.]+", "-", text).strip("-")
+    return name if len(name) <= _LONGEST_NAME else f"{name[:_LONGEST_NAME]}-{key_of(text)}"
 
 
 def cell_file(folder: Path, row: str, column: str, key: str) -> Path:

@@ -12,12 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from homolog.core.choices import Device
-from homolog.core.files import made_folder, sha256, write_json
+from homolog.core.files import atomic_path, made_folder, open_text, sha256, write_json
 from homolog.core.pretrained import weights_file
 from homolog.core.progress import Progress, ignore
 from homolog.core.records import stored_record
 from homolog.core.versions import commit, machine, version_of
 from homolog.datasets import DatasetDescription, ShapeFolder
+from homolog.datasets.folder import path_of
 from homolog.reproduction.cells import Trained, key_of
 from homolog.reproduction.experiments import TrainingPlan, data_places
 from homolog.training import WEIGHTS, Recipe, read_recipe, train
@@ -71,7 +72,10 @@ class TrainingRun:
         shapes = TrainingSet.open(data, recipe, description)
         contents = sha256(*(shapes.files[name] for name in shapes.used))
         start = sha256(weights_file(plan.start)) if plan.start else None
-        key = key_of([asdict(recipe.for_dataset(description)), shapes.names, shapes.pairs, contents, start])
+        told = asdict(recipe.for_dataset(description))
+        weights = told["loss"]["weights"]
+        told["loss"]["weights"] = {name: weight for name, weight in weights.items() if weight}  # others may come
+        key = key_of([told, shapes.names, shapes.pairs, contents, start])
         return cls(plan, recipe, changes, data, description, output / RUNS / f"{plan.name}-{key}", key)
 
     @property
@@ -134,27 +138,32 @@ def _training_data(
     if len(plan.data) == 1 and not plan.first:
         name = plan.data[0]
         return folders[name], descriptions[name]
-    sources = [ShapeFolder.without_truth(folders[name], descriptions[name]) for name in plan.data]
-    chosen = {
-        f"{name}_{shape}": source.file(shape).resolve()
-        for name, source in zip(plan.data, sources, strict=True)
-        for shape in source.split("train")[: plan.first or None]
-    }
-    root = output / SHAPES / f"{'-'.join(plan.data)}-{key_of([str(file) for file in chosen.values()])}"
-    for name, file in chosen.items():
-        _link(made_folder(root / "off") / f"{name}{file.suffix}", file)
+    sources = {name: ShapeFolder.without_truth(folders[name], descriptions[name]) for name in plan.data}
+    chosen = [
+        (name, shape) for name, source in sources.items() for shape in source.split("train")[: plan.first or None]
+    ]
+    files = [str(sources[name].file(shape).resolve()) for name, shape in chosen]
+    root = made_folder(output / SHAPES / f"{'-'.join(plan.data)}-{key_of(files)}")
+    for name, shape in chosen:
+        source, described = sources[name], descriptions[name]
+        _link(root / "off" / f"{name}_{shape}", source.file(shape))
+        if len(sources) == 1:  # several have no common template
+            _link(root / "corres" / f"{name}_{shape}", path_of(source.root, described.truth_files, shape))
+    with atomic_path(root / "train.txt") as temporary, open_text(temporary) as lines:
+        lines.writelines(f"{name}_{shape}\n" for name, shape in chosen)
     return root, None
 
 
 def _link(place: Path, file: Path) -> None:
-    """A link to a file, or a copy where there are no links."""
-    if place.exists():
+    """A link to a file, if that is there, under a name and with the file's suffix; a copy where there are no links."""
+    link = made_folder(place.parent) / f"{place.name}{file.suffix}"
+    if link.exists() or not file.is_file():
         return
-    place.unlink(missing_ok=True)  # a link that leads nowhere
+    link.unlink(missing_ok=True)  # one that leads nowhere
     try:
-        place.symlink_to(file)
+        link.symlink_to(file.resolve())
     except OSError:  # on Windows links need a right that users seldom have
-        shutil.copyfile(file, place)
+        shutil.copyfile(file, link)
 
 
 def toml_text(value: Any) -> str:
