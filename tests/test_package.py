@@ -3,6 +3,8 @@
 import ast
 import importlib
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -322,6 +324,19 @@ def test_version_is_that_of_the_package():
     assert versions()["homolog"] == version_of("homolog") is not None
     assert version_of("no-such-package-as-this") is None
     assert homolog.__version__ == version_of("homolog")
+
+
+def test_commit_and_machine_for_reports():
+    from homolog.core.versions import commit, machine
+
+    assert re.fullmatch(r".+, \d+ cores", machine())
+    git, root = shutil.which("git"), ROOT.parents[1]
+    if git is None or not (root / ".git").exists():
+        assert commit() is None
+        return
+    told = subprocess.run([git, "-C", root, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout
+    assert told.startswith(commit().removesuffix("-dirty"))
+    assert len(commit()) >= 10
 
 
 @pytest.mark.process

@@ -58,6 +58,14 @@ def test_from_files_to_a_table(homolog, data, tmp_path):
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
 
 
+def test_the_folder_of_results_may_lie_in_that_of_the_data(homolog, data):
+    """What the command wrote there itself is not taken for an input that would be replaced."""
+    for n_pairs in (1, 2):
+        options = ("--weights", "people", "-n", n_pairs, "--only", "FAUST_r, mesh", "-o", data / "out")
+        assert homolog("reproduce", "complete", "--data", data, *options).code == 0
+    assert len(list((data / "out" / "complete" / "cells").iterdir())) == 4
+
+
 MISTAKES = {
     "no name": ((), "NAME is missing, but must be one of ablation"),
     "name": (("complet", "--data", "data"), "NAME is 'complet', but must be one of"),

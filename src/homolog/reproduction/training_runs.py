@@ -99,9 +99,7 @@ class TrainingRun:
         return found if is_whole and found is not None and sha256(self.weights) == found["weights"] else None
 
     def run(self, device: Device, progress: Progress | None = None) -> dict[str, Any]:
-        """Train, or go on with it, unless it is done."""
-        if found := self.done():
-            return found
+        """Train, or go on with it; what is kept of it then."""
         state = train(
             self.recipe,
             self.data,
