@@ -19,7 +19,9 @@ from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flippe
 from homolog.maps.registration import (
     RegistrationSettings,
     RegistrationStart,
+    SurfacePoints,
     registered_positions,
+    registered_surfaces,
     registration_start,
 )
 from homolog.maps.rigid import Similarity, best_similarity, closest_point_similarity, rigid_motion
@@ -44,6 +46,7 @@ __all__ = [
     "RegistrationStart",
     "Similarity",
     "SoftMatches",
+    "SurfacePoints",
     "best_rotation",
     "best_similarity",
     "closest_point_rotations",
@@ -69,6 +72,7 @@ __all__ = [
     "point_map_from_functional_map",
     "principal_rotations",
     "registered_positions",
+    "registered_surfaces",
     "registration_start",
     "resolvent_mask",
     "rigid_motion",

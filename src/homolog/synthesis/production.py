@@ -212,19 +212,14 @@ def _people(poses: Poses) -> People:
 
 
 def _hands(sides: HandSides) -> Hands:
-    return Hands(_detailed_model(), sides)
+    return Hands(_body_model(details=True), sides)
 
 
 def _heads() -> Heads:
-    return Heads(_detailed_model())
+    return Heads(_body_model(details=True))
 
 
 @cache
-def _body_model() -> BodyModel:
+def _body_model(*, details: bool = False) -> BodyModel:
     """The body model of this process; loading it takes seconds."""
-    return BodyModel()
-
-
-@cache
-def _detailed_model() -> BodyModel:
-    return BodyModel(details=True)
+    return BodyModel(details=details)

@@ -94,15 +94,9 @@ def adapt_if_better(
     if pair.choice and not isinstance(pair.extractor, NetworkFeatures):
         return matcher, replace(pair, adaptation=PairAdaptation(0))
     adapted, after = adapt_to_pair(matcher, pair, settings, listener=listener)
-    plain, other = (_map_misfit(*both) for both in ((matcher, pair), (adapted, after)))
+    plain, other = (map_misfit(one.find(its), its.settings.choice) for one, its in ((matcher, pair), (adapted, after)))
     told = PairAdaptation(settings.steps, plain, other, kept=other < plain)
     return (adapted, replace(after, adaptation=told)) if told.kept else (matcher, replace(pair, adaptation=told))
-
-
-def _map_misfit(matcher: Matcher, pair: Pair) -> float:
-    quality = matcher.find(pair).quality
-    assert quality is not None
-    return map_misfit(quality, pair.settings.choice)
 
 
 def adapt_to_pair(
