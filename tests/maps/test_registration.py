@@ -14,8 +14,8 @@ from homolog.core.errors import ArgumentError
 from homolog.maps import (
     RegistrationSettings,
     RegistrationStart,
+    SampledSurface,
     Similarity,
-    SurfacePoints,
     closest_point_similarity,
     registered_positions,
     registered_surfaces,
@@ -148,7 +148,7 @@ def test_points_that_are_doubled_change_nothing_if_they_share_their_area() -> No
     )
     plain, _ = registered_positions(x, y, settings=RegistrationSettings(start_width=0))
     shared, _ = registered_surfaces(
-        SurfacePoints(x), SurfacePoints(doubled, areas.double()), settings=RegistrationSettings(start_width=0)
+        SampledSurface(x), SampledSurface(doubled, areas.double()), settings=RegistrationSettings(start_width=0)
     )
     alike, _ = registered_positions(x, doubled, settings=RegistrationSettings(start_width=0))
     assert off(shared, plain) < 0.1 * off(alike, plain)
@@ -159,12 +159,12 @@ def test_areas_make_up_for_unlike_sampling() -> None:
     x, many = skin(800), skin(3000, seed=1)
     kept = (many[:, 2] > 0) | (torch.arange(3000) % 4 == 0)
     y, areas = many[kept], torch.where(many[kept][:, 2] > 0, 1.0, 4.0).double()
-    by_area = registered_surfaces(SurfacePoints(x), SurfacePoints(y, areas))
+    by_area = registered_surfaces(SampledSurface(x), SampledSurface(y, areas))
     alike = registered_positions(x, y)
     assert off(by_area[0], x) < 0.5 * off(alike[0], x)
     assert off(by_area[1], y) < 0.5 * off(alike[1], y)
     # The two ways are one.
-    back = registered_surfaces(SurfacePoints(y, areas), SurfacePoints(x))
+    back = registered_surfaces(SampledSurface(y, areas), SampledSurface(x))
     torch.testing.assert_close(back[0], by_area[1])
 
 
@@ -177,7 +177,7 @@ def lobed(points: Tensor) -> Tensor:
 
 def test_the_start_turns_a_distinct_form_back() -> None:
     turn, y = rotation_about_z(12), 2 * lobed(skin(1700, seed=1)) + 5
-    start = registration_start(SurfacePoints(lobed(skin(1500)) @ turn.T), SurfacePoints(y))
+    start = registration_start(SampledSurface(lobed(skin(1500)) @ turn.T), SampledSurface(y))
     assert rotation_angle(start.similarity.rotation @ turn) < 3
     assert abs(start.similarity.scale - 2) < 0.05
 
@@ -185,7 +185,7 @@ def test_the_start_turns_a_distinct_form_back() -> None:
 def test_the_start_leaves_a_form_that_is_smooth_all_round_as_it_stands() -> None:
     """Two spheres: nothing tells a turn."""
     x, y = (skin(1200, seed=seed) / torch.tensor([1, 1.4, 2]) for seed in (0, 1))
-    assert rotation_angle(registration_start(SurfacePoints(x), SurfacePoints(y)).similarity.rotation) < 2
+    assert rotation_angle(registration_start(SampledSurface(x), SampledSurface(y)).similarity.rotation) < 2
 
 
 def test_a_start_that_is_given_is_taken() -> None:
@@ -228,8 +228,8 @@ def test_a_part_that_one_lacks_misleads_no_start_with_normals(degrees: float) ->
     y = 1.3 * y @ turn.T + 5
     goal, on_horn = horned(torch.tensor(np.array(meshes[0].vertices)))
     goal = 1.3 * goal @ turn.T + 5
-    surfaces = SurfacePoints(x, normals=normals[0]), SurfacePoints(y, normals=normals[1])
-    start, plain = registration_start(*surfaces), registration_start(SurfacePoints(x), SurfacePoints(y))
+    surfaces = SampledSurface(x, normals=normals[0]), SampledSurface(y, normals=normals[1])
+    start, plain = registration_start(*surfaces), registration_start(SampledSurface(x), SampledSurface(y))
     assert start.near_rigid and not plain.near_rigid
     errors = [off(each.similarity(x)[~on_horn], goal[~on_horn]) for each in (start, plain)]
     assert errors[0] < 0.05 and errors[0] < 0.5 * errors[1]
@@ -241,14 +241,14 @@ def test_a_smooth_form_that_differs_is_no_rigid_copy() -> None:
     meshes = surface(0), surface(1)
     x, y = (torch.tensor(np.array(mesh.vertices)) for mesh in meshes)
     y = bent(y)
-    surfaces = (SurfacePoints(each, normals=normals_of(each, mesh)) for each, mesh in zip((x, y), meshes, strict=True))
+    surfaces = (SampledSurface(each, normals=normals_of(each, mesh)) for each, mesh in zip((x, y), meshes, strict=True))
     assert not registration_start(*surfaces).near_rigid
 
 
 @pytest.mark.parametrize(("name", "shape"), [("areas", (40, 1)), ("normals", (39, 3))])
 def test_areas_and_normals_are_those_of_the_points(name: str, shape: tuple[int, ...]) -> None:
     with pytest.raises(ArgumentError, match=f"{name} have shape .*, but must have shape"):
-        SurfacePoints(skin(40), **{name: torch.ones(shape)})
+        SampledSurface(skin(40), **{name: torch.ones(shape)})
 
 
 def test_what_is_nearly_rigid_does_not_shrink() -> None:

@@ -80,7 +80,7 @@ class RegistrationSettings(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class SurfacePoints:
+class SampledSurface:
     """Points of a surface that is registered, with what is known of it there.
 
     Args:
@@ -93,9 +93,9 @@ class SurfacePoints:
 
     Examples:
         >>> import homolog
-        >>> from homolog.maps import SurfacePoints
+        >>> from homolog.maps import SampledSurface
         >>> operators = homolog.compute_operators(homolog.demo_shapes()[0])
-        >>> body = SurfacePoints(operators.points, operators.mass)
+        >>> body = SampledSurface(operators.points, operators.mass)
     """
 
     points: Float[Tensor, "n 3"]
@@ -119,7 +119,7 @@ class _Cloud:
     normals: _Points
 
     @classmethod
-    def of(cls, surface: SurfacePoints) -> _Cloud:
+    def of(cls, surface: SampledSurface) -> _Cloud:
         points, areas, normals = surface.points, surface.areas, surface.normals
         weights = _array(torch.ones_like(points[:, 0]) if areas is None else areas)
         unit = _array(torch.zeros_like(points) if normals is None else normals)
@@ -225,12 +225,12 @@ def registered_positions(
     See Also:
         ``nearest_neighbour`` turns the positions into point maps.
     """
-    return registered_surfaces(SurfacePoints(points_x), SurfacePoints(points_y), start=start, settings=settings)
+    return registered_surfaces(SampledSurface(points_x), SampledSurface(points_y), start=start, settings=settings)
 
 
 def registered_surfaces(
-    x: SurfacePoints,
-    y: SurfacePoints,
+    x: SampledSurface,
+    y: SampledSurface,
     *,
     start: RegistrationStart | None = None,
     settings: RegistrationSettings | None = None,
@@ -260,10 +260,10 @@ def registered_surfaces(
 
     Examples:
         >>> import torch, trimesh
-        >>> from homolog.maps import SurfacePoints, registered_surfaces
+        >>> from homolog.maps import SampledSurface, registered_surfaces
         >>> mesh = trimesh.creation.icosphere(subdivisions=3)
-        >>> sphere = SurfacePoints(torch.tensor(mesh.vertices), normals=torch.tensor(mesh.vertex_normals))
-        >>> larger = SurfacePoints(2 * sphere.points, normals=sphere.normals)
+        >>> sphere = SampledSurface(torch.tensor(mesh.vertices), normals=torch.tensor(mesh.vertex_normals))
+        >>> larger = SampledSurface(2 * sphere.points, normals=sphere.normals)
         >>> on_larger, on_sphere = registered_surfaces(sphere, larger)
         >>> bool((on_larger - larger.points).norm(dim=1).mean() < 0.1)
         True
@@ -278,7 +278,7 @@ def registered_surfaces(
 
 
 def registration_start(
-    x: SurfacePoints, y: SurfacePoints, *, settings: RegistrationSettings | None = None
+    x: SampledSurface, y: SampledSurface, *, settings: RegistrationSettings | None = None
 ) -> RegistrationStart:
     """The similarity transform from which two surfaces that stand nearly alike are best registered. New here.
 
@@ -300,10 +300,10 @@ def registration_start(
 
     Examples:
         >>> import torch, trimesh
-        >>> from homolog.maps import SurfacePoints, registration_start, rotation_angle
+        >>> from homolog.maps import SampledSurface, registration_start, rotation_angle
         >>> box = trimesh.creation.box([1, 2, 3]).subdivide_loop(4)
         >>> points = torch.tensor(box.vertices)
-        >>> start = registration_start(SurfacePoints(points), SurfacePoints(2 * points))
+        >>> start = registration_start(SampledSurface(points), SampledSurface(2 * points))
         >>> round(float(rotation_angle(start.similarity.rotation))), round(start.similarity.scale, 3)
         (0, 2.0)
     """
@@ -325,7 +325,7 @@ def registration_start(
     return RegistrationStart(one.onto(other, rotations[-1] if is_distinct else rotations[0]))
 
 
-def _both(x: SurfacePoints, y: SurfacePoints, settings: RegistrationSettings) -> tuple[_Cloud, _Cloud]:
+def _both(x: SampledSurface, y: SampledSurface, settings: RegistrationSettings) -> tuple[_Cloud, _Cloud]:
     """Both with unit normals as long as they weigh, in y's units; without normals where those of one are unknown."""
     one, other = _Cloud.of(x), _Cloud.of(y)
     length = settings.normal_weight * other.size if one.normals.any() and other.normals.any() else 0.0

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from typing import Any, get_args
 
 import torch
@@ -48,6 +47,7 @@ class FeatureChoice:
         method: the one that was asked for; of ``"auto"`` that for two meshes.
         settings: how maps are made, with the operators that the features expect.
         preprocess: makes shapes ready, with the usual features.
+        shapes: that other features have looked at, too.
         others: features of other kinds of shapes, with an orienter each; empty where there is no choice.
         warnings: of features that were given, but that the method does not use.
     """
@@ -55,6 +55,7 @@ class FeatureChoice:
     method: Method
     settings: MatcherSettings
     preprocess: Preprocessor
+    shapes: SeenShapes
     others: tuple[FeatureExtractor, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -88,7 +89,8 @@ class FeatureChoice:
             device=device,
             source=operators,
         )
-        return cls(method, replace(settings, operators=preprocess.settings), preprocess, others, warnings)
+        resolved = replace(settings, operators=preprocess.settings)
+        return cls(method, resolved, preprocess, SeenShapes(preprocess), others, warnings)
 
     @property
     def is_open(self) -> bool:
@@ -100,10 +102,6 @@ class FeatureChoice:
         """All features, the usual ones first; none where the method needs none."""
         usual = self.preprocess.extractor
         return () if usual is None else (usual, *self.others)
-
-    @cached_property
-    def _shapes(self) -> SeenShapes:
-        return SeenShapes(self.preprocess)
 
     def method_of(self, source: Modality, target: Modality) -> Method:
         """How two shapes of these modalities are matched; see ``MatcherSettings``."""
@@ -161,7 +159,7 @@ class FeatureChoice:
         if not self.is_open:
             return list(pairs)
         with (timings or Timings()).measure("choice of features"):
-            return choose(pairs, self.extractors, self._shapes)
+            return choose(pairs, self.extractors, self.shapes)
 
     @torch.no_grad()
     def candidates(

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import torch
 
-from homolog.maps import SurfacePoints, nearest_neighbour, registered_surfaces, registration_start
+from homolog.maps import SampledSurface, nearest_neighbour, registered_surfaces, registration_start
 from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import Pair, PointMaps, PreprocessedShape, Supports
 
 
 def _point_maps(pair: Pair) -> PointMaps:
-    x, y = (SurfacePoints(shape.operators.points, shape.operators.mass) for shape in (pair.x, pair.y))
+    x, y = (SampledSurface(shape.operators.points, shape.operators.mass) for shape in (pair.x, pair.y))
     settings, start = pair.settings.registration, None
     if pair.options.orient == "auto":
         oriented = _with_normals(x, pair.x), _with_normals(y, pair.y)
@@ -22,7 +22,7 @@ def _point_maps(pair: Pair) -> PointMaps:
     return PointMaps(nearest_neighbour(on_y, y.points).index, nearest_neighbour(on_x, x.points).index)
 
 
-def _with_normals(points: SurfacePoints, shape: PreprocessedShape) -> SurfacePoints:
+def _with_normals(points: SampledSurface, shape: PreprocessedShape) -> SampledSurface:
     """The points with normals, where the shape has faces."""
     if shape.surface is None:
         return points
