@@ -1,4 +1,7 @@
-"""The road of a match: pair -> orientation -> alignment -> method -> refinement -> match."""
+"""The road of a match.
+
+Pair -> orientation -> alignment -> features of landmarks -> method -> refinement -> landmarks met -> match -> warnings.
+"""
 
 from __future__ import annotations
 
