@@ -282,7 +282,7 @@ def test_the_map_is_that_of_the_adapted_network_where_it_contradicts_itself_less
     pair, _ = matcher.pair(files.mesh, files.other)
     adapted, after = adapt_to_pair(matcher, pair, AdaptationSettings(steps=3))
     plain, other = matcher.find(pair), adapted.find(after)
-    misfits = map_misfit(plain.quality), map_misfit(other.quality)
+    misfits = map_misfit(plain), map_misfit(other)
     kept = misfits[1] < misfits[0]
     expected, found, told = (other if kept else plain), maps(tmp_path), report(tmp_path)
     assert np.array_equal(found["source_to_target"], expected.source_to_target)
