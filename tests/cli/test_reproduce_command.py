@@ -38,6 +38,7 @@ def test_the_list(homolog):
     assert complete[2:] == ["9", "FAUST_r, SCAPE_r, SHREC19", "faust 60, scape 50, faust_scape 65"]
 
 
+@pytest.mark.slow
 def test_from_files_to_a_table(homolog, data, tmp_path):
     """What each cell's own command prints is the cell's figure; the second run makes nothing."""
     options = ("reproduce", "complete", "--data", data, "--weights", "people", "-n", 2, "--device", "cpu")
@@ -58,6 +59,7 @@ def test_from_files_to_a_table(homolog, data, tmp_path):
     assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
 
 
+@pytest.mark.slow
 def test_the_folder_of_results_may_lie_in_that_of_the_data(homolog, data):
     """What the command wrote there itself is not taken for an input that would be replaced."""
     for n_pairs in (1, 2):
@@ -99,6 +101,7 @@ def test_a_mistake_is_one_line(homolog, data, tmp_path, mistake):
     assert [file.name for file in (tmp_path / "full").iterdir()] == ["letter.txt"]
 
 
+@pytest.mark.slow
 def test_evaluation_without_stages(homolog, data):
     """As matchers without these settings."""
     from homolog import Matcher, MatcherSettings

@@ -316,5 +316,5 @@ class _Run:
 
 
 def _fewer(wanted: int | None, pairs: tuple[Pair, ...]) -> int | None:
-    """How many pairs are drawn, at most those that there are; None for all."""
-    return None if wanted is None else min(wanted, len({pair for pair in pairs if pair[0] != pair[1]}))
+    """How many pairs are drawn, at most those of different shapes; None for all, also where there are no such pairs."""
+    return min(wanted or 0, len({pair for pair in pairs if pair[0] != pair[1]})) or None
