@@ -313,6 +313,12 @@ def test_some_shapes_of_one_dataset_keep_their_ground_truth(data, output):
     assert report["validations"][0]["validation/supervised"] > 0
 
 
+def test_too_few_shapes_are_not_taken_for_enough(data, output):
+    (data / "blobs" / "off" / "ape.off").unlink()
+    with pytest.raises(DataError, match="blobs has 1 shapes to train on, but small_supervised takes 2; add some"):
+        reproduce("taught", data, output, ReproductionSettings(train=True))
+
+
 def test_the_output_may_lie_in_the_data(data):
     """As with --data . and the usual folder for results."""
     assert reproduce("plain", data, data / "reproduced", ReproductionSettings(only=("mesh",))).made == 2

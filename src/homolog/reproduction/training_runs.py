@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from homolog.core.choices import Device
+from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, made_folder, open_text, sha256, write_json
 from homolog.core.pretrained import weights_file
 from homolog.core.progress import Progress, ignore
@@ -137,9 +138,7 @@ def _training_data(
         name = plan.data[0]
         return folders[name], descriptions[name]
     sources = {name: ShapeFolder.without_truth(folders[name], descriptions[name]) for name in plan.data}
-    chosen = [
-        (name, shape) for name, source in sources.items() for shape in source.split("train")[: plan.first or None]
-    ]
+    chosen = [(name, shape) for name in plan.data for shape in _first(sources[name], plan)]
     files = [str(sources[name].file(shape).resolve()) for name, shape in chosen]
     root = made_folder(output / SHAPES / f"{'-'.join(plan.data)}-{key_of(files)}")
     for name, shape in chosen:
@@ -150,6 +149,17 @@ def _training_data(
     with atomic_path(root / "train.txt") as temporary, open_text(temporary) as lines:
         lines.writelines(f"{name}_{shape}\n" for name, shape in chosen)
     return root, None
+
+
+def _first(source: ShapeFolder, plan: TrainingPlan) -> tuple[str, ...]:
+    """The training shapes of a dataset that a plan takes."""
+    names = source.split("train")
+    if len(names) < plan.first:
+        raise DataError(
+            f"{source.root} has {len(names)} shapes to train on, but {plan.name} takes {plan.first}; "
+            "add some, or leave its rows out"
+        )
+    return names[: plan.first or None]
 
 
 def _link(place: Path, file: Path) -> None:
