@@ -65,6 +65,7 @@ def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path
     assert matched_by.pop().startswith(best.name)
 
 
+@pytest.mark.slow
 def test_one_odd_shape_does_not_decide(family, people, tmp_path):
     template, files, _ = family
     matcher = Matcher.from_weights()

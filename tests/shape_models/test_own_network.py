@@ -54,6 +54,7 @@ def test_the_better_of_both_maps_is_kept_for_each_shape(matcher, family, tmp_pat
     assert ",adapted," in (root / "quality.csv").read_text().splitlines()[0]
 
 
+@pytest.mark.slow
 def test_it_is_the_same_after_an_interrupt_and_stays_for_later_shapes(matcher, family, tmp_path, monkeypatch):
     template, files, _ = family
     whole, parts = tmp_path / "whole", tmp_path / "parts"
