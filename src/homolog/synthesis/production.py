@@ -217,6 +217,6 @@ def _of_model(kind: Callable[..., Kind], *how: str, details: bool = False) -> Ki
 
 
 @cache
-def _body_model(*, details: bool = False) -> BodyModel:
+def _body_model(*, details: bool) -> BodyModel:
     """The body model of this process; loading it takes seconds."""
     return BodyModel(details=details)
