@@ -85,7 +85,7 @@ class Reproduced:
     empty: dict[tuple[str, str], str]
 
 
-class _StaysEmpty(Exception):  # noqa: N818
+class _EmptyCellError(Exception):
     """A cell cannot be made with what is there."""
 
 
@@ -176,7 +176,7 @@ class _Run:
                 self.made += 1
             else:
                 self.found += 1
-        except (_StaysEmpty, DataError, ShapeError) as reason:
+        except (_EmptyCellError, DataError, ShapeError) as reason:
             self.empty[row.name, column] = str(reason)
 
     def _plan(self, row: Row, column: Column) -> CellPlan:
@@ -259,14 +259,14 @@ class _Run:
         place = data_places()[name]
         found = place.find(self.data)
         if found is None:
-            raise _StaysEmpty(f"{self.data} has no folder {' or '.join(place.folders)}; {place.to_be_had}")
+            raise _EmptyCellError(f"{self.data} has no folder {' or '.join(place.folders)}; {place.to_be_had}")
         return found
 
     def _n_pairs(self, row: Row) -> int:
         """How many pairs a cell of a row has; 0 if it lacks what it needs."""
         try:
             pairs = self._pairs(row, self.dataset(row.data)[0])[0]
-        except (_StaysEmpty, DataError):
+        except (_EmptyCellError, DataError):
             return 0
         return _fewer(self.settings.n_pairs, pairs) or len(pairs)
 
@@ -277,7 +277,7 @@ class _Run:
             return pairs, None
         chosen = tuple(pair for pair in pairs if fnmatchcase(pair[1], row.names))
         if not chosen:
-            raise _StaysEmpty(f"{folder.root} has no shapes {row.names}; get the dataset again")
+            raise _EmptyCellError(f"{folder.root} has no shapes {row.names}; get the dataset again")
         file = self.folder / f"{row.data}-pairs.txt"
         with atomic_path(file) as temporary, open_text(temporary) as lines:
             lines.writelines(f"{source},{target}\n" for source, target in chosen)
@@ -289,12 +289,12 @@ class _Run:
             return None, None
         if self.settings.weights is not None:
             if row.trained_only:
-                raise _StaysEmpty(f"it is about the training {row.training}, which other weights cannot replace")
+                raise _EmptyCellError(f"it is about the training {row.training}, which other weights cannot replace")
             return self.settings.weights, None
         training = self.training(row.training)
         if training.done() is None:
             if not self.settings.train:
-                raise _StaysEmpty(f"the training {row.training} is not there; use --train, or give --weights FILE")
+                raise _EmptyCellError(f"the training {row.training} is not there; use --train, or give --weights FILE")
             training.run(self.settings.device, lambda *told: self._tell_training(row.training, *told))
         return str(training.weights), training
 
@@ -307,7 +307,7 @@ class _Run:
         try:
             return TrainingRun.of(plan, folders, self.root, self.settings.changes)
         except DataError as error:
-            raise _StaysEmpty(f"the training {name} is not there, and cannot be made ({error})") from None
+            raise _EmptyCellError(f"the training {name} is not there, and cannot be made ({error})") from None
 
     def _matcher(self, weights: str | None, settings: MatcherSettings) -> Matcher:
         features = features_of_weights(weights, settings)
