@@ -68,9 +68,10 @@ FLOORS = CORE | {
     "statistics": GROUND,
     "shape_models": GROUND
     | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"},
+    "symmetries": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "statistics", "viewing"},
     "cli": GROUND
     | BENEATH_EVALUATION
-    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "shape_models"}
+    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "shape_models", "symmetries"}
     | {"__init__"},
     "__main__": {"cli"},
     "__init__": GROUND
@@ -86,6 +87,7 @@ FLOORS = CORE | {
         "serving",
         "shape_models",
         "statistics",
+        "symmetries",
     },
 }
 HEAVY = [
