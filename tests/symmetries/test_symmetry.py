@@ -88,6 +88,18 @@ def test_points_that_are_left_out_have_no_partner_and_all_others_keep_their_numb
     json.dumps(found.figures(), allow_nan=False)
 
 
+def test_what_a_mask_leaves_out_has_no_partner():
+    points, faces, partner = bumpy()
+    lump = np.exp(-((points - [1.0, 0, 0]) ** 2).sum(axis=1) / 0.05)
+    mask = lump < 0.2
+    mask[partner[~mask]] = False
+    found = homolog.symmetry(homolog.Shape(points * (1 + lump[:, None]), faces), method="registration", mask=mask)
+    assert (found.partner[~mask] == -1).all() and np.isnan(found.asymmetry[~mask]).all()
+    assert np.mean(found.partner[mask] == partner[mask]) > 0.98
+    assert np.abs(found.plane.normal) == pytest.approx([1, 0, 0], abs=1e-3)
+    assert np.nanmedian(found.asymmetry) < 1e-3
+
+
 def test_a_cloud_has_partners():
     points, _, partner = bumpy()
     found = homolog.symmetry(homolog.Shape(points), method="registration")

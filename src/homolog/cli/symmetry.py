@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.match import counted
+from homolog.cli.match import counted, has_choice
 from homolog.cli.options import (
     INPUT,
     OUTPUT,
@@ -35,8 +35,6 @@ from homolog.cli.options import (
 from homolog.cli.progress import progress_bar, say
 from homolog.cli.wording import in_options
 from homolog.core.choices import Up
-from homolog.core.method_names import AUTO
-from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Timings
 
 # Those of a match but for writing, and the smooth map with all that is measured on it.
@@ -51,6 +49,16 @@ def symmetry(
     up: Annotated[Up, typer.Option(help="The axis that points up in the file.", rich_help_panel=INPUT)] = "y",
     orient: OrientOption = "auto",
     clutter: ClutterOption = "remove",
+    mask: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Points that count, 0 to leave one out: .npy, .txt or .csv with a number per point, or .ply with the "
+            "property mask or weight, or painted black and white.",
+            show_default=False,
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
     ] = False,
@@ -87,10 +95,10 @@ def symmetry(
     check_folder(output, names=homolog.symmetries.SYMMETRY_FILES)
     check_page_file(page)
     check_picture_file(picture, lines, picture_width)
-    words = homolog.symmetries.mirror_words(up=up, as_cloud=as_cloud, orient=orient, clutter=clutter, strict=strict)
+    options = {"orient": orient, "clutter": clutter, "strict": strict}
+    words = homolog.symmetries.mirror_words(up=up, as_cloud=as_cloud, mask=mask, **options)
     with progress_bar(quiet=quiet) as progress:
-        choices = weights in (None, AUTO_WEIGHTS) and method == AUTO
-        timings = Timings(listener=counted(progress, _STEPS + choices, verbose=verbose))
+        timings = Timings(listener=counted(progress, _STEPS + has_choice(weights, method), verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         match = matcher.match(shape, shape, timings=timings, **words)
         with timings.measure("symmetry"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from homolog.maps import zoomout, zoomout_partial
 from homolog.pairs import Pair, PointMaps
 
@@ -22,6 +24,7 @@ def refine(pair: Pair, maps: PointMaps) -> PointMaps:
     x, y = pair.x.operators, pair.y.operators
     features = pair.x.unit_features(), pair.y.unit_features()
     landmarks = None if pair.guidance is None else pair.guidance.rows(pair.settings.guidance.rows)
+    weights: dict[str, Any] = {"weights_x": pair.x.point_weights, "weights_y": pair.y.point_weights}
     if pair.is_partial:
         y_to_x, x_to_y = zoomout_partial(
             maps.y_to_x,
@@ -32,6 +35,7 @@ def refine(pair: Pair, maps: PointMaps) -> PointMaps:
             *features,
             settings=settings,
             landmarks=landmarks,
+            **weights,
         )
     else:
         y_to_x, x_to_y = zoomout(
@@ -42,5 +46,6 @@ def refine(pair: Pair, maps: PointMaps) -> PointMaps:
             *features,
             settings=settings,
             landmarks=landmarks,
+            **weights,
         )
     return PointMaps(x_to_y=x_to_y, y_to_x=y_to_x)

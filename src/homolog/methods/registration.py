@@ -15,7 +15,7 @@ from homolog.pairs import Pair, PointMaps, PreprocessedShape, Supports
 
 def _point_maps(pair: Pair) -> PointMaps:
     x, y = pair.x.operators.points, pair.y.operators.points
-    known: dict[str, Any] = {"areas_x": pair.x.operators.mass, "areas_y": pair.y.operators.mass}
+    known: dict[str, Any] = {"areas_x": _areas(pair.x), "areas_y": _areas(pair.y)}
     known["settings"] = pair.settings.registration
     if pair.options.orient == "auto":
         normals: dict[str, Any] = (
@@ -25,6 +25,12 @@ def _point_maps(pair: Pair) -> PointMaps:
         known |= normals if known["start"].near_rigid else {}
     on_y, on_x = registered_positions(x, y, **known)
     return PointMaps(nearest_neighbour(on_y, y).index, nearest_neighbour(on_x, x).index)
+
+
+def _areas(shape: PreprocessedShape) -> Tensor:
+    """The area that each point stands for, times how much it counts."""
+    mass, weights = shape.operators.mass, shape.point_weights
+    return mass if weights is None else mass * weights
 
 
 def _normals(shape: PreprocessedShape) -> Tensor:

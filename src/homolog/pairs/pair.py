@@ -180,6 +180,7 @@ class Pair:
                 partial=options.partial == side,
                 mirror=options.mirror == side,
                 clutter=options.clutter,
+                mask=options.mask(side),
                 strict=options.strict,
                 timings=timings,
                 label=side,
@@ -194,6 +195,11 @@ class Pair:
 
     def __post_init__(self) -> None:
         check_supported(self.method, self.options, self.source, self.target)
+        for side, shape in zip(SIDES, (self.source, self.target), strict=True):
+            if self.options.mask(side) is not None and shape.mask is None:
+                raise ArgumentError(
+                    f"{side}_mask is given, but the {side} was preprocessed without; preprocess it with it"
+                )
         widths = [None if shape.features is None else shape.features.shape[1] for shape in (self.source, self.target)]
         if None not in widths and widths[0] != widths[1]:
             raise ArgumentError(

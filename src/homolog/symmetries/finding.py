@@ -13,6 +13,7 @@ from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry.projection import SurfaceProjector
 from homolog.matching import Match, match, orientation_warnings
+from homolog.pairs import SIDES, mask_of
 from homolog.shapes import Shape, mirrored
 from homolog.statistics import FEWEST_PAIRS, MirrorPlane, best_mirror_plane
 from homolog.symmetries.measuring import local_stretch
@@ -23,6 +24,10 @@ BENT = 0.03
 _AMBIGUOUS = (
     "the shape has more than one mirror plane: another one fits nearly as well; turn the file so that left and right "
     "differ in x, and trust it by orient='given'"
+)
+_OF_TWO = (
+    *("partial", "partial_scale", "pre_aligned", "mirror", "landmarks"),
+    *(f"{side}_{name}" for side in SIDES for name in ("up", "mask")),
 )
 _PERCENTILES = {"median": 50, "percentile_95": 95}
 
@@ -88,7 +93,7 @@ class Symmetry:
         positions[partner < 0] = np.nan
         (known,) = np.nonzero(np.isfinite(positions).all(axis=1))
         stretch = local_stretch(projector.shape, positions[projector.repaired.kept])
-        plane = best_mirror_plane(*(places[known] for places in (shape.points, positions)), _areas(projector)[known])
+        plane = best_mirror_plane(shape.points[known], positions[known], _areas(projector)[known])
         lifted = projector.repaired.to_original(stretch)
         return cls(shape, partner, confidence, positions, plane, np.where(partner < 0, np.nan, lifted), found)
 
@@ -148,7 +153,8 @@ def symmetry(shape: Any, **words: Any) -> Symmetry:
     Args:
         shape: a path, a shape, or whatever ``as_shape`` takes.
         **words: those of ``homolog.match`` for one shape: ``weights``, ``features`` (a function), ``method``,
-            ``settings``, ``device``, ``orient``, ``clutter``, ``strict``; and ``up`` and ``as_cloud``, of the shape.
+            ``settings``, ``device``, ``orient``, ``clutter``, ``strict``; and of the shape ``up``, ``as_cloud`` and
+            ``mask``.
 
     Raises:
         ArgumentError: if a word is not allowed.
@@ -163,16 +169,18 @@ def symmetry(shape: Any, **words: Any) -> Symmetry:
     return Symmetry.of(match(shape, shape, **mirror_words(**words)))
 
 
-def mirror_words(*, up: str = "y", as_cloud: bool = False, **words: Any) -> dict[str, Any]:
+def mirror_words(*, up: str = "y", as_cloud: bool = False, mask: Any = None, **words: Any) -> dict[str, Any]:
     """The words of ``homolog.match`` that match a shape with its mirror image.
 
     Raises:
         ArgumentError: if a word is about two different shapes.
     """
-    for name in ("partial", "partial_scale", "pre_aligned", "mirror", "source_up", "target_up", "landmarks"):
+    for name in _OF_TWO:
         if name in words:
             raise ArgumentError(f"{name} is given, but a symmetry is of one shape; leave it out")
-    return {"mirror": "target", "source_up": up, "target_up": up, "as_cloud": "both" if as_cloud else None, **words}
+    known = mask_of(mask, "mask")
+    both = {"source_up": up, "target_up": up, "source_mask": known, "target_mask": known}
+    return {"mirror": "target", "as_cloud": "both" if as_cloud else None, **both, **words}
 
 
 def _partners(found: Match) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
