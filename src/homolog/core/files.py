@@ -120,14 +120,14 @@ def read_bytes(path: str | Path, *, first: int = -1) -> bytes:
         return file.read(first)
 
 
-def read_text(path: str | Path, *, encoding: str = "utf-8", errors: str = "strict") -> str:
-    """The content of an ordinary file of text, with line feeds as its ends of lines.
+def read_text(path: str | Path, *, errors: str = "strict") -> str:
+    """The content of an ordinary file of text in UTF-8, without its mark, with line feeds as its ends of lines.
 
     Raises:
         OSError: as ``opened`` does.
-        UnicodeDecodeError: if it is no text in this encoding.
+        UnicodeDecodeError: if it is no such text.
     """
-    return read_bytes(path).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+    return read_bytes(path).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def parse_json(text: str | bytes) -> Any:
