@@ -146,7 +146,7 @@ def mask_of(given: Any, name: str) -> Any:
 
 def _read_lines(path: Path) -> np.ndarray:
     """A number a line; what follows a # is a comment."""
-    lines = [line.partition("#")[0].strip() for line in read_text(path, encoding="utf-8-sig").splitlines()]
+    lines = [line.partition("#")[0].strip() for line in read_text(path).splitlines()]
     numbered = [(number, line) for number, line in enumerate(lines, 1) if line]
     if numbered and _number(numbered[0][1]) is None:
         numbered = numbered[1:]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from homolog.core.arguments import check_kind
+from homolog.core.arguments import check_choice, check_kind
+from homolog.core.choices import Up
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.geometry.projection import SurfaceProjector
 from homolog.matching import Match, match, orientation_warnings
@@ -178,6 +179,7 @@ def mirror_words(*, up: str = "y", as_cloud: bool = False, mask: Any = None, **w
     for name in _OF_TWO:
         if name in words:
             raise ArgumentError(f"{name} is given, but a symmetry is of one shape; leave it out")
+    check_choice("up", up, get_args(Up))
     known = mask_of(mask, "mask")
     both = {"source_up": up, "target_up": up, "source_mask": known, "target_mask": known}
     return {"mirror": "target", "as_cloud": "both" if as_cloud else None, **both, **words}

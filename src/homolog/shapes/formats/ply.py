@@ -123,7 +123,7 @@ def read_ply_property(path: Path, name: str) -> Float[np.ndarray, " n"] | None:
     """A number of each point of a PLY file; None if it has no such property."""
     file = _opened(path)
     vertex = next((element for element in file.elements if element.name == "vertex"), None)
-    if vertex is None or name not in {prop.name for prop in vertex.properties if not prop.count_type}:
+    if vertex is None or not {name, name.upper()} & {prop.name for prop in vertex.properties if not prop.count_type}:
         return None
     values, _, _ = _parts(file, (name,))
     return None if values is None else values[:, 0]
