@@ -67,7 +67,8 @@ FLOORS = CORE | {
     "serving": GROUND | {"shapes", "pairs", "matching", "viewing"},
     "statistics": GROUND,
     "shape_models": GROUND
-    | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"},
+    | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"}
+    | {"symmetries"},
     "symmetries": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "statistics", "viewing"},
     "cli": GROUND
     | BENEATH_EVALUATION

@@ -3,7 +3,14 @@
 from homolog.statistics.alignment import Aligned, generalised_procrustes
 from homolog.statistics.curves import Curve, compactness, generalisation, specificity
 from homolog.statistics.model import ShapeModel, principal_modes
-from homolog.statistics.symmetry import FEWEST_PAIRS, MirrorPlane, best_mirror_plane, mirror_normal
+from homolog.statistics.symmetry import (
+    FEWEST_PAIRS,
+    MirrorPlane,
+    SymmetricComponents,
+    best_mirror_plane,
+    mirror_normal,
+    symmetric_components,
+)
 
 __all__ = [
     "FEWEST_PAIRS",
@@ -11,6 +18,7 @@ __all__ = [
     "Curve",
     "MirrorPlane",
     "ShapeModel",
+    "SymmetricComponents",
     "best_mirror_plane",
     "compactness",
     "generalisation",
@@ -18,4 +26,5 @@ __all__ = [
     "mirror_normal",
     "principal_modes",
     "specificity",
+    "symmetric_components",
 ]

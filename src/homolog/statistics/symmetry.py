@@ -1,4 +1,4 @@
-"""The mirror plane of points whose partners across it are known."""
+"""Points whose mirror partners are known: the mirror plane, and symmetric and asymmetric components."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError
+from homolog.statistics.alignment import generalised_procrustes
 
 FEWEST_PAIRS = 3
 """No mirror plane is found from fewer points with partners."""
@@ -119,3 +120,71 @@ def mirror_normal(
     """
     products = points.T @ (images if weights is None else images * weights[:, None])
     return np.asarray(np.linalg.eigh(products + products.T)[1][:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetricComponents:
+    """Shapes taken apart: ``symmetric + asymmetric`` are the aligned shapes.
+
+    Args:
+        symmetric: the mean of each shape and its mirror image in the same numbering (s, n, 3).
+        asymmetric: half the difference of the two (s, n, 3).
+    """
+
+    symmetric: Float[np.ndarray, "s n 3"]
+    asymmetric: Float[np.ndarray, "s n 3"]
+
+    @property
+    def directional(self) -> Float[np.ndarray, "n 3"]:
+        """Directional asymmetry: what of it all shapes have in common (n, 3)."""
+        return np.asarray(self.asymmetric.mean(axis=0))
+
+    @property
+    def amounts(self) -> Float[np.ndarray, " s"]:
+        """How asymmetric each shape is: the root mean square of its asymmetric part, in the shapes' unit (s,)."""
+        return np.asarray(np.sqrt((self.asymmetric**2).sum(axis=2).mean(axis=1)))
+
+    def variances(self) -> dict[str, float]:
+        """Mean squares per shape, summed over points: how shapes differ, and in which way they are asymmetric.
+
+        ``symmetric`` is the variation among the symmetric shapes, ``directional`` the asymmetry that all have in
+        common, ``fluctuating`` what is left of it in each shape. The first and the last are divided by s - 1.
+        """
+        others = max(len(self.symmetric) - 1, 1)
+        return {
+            "symmetric": float(((self.symmetric - self.symmetric.mean(axis=0)) ** 2).sum() / others),
+            "directional": float((self.directional**2).sum()),
+            "fluctuating": float(((self.asymmetric - self.directional) ** 2).sum() / others),
+        }
+
+
+def symmetric_components(
+    points: Float[np.ndarray, "s n 3"], partners: Float[np.ndarray, "s n 3"], *, scale: bool = False
+) -> SymmetricComponents:
+    """Symmetric and asymmetric components of shapes in correspondence, of which each is symmetric in itself.
+
+    Klingenberg, Barluenga and Meyer, "Shape analysis of symmetric structures: quantifying variation among individuals
+    and asymmetry", Evolution 56, 2002. All shapes and their mirror images, whose points have the numbers of their
+    partners, are aligned together by generalised Procrustes.
+
+    Args:
+        points: the shapes (s, n, 3).
+        partners: on each shape the position of each point's mirror partner (s, n, 3).
+        scale: normalise the size as well.
+
+    Raises:
+        ArgumentError: if the arrays do not fit, or are none that can be aligned.
+
+    Examples:
+        >>> left = np.random.default_rng(0).normal(size=(1, 5, 3))
+        >>> right = left * [-1, 1, 1]
+        >>> found = symmetric_components(np.concatenate([left, right], axis=1), np.concatenate([right, left], axis=1))
+        >>> found.symmetric.shape, bool(found.amounts[0] < 1e-9)
+        ((1, 10, 3), True)
+    """
+    if points.shape != partners.shape:
+        raise ArgumentError(f"partners have shape {partners.shape}, but must have that of the points, {points.shape}")
+    # Which plane they are reflected in does not matter, as they are aligned anew.
+    aligned = generalised_procrustes(np.concatenate([points, partners * np.array([-1.0, 1, 1])]), scale=scale)
+    own, reflected = aligned.points[: len(points)], aligned.points[len(points) :]
+    return SymmetricComponents((own + reflected) / 2, (own - reflected) / 2)

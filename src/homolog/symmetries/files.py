@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from homolog.core.files import all_or_nothing, expanded, made_folder, refuse_overwriting_inputs, write_csv, write_json
+from homolog.core.errors import DataError
+from homolog.core.files import (
+    all_or_nothing,
+    expanded,
+    made_folder,
+    read_text,
+    refuse_overwriting_inputs,
+    write_csv,
+    write_json,
+)
+from homolog.core.reasons import reason_of
 from homolog.core.versions import versions
 from homolog.matching import Match, given_files
 from homolog.pairs import SIDES
-from homolog.shapes import drawable, write_shape
+from homolog.shapes import Shape, drawable, write_shape
 from homolog.symmetries.finding import Symmetry
 from homolog.viewing import Layer, Scene, heat_layer, scene_of
 
@@ -55,6 +67,35 @@ def write_symmetry(folder: str | Path, found: Symmetry) -> list[Path]:
         report = {**found.figures(), "versions": versions(), "match": dict(found.match.report)}
         write_json(paths[4], {"warnings": list(found.warnings), "method": found.match.method, **report})
     return paths
+
+
+def read_partner_positions(folder: str | Path, shape: Shape) -> Float[np.ndarray, "n 3"]:
+    """Where the mirror partner of each point of a shape lies, from a folder that ``write_symmetry`` wrote of it.
+
+    Args:
+        folder: that folder.
+        shape: as it was read.
+
+    Returns:
+        Positions in the shape's coordinates; NaN without a partner (n, 3).
+
+    Raises:
+        DataError: if there is no such table, it is damaged, or is that of another shape.
+    """
+    path = expanded(folder) / POINTS
+    try:
+        rows = list(csv.DictReader(read_text(path).splitlines()))
+        values = np.array([[float(row[axis] or "nan") for axis in "xyz"] for row in rows]).reshape(-1, 3)
+    except OSError as error:
+        raise DataError(f"{path} cannot be read ({reason_of(error)}); give a folder of homolog symmetry") from None
+    except (UnicodeDecodeError, KeyError, TypeError, ValueError, csv.Error):
+        raise DataError(f"{path} is no table of mirror partners; run homolog symmetry again") from None
+    if len(values) != shape.n_points or np.isinf(values).any():
+        raise DataError(
+            f"{path} has the partners of {len(values)} points, but {shape.name} has {shape.n_points} points; "
+            f"run homolog symmetry on {shape.name}"
+        )
+    return values
 
 
 def heat_layers(found: Symmetry) -> tuple[Layer, Layer]:
