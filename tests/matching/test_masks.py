@@ -88,6 +88,19 @@ def test_a_mask_that_keeps_all_points_changes_nothing(bean):
         assert (plain.target_to_source == masked.target_to_source).all()
 
 
+def test_a_growth_that_counts_little_does_not_move_the_rest(bean):
+    growth = np.exp(-((bean.points - [-0.9, -0.6, 0]) ** 2).sum(axis=1) / 0.25)
+    grown = homolog.Shape(bean.points * (1 + 1.2 * growth[:, None]), bean.faces)
+    weights = np.where(growth > 0.1, 0.02, 1.0)
+    plain, weighed = (
+        homolog.match(bean, grown, method="registration", orient="given", source_mask=mask, target_mask=mask)
+        for mask in (None, weights)
+    )
+    away = np.flatnonzero(growth < 0.05)
+    assert np.mean(plain.target_to_source[away] == away) < 0.5
+    assert np.mean(weighed.target_to_source[away] == away) > 0.98
+
+
 def test_reports_say_how_many_points_were_left_out_and_strict_matches_bear_masks(bean, tmp_path):
     mask = bean.points[:, 1] < 0.9
     found = homolog.match(bean, bean, method="registration", source_mask=mask, target_mask=mask, strict=True)

@@ -15,6 +15,9 @@ from homolog.core.arrays import takes_arrays
 from homolog.core.settings import Count, Positive, Settings
 from homolog.maps.nearest import nearest_neighbour
 
+# Of the largest weight of a pair: functional maps need pairs from everywhere, or they tear where there are none.
+_LEAST_WEIGHT = 0.05
+
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementSettings(Settings):
@@ -116,7 +119,7 @@ def zoomout(
         settings: sizes of the basis, samples, and how much features weigh.
         landmarks: pairs of points that are known to correspond.
         weights_x: how much each point of x counts where functional maps are fitted (n_x,); by default all alike. A pair
-            counts by the product of the weights of its points.
+            counts by the geometric mean of the weights of its points, and at least a twentieth of the largest.
         weights_y: likewise (n_y,).
 
     Returns:
@@ -304,7 +307,10 @@ def _weights(
 ) -> Float[Tensor, " p"] | None:
     """How much each pair of points counts; None where all count alike."""
     known = [one.weights[at] for one, at in ((x, points_x), (y, points_y)) if one.weights is not None]
-    return torch.stack(known).prod(dim=0) if known else None
+    if not known:
+        return None
+    found = torch.stack(known).log().mean(dim=0).exp()
+    return found.clamp(min=_LEAST_WEIGHT * float(found.max()))
 
 
 def _fitted(
