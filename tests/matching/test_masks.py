@@ -101,6 +101,35 @@ def test_a_growth_that_counts_little_does_not_move_the_rest(bean):
     assert np.mean(weighed.target_to_source[away] == away) > 0.98
 
 
+@pytest.mark.parametrize("partial", [None, "target"])
+def test_graded_masks_reach_zoomout(bean, partial):
+    growth = np.exp(-((bean.points - [-0.9, -0.6, 0]) ** 2).sum(axis=1) / 0.25)
+    other = homolog.Shape(bean.points * (1 + 1.2 * growth[:, None]), bean.faces)
+    weights = np.where(bean.points[:, 0] > 0, 1.0, 0.2)
+
+    def found(**masks):
+        words = {"method": "nearest-features", "features": features, "orient": "given", "partial": partial, **masks}
+        return homolog.match(bean, other, **words).target_to_source
+
+    def features(operators):
+        return torch.cat([operators.points + 1, operators.points.square()], dim=1)
+
+    assert (found() == found(source_mask=np.full(642, 3.0))).all()
+    assert (found() != found(source_mask=weights, target_mask=weights)).any()
+
+
+def test_a_mask_and_clutter_are_both_told_and_both_left_out(bean):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.2)
+    points = np.concatenate([bean.points, ball.vertices + np.array([6, 0, 0])])
+    scan = homolog.Shape(points, np.concatenate([bean.faces, ball.faces + bean.n_points]))
+    mask = points[:, 1] < 0.9
+    found = homolog.match(scan, bean, method="registration", source_mask=mask, target_mask=mask[:642])
+    rules = {each["rule"]: each["count"] for each in found.report["inputs"]["source"]["findings"]}
+    assert rules[MASKED] == (~mask).sum() and rules["points of other objects"] == len(ball.vertices)
+    apart = ~mask | (np.arange(len(points)) >= 642)
+    assert (found.source_to_target[apart] == -1).all() and (found.source_to_target[~apart] >= 0).mean() > 0.98
+
+
 def test_reports_say_how_many_points_were_left_out_and_strict_matches_bear_masks(bean, tmp_path):
     mask = bean.points[:, 1] < 0.9
     found = homolog.match(bean, bean, method="registration", source_mask=mask, target_mask=mask, strict=True)

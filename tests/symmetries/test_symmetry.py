@@ -131,6 +131,17 @@ def test_a_plane_is_found_although_a_third_of_the_pairs_is_wrong():
     assert found.normal == pytest.approx(plane.normal, abs=1e-3) and found.offset == pytest.approx(2, abs=5e-3)
 
 
+def test_pairs_count_by_their_weights():
+    points = np.random.default_rng(2).normal(size=(200, 3))
+    planes = MirrorPlane(np.array([1.0, 0, 0]), 1.0), MirrorPlane(np.array([0.0, 1, 0]), -2.0)
+    partners = np.concatenate([planes[0].reflected(points[:100]), planes[1].reflected(points[100:])])
+    for number, plane in enumerate(planes):
+        weights = np.where(np.arange(200) // 100 == number, 1.0, 1e-9)
+        found = best_mirror_plane(points, partners, weights)
+        assert found.normal == pytest.approx(plane.normal, abs=1e-4)
+        assert found.offset == pytest.approx(plane.offset, abs=1e-4)
+
+
 @pytest.mark.parametrize(
     ("points", "partners", "weights", "message"),
     [

@@ -91,7 +91,6 @@ class Symmetry:
             )
         projector = SurfaceProjector(shape)
         positions = _positions(projector, found)
-        positions[partner < 0] = np.nan
         (known,) = np.nonzero(np.isfinite(positions).all(axis=1))
         stretch = local_stretch(projector.shape, positions[projector.repaired.kept])
         plane = best_mirror_plane(shape.points[known], positions[known], _areas(projector)[known])
@@ -207,7 +206,7 @@ def _returning(points: Float[np.ndarray, "n 3"], partner: Int[np.ndarray, " n"])
 def _positions(projector: SurfaceProjector, found: Match) -> Float[np.ndarray, "n 3"]:
     """Where the partner of each point lies on the surface: along a smooth map to the mirror image, reflected back."""
     image = mirrored(projector.given)
-    return mirrored(replace(image, points=surface_map(projector, image, found).positions)).points.copy()
+    return mirrored(replace(image, points=surface_map(projector, image, found).positions)).points
 
 
 def _areas(projector: SurfaceProjector) -> Float[np.ndarray, " n"]:
