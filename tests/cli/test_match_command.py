@@ -15,7 +15,7 @@ from homolog import shapes
 from homolog.core.errors import ShapeError
 from homolog.datasets import demo_folder
 from homolog.matching import Matcher, map_misfit
-from homolog.matching import matcher as matcher_module
+from homolog.matching import warnings as warnings_module
 from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
 from homolog.shapes import reading as reading_module
@@ -282,7 +282,7 @@ def test_the_map_is_that_of_the_adapted_network_where_it_contradicts_itself_less
     pair, _ = matcher.pair(files.mesh, files.other)
     adapted, after = adapt_to_pair(matcher, pair, AdaptationSettings(steps=3))
     plain, other = matcher.find(pair), adapted.find(after)
-    misfits = map_misfit(plain.quality), map_misfit(other.quality)
+    misfits = map_misfit(plain), map_misfit(other)
     kept = misfits[1] < misfits[0]
     expected, found, told = (other if kept else plain), maps(tmp_path), report(tmp_path)
     assert np.array_equal(found["source_to_target"], expected.source_to_target)
@@ -371,7 +371,7 @@ def test_up(homolog, files, tmp_path, up, turn):
 
 
 def test_warnings_are_shown_and_kept(homolog, files, tmp_path, monkeypatch):
-    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args: ("it lies on its side",))
+    monkeypatch.setattr(warnings_module, "orientation_warnings", lambda *args: ("it lies on its side",))
     ended = homolog("match", files.mesh, files.other, "--orient", "given", "-o", tmp_path)
     assert ended.code == 0
     assert "Warning: it lies on its side\n" in ended.err

@@ -164,6 +164,10 @@ class _Kept:
     own: Path | None = None
     written: set[Path] = field(default_factory=set)
 
+    def owns(self, target: Path, given: Path) -> bool:
+        """Whether a file lies in the writer's own folder, below an input."""
+        return self.own is not None and self.own in target.parents and resolved(given) in self.own.parents
+
 
 _keeping: ContextVar[_Kept | None] = ContextVar("keeping", default=None)
 
@@ -225,15 +229,10 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
         for given in read:
             if given.samefile(output):
                 raise ArgumentError(f"{output} is an input and would be replaced by the result; give another output")
-            if given.is_dir() and not _is_own(kept, target, given) and _lies_in(target, given):
+            if given.is_dir() and not kept.owns(target, given) and _lies_in(target, given):
                 raise ArgumentError(
                     f"{output} lies in the input {given} and would be replaced by the result; give another output"
                 )
-
-
-def _is_own(kept: _Kept, target: Path, given: Path) -> bool:
-    own = kept.own
-    return own is not None and own in target.parents and resolved(given) in own.parents
 
 
 def _lies_in(target: Path, folder: Path) -> bool:

@@ -36,6 +36,10 @@ class Truth:
     target: Int[np.ndarray, " q"]
     source: Int[np.ndarray, " q"]
 
+    def without(self, entries: Int[np.ndarray, " k"]) -> Truth:
+        """The same but for some of its entries, which are counted from 0 (k,)."""
+        return Truth(target=np.delete(self.target, entries), source=np.delete(self.source, entries))
+
 
 @dataclass(frozen=True, eq=False)
 class Counterparts:

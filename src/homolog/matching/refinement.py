@@ -1,11 +1,25 @@
-"""Refining the point maps of a pair."""
+"""The point maps of a pair: by its method, and refined."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from homolog.core.unchanged import left_unchanged
 from homolog.maps import zoomout, zoomout_partial
+from homolog.matching.result import checked_maps
 from homolog.pairs import Pair, PointMaps
+
+
+def method_maps(pair: Pair) -> PointMaps:
+    """The point maps that the pair's method finds, checked, as it may be anyone's.
+
+    Raises:
+        ArgumentError: if they do not fit the pair, or the method changes what it is lent.
+    """
+    lent = {f"{name} of {one.name}": t for one in (pair.x, pair.y) for name, t in one.tensors().items()}
+    with left_unchanged(f"method {pair.method.name!r}", lent):
+        maps = pair.method(pair)
+    return checked_maps(pair, maps)
 
 
 def refine(pair: Pair, maps: PointMaps) -> PointMaps:

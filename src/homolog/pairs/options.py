@@ -64,7 +64,9 @@ class PairOptions(Settings):
     target_mask: Annotated[Mask, "or an array, or a file"] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "landmarks", _landmarks(self.landmarks))
+        given: Any = self.landmarks
+        if isinstance(given, tuple | list) and len(given) == 2:
+            object.__setattr__(self, "landmarks", LandmarkPairs(*given))
         for side in SIDES:
             object.__setattr__(self, f"{side}_mask", mask_of(self.mask(side), f"{side}_mask"))
         super().__post_init__()
@@ -94,9 +96,3 @@ class PairOptions(Settings):
     def up(self, side: Side) -> Up:
         """Which axis of a shape points up."""
         return self.source_up if side == "source" else self.target_up
-
-
-def _landmarks(given: Any) -> Any:
-    """Landmark pairs of two arrays; anything else as it is."""
-    several = isinstance(given, tuple | list) and len(given) == 2
-    return LandmarkPairs(*given) if several else given

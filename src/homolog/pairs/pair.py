@@ -113,8 +113,8 @@ class Pair:
             it stays.
 
     Raises:
-        ArgumentError: if a shape is partial or a cloud, and the method knows full shapes or meshes alone, or the
-            features of both have different widths.
+        ArgumentError: if the options want shapes that were preprocessed in another way, a shape is partial or a cloud,
+            and the method knows full shapes or meshes alone, or the features of both have different widths.
     """
 
     source: PreprocessedShape
@@ -194,12 +194,9 @@ class Pair:
         return cls(source_found, target_found, options, settings, method, preprocessor.extractor)
 
     def __post_init__(self) -> None:
+        for side in SIDES:
+            getattr(self, side).check_made_for(self.options, side)
         check_supported(self.method, self.options, self.source, self.target)
-        for side, shape in zip(SIDES, (self.source, self.target), strict=True):
-            if self.options.mask(side) is not None and shape.mask is None:
-                raise ArgumentError(
-                    f"{side}_mask is given, but the {side} was preprocessed without; preprocess it with it"
-                )
         widths = [None if shape.features is None else shape.features.shape[1] for shape in (self.source, self.target)]
         if None not in widths and widths[0] != widths[1]:
             raise ArgumentError(

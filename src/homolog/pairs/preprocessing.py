@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from homolog.core.arguments import check_choice, check_kind
-from homolog.core.choices import KeepClutter, Orient
+from homolog.core.choices import KeepClutter, Orient, Side
 from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
@@ -32,6 +33,7 @@ from homolog.geometry import (
 )
 from homolog.maps import normalised, rotation_angle
 from homolog.pairs.masks import Mask
+from homolog.pairs.options import PairOptions
 from homolog.pairs.settings import OrientationSettings
 from homolog.shapes import Finding, Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
 
@@ -94,6 +96,34 @@ class PreprocessedShape:
     def points_as_given(self) -> Float[Tensor, "n 3"]:
         """The operators' positions before anything turned them (n, 3): those of the file, upright and normalised."""
         return self.operators.points @ self.rotation.to(self.operators.points)
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """The triangles at the operators' positions, in their precision; None for a cloud."""
+        faces = self.repaired.shape.faces
+        return None if faces is None else Surface(self.operators.points.cpu().numpy(), faces)
+
+    def check_made_for(self, options: PairOptions, side: Side) -> None:
+        """Refuse options of a pair that this shape, as its source or target, was not preprocessed for.
+
+        Raises:
+            ArgumentError: naming the option, and what to give to ``Matcher.preprocess``.
+        """
+        if options.is_cloud(side) and self.modality == "mesh":
+            raise ArgumentError(
+                f"as_cloud is {options.as_cloud!r}, but the {side} was preprocessed as a mesh; "
+                "give as_cloud=True to Matcher.preprocess"
+            )
+        if options.up(side) not in (PairOptions().up(side), self.up):
+            raise ArgumentError(
+                f"{side}_up is {options.up(side)!r}, but the {side} was preprocessed with {self.up!r} up; "
+                f"give up={options.up(side)!r} to Matcher.preprocess"
+            )
+        if options.mask(side) is not None and self.mask is None:
+            raise ArgumentError(
+                f"{side}_mask is given, but the {side} was preprocessed without; give mask=Mask(...) to "
+                "Matcher.preprocess"
+            )
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors that methods are lent, by their names."""
@@ -168,6 +198,13 @@ class Preprocessor:
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     source: OperatorSource = compute_operators
+
+    def __post_init__(self) -> None:
+        if not callable(self.source):
+            raise ArgumentError(
+                f"operators is {type(self.source).__name__}, but must be a function like homolog.compute_operators, "
+                "such as an OperatorCache's operators"
+            )
 
     def __call__(
         self,
