@@ -69,7 +69,9 @@ FLOORS = CORE | {
     "serving": GROUND | {"shapes", "pairs", "matching", "viewing"},
     "statistics": GROUND,
     "shape_models": GROUND
-    | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"},
+    | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"}
+    | {"symmetries"},
+    "symmetries": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "statistics", "viewing"},
     "reproduction": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "viewing"},
     "cli": GROUND
     | BENEATH_EVALUATION
@@ -83,6 +85,7 @@ FLOORS = CORE | {
         "viewing",
         "serving",
         "shape_models",
+        "symmetries",
     }
     | {"__init__"},
     "__main__": {"cli"},
@@ -100,6 +103,7 @@ FLOORS = CORE | {
         "serving",
         "shape_models",
         "statistics",
+        "symmetries",
     },
 }
 HEAVY = [

@@ -727,3 +727,39 @@ def test_landmarks_that_cannot_guide_are_one_line(homolog, files, tmp_path, monk
     assert ended.is_one_line_of_complaint()
     assert said in ended.err
     assert not (tmp_path / "out").exists()
+
+
+def test_masks_leave_points_out_of_a_match(homolog, files, tmp_path):
+    low = read_shape(files.mesh).points[:, 1] < 0.5
+    np.save(tmp_path / "mask.npy", low)
+    (tmp_path / "mask.txt").write_text("\n".join(str(int(each)) for each in low[files.order]))
+    masks = ("--source-mask", tmp_path / "mask.npy", "--target-mask", tmp_path / "mask.txt")
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--method", "registration", *masks)
+    assert ended.code == 0, ended.err
+    assert (
+        f"Note: source: {(~low).sum()} points outside the mask set apart, as {tmp_path / 'mask.npy'} says" in ended.err
+    )
+    found = maps(tmp_path / "out")
+    assert (found["source_to_target"][~low] == -1).all() and low[files.order[found["source_to_target"][low]]].all()
+    assert (found["target_to_source"][~low[files.order]] == -1).all()
+    assert np.mean(files.order[found["source_to_target"][low]] == np.flatnonzero(low)) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("1\n0\n", "mask.csv has 2 numbers, but"),
+        ("one\n1\ntwo\n", "mask.csv cannot be read as a mask: line 3 is 'two'"),
+        ("0\n" * 162, "mask.csv leaves every point out"),
+        ("-1\n" * 162, "mask.csv holds -1"),
+        ("inf\n" * 162, "mask.csv holds inf"),
+        (None, "mask.csv cannot be read as a mask"),
+    ],
+)
+def test_masks_that_are_none_are_one_line(homolog, files, tmp_path, content, said):
+    if content is not None:
+        (tmp_path / "mask.csv").write_text(content)
+    options = ("--method", "registration", "--target-mask", tmp_path / "mask.csv", "-o", tmp_path / "out")
+    ended = homolog("match", files.mesh, files.other, *options)
+    assert ended.is_one_line_of_complaint() and said in ended.err
+    assert not (tmp_path / "out").exists()

@@ -24,6 +24,7 @@ app = typer.Typer(
         view="homolog.cli.view:view",
         serve="homolog.cli.serve:serve",
         transfer="homolog.cli.transfer:transfer",
+        symmetry="homolog.cli.symmetry:symmetry",
         collection="homolog.cli.collection:collection",
         train="homolog.cli.train:train",
         evaluate="homolog.cli.evaluate:evaluate",

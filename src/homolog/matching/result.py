@@ -494,7 +494,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "inputs": inputs,
         "method": match.method,
         "quality": None if match.quality is None else match.quality.to_dict(),
-        "options": asdict(pair.options),
+        "options": pair.options.to_dict(),
         "choice": [asdict(candidate) for candidate in pair.choice],
         "adaptation": None if pair.adaptation is None else asdict(pair.adaptation),
         "orientation": _orientation(pair),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
+from torch import Tensor
 
 from homolog.maps import SampledSurface, nearest_neighbour, registered_surfaces, registration_start
 from homolog.methods.protocol import FunctionMethod
@@ -12,7 +13,7 @@ from homolog.pairs import Pair, PointMaps, PreprocessedShape, Supports
 
 
 def _point_maps(pair: Pair) -> PointMaps:
-    x, y = (SampledSurface(shape.operators.points, shape.operators.mass) for shape in (pair.x, pair.y))
+    x, y = (SampledSurface(shape.operators.points, _areas(shape)) for shape in (pair.x, pair.y))
     settings, start = pair.settings.registration, None
     if pair.options.orient == "auto":
         oriented = _with_normals(x, pair.x), _with_normals(y, pair.y)
@@ -20,6 +21,12 @@ def _point_maps(pair: Pair) -> PointMaps:
         x, y = oriented if start.near_rigid else (x, y)
     on_y, on_x = registered_surfaces(x, y, start=start, settings=settings)
     return PointMaps(nearest_neighbour(on_y, y.points).index, nearest_neighbour(on_x, x.points).index)
+
+
+def _areas(shape: PreprocessedShape) -> Tensor:
+    """The area that each point stands for, times how much it counts."""
+    mass, weights = shape.operators.mass, shape.point_weights
+    return mass if weights is None else mass * weights
 
 
 def _with_normals(points: SampledSurface, shape: PreprocessedShape) -> SampledSurface:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from homolog.core.choices import AsCloud, Device, Side
     from homolog.pairs.guidance import Guidance
     from homolog.pairs.landmarks import LandmarkPairs
+    from homolog.pairs.masks import MASK_SUFFIXES, Mask, mask_of, read_mask
     from homolog.pairs.method import Method, Supports, check_supported
     from homolog.pairs.options import SIDES, PairOptions
     from homolog.pairs.pair import Candidate, Pair, PairAdaptation, PairOrientation, PointMaps
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "MASK_SUFFIXES",
     "SIDES",
     "AlignmentSettings",
     "AsCloud",
@@ -40,6 +42,7 @@ __all__ = [
     "Guidance",
     "GuidanceSettings",
     "LandmarkPairs",
+    "Mask",
     "MatcherSettings",
     "Method",
     "OperatorSource",
@@ -57,9 +60,12 @@ __all__ = [
     "WarningSettings",
     "check_supported",
     "choose_device",
+    "mask_of",
+    "read_mask",
 ]
 
 _MODULES = {
+    "MASK_SUFFIXES": "masks",
     "SIDES": "options",
     "AlignmentSettings": "settings",
     "AsCloud": "options",
@@ -71,6 +77,7 @@ _MODULES = {
     "Guidance": "guidance",
     "GuidanceSettings": "settings",
     "LandmarkPairs": "landmarks",
+    "Mask": "masks",
     "MatcherSettings": "settings",
     "Method": "method",
     "OperatorSource": "preprocessing",
@@ -88,5 +95,7 @@ _MODULES = {
     "WarningSettings": "settings",
     "check_supported": "method",
     "choose_device": "settings",
+    "mask_of": "masks",
+    "read_mask": "masks",
 }
 __getattr__ = lazy_names(__name__, _MODULES)

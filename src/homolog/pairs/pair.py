@@ -180,6 +180,7 @@ class Pair:
                 partial=options.partial == side,
                 mirror=options.mirror == side,
                 clutter=options.clutter,
+                mask=options.mask(side),
                 strict=options.strict,
                 timings=timings,
                 label=side,

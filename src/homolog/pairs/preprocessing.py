@@ -20,11 +20,22 @@ from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
 from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, Orientation, checked_features
-from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, set_apart, unit_frame
+from homolog.geometry import (
+    MASKED,
+    Operators,
+    OperatorSettings,
+    Surface,
+    compute_operators,
+    outward,
+    restricted,
+    set_apart,
+    unit_frame,
+)
 from homolog.maps import normalised, rotation_angle
+from homolog.pairs.masks import Mask
 from homolog.pairs.options import PairOptions
 from homolog.pairs.settings import OrientationSettings
-from homolog.shapes import Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
+from homolog.shapes import Finding, Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
 
 OperatorSource = Callable[..., Operators]
 """A function like ``compute_operators``: the operators of a clean shape, from wherever they come."""
@@ -45,6 +56,7 @@ class PreprocessedShape:
         up: the axis of the shape as given that was turned to +y.
         orientations: ways to turn the shape from there that its features' orienter found, the best first.
         rotation: the one that the operators' positions were turned by (3, 3).
+        mask: how much its points as given count; None where all count alike.
         channels: what landmarks add to features of unit norm (n, c), of one norm everywhere; None without landmarks.
     """
 
@@ -56,6 +68,7 @@ class PreprocessedShape:
     orientations: tuple[Orientation, ...] = ()
     rotation: Float[Tensor, "3 3"] = field(default_factory=lambda: torch.eye(3))
     channels: Float[Tensor, "n c"] | None = None
+    mask: Mask | None = None
 
     @property
     def name(self) -> str:
@@ -71,6 +84,13 @@ class PreprocessedShape:
     def modality(self) -> Modality:
         """``"mesh"`` or ``"cloud"``."""
         return self.repaired.shape.modality
+
+    @property
+    def point_weights(self) -> Float[Tensor, " n"] | None:
+        """How much each clean point counts; None where all count alike."""
+        if self.mask is None or not self.mask.is_graded:
+            return None
+        return torch.from_numpy(self.mask.weights[self.repaired.kept]).to(self.operators.points)
 
     @property
     def points_as_given(self) -> Float[Tensor, "n 3"]:
@@ -98,6 +118,11 @@ class PreprocessedShape:
             raise ArgumentError(
                 f"{side}_up is {options.up(side)!r}, but the {side} was preprocessed with {self.up!r} up; "
                 f"give up={options.up(side)!r} to Matcher.preprocess"
+            )
+        if options.mask(side) is not None and self.mask is None:
+            raise ArgumentError(
+                f"{side}_mask is given, but the {side} was preprocessed without; give mask=Mask(...) to "
+                "Matcher.preprocess"
             )
 
     def tensors(self) -> dict[str, Tensor]:
@@ -194,6 +219,7 @@ class Preprocessor:
         partial: bool = False,
         mirror: bool = False,
         clutter: KeepClutter = "remove",
+        mask: Mask | None = None,
         strict: bool = False,
         timings: Timings | None = None,
         label: str = "shape",
@@ -212,6 +238,7 @@ class Preprocessor:
             partial: the shape is partial: only features that know partial shapes tell how it stands.
             mirror: reflect the shape first; points keep their numbers.
             clutter: ``"remove"`` sets apart what does not belong to the shape, see ``homolog.geometry.find_clutter``.
+            mask: how much each point as given counts; those with 0 are left out.
             strict: refuse a shape that needs repair.
             timings: collects time and memory of each step.
             label: what the steps call the shape.
@@ -223,10 +250,14 @@ class Preprocessor:
         check_kind(label, shape, Shape)
         check_choice("orient", orient, get_args(Orient))
         check_choice("clutter", clutter, get_args(KeepClutter))
+        if mask is not None:
+            mask.check_fits(shape)
         timings = timings or Timings()
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
+            if mask is not None:
+                repaired = masked(repaired, mask)
             if clutter == "remove":
                 repaired = set_apart(repaired, partial=partial)
             severe = next((each for each in repaired.report.findings if each.severity != "note"), None)
@@ -249,7 +280,7 @@ class Preprocessor:
                 found = given[torch.from_numpy(repaired.kept).to(given.device)]
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
-        return PreprocessedShape(shape, repaired, operators, found, up, orientations, rotation)
+        return PreprocessedShape(shape, repaired, operators, found, up, orientations, rotation, mask=mask)
 
     @torch.no_grad()
     def again(self, shape: PreprocessedShape, *, orient: Orient = "auto", partial: bool = False) -> PreprocessedShape:
@@ -344,6 +375,27 @@ def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
         if n_used < _SHARE_WITH_FACES * cloud.shape.n_points:
             return cloud, False
     return repaired, True
+
+
+def masked(repaired: Repaired, mask: Mask) -> Repaired:
+    """A repaired shape without the points that a mask leaves out; points at one place are left out together.
+
+    Args:
+        repaired: a clean shape, and the way back to the one it was made from.
+        mask: of the points of that one.
+
+    Raises:
+        ShapeError: if what is left is no shape.
+    """
+    left = np.ones(repaired.shape.n_points, dtype=bool)
+    left[repaired.clean_index[~mask.kept & (repaired.clean_index >= 0)]] = False
+    if left.all():
+        return repaired
+    said = Finding(MASKED, int((~mask.kept).sum()), "note", f"set apart, as {mask.name} says")
+    try:
+        return restricted(repaired, left, [said])
+    except ShapeError as error:
+        raise ShapeError(f"what {mask.name} leaves of {repaired.shape.name} is too little: {error}") from None
 
 
 def _facing_outward(shape: Shape) -> Shape:

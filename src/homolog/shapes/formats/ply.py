@@ -119,6 +119,16 @@ def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
     return None if values is None else values / largest
 
 
+def read_ply_property(path: Path, name: str) -> Float[np.ndarray, " n"] | None:
+    """A number of each point of a PLY file; None if it has no such property."""
+    file = _opened(path)
+    vertex = next((element for element in file.elements if element.name == "vertex"), None)
+    if vertex is None or not {name, name.upper()} & {prop.name for prop in vertex.properties if not prop.count_type}:
+        return None
+    values, _, _ = _parts(file, (name,))
+    return None if values is None else values[:, 0]
+
+
 def _opened(path: Path) -> _File:
     with opened(path) as file:
         mark = mark_length(file.read(4))
