@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,21 @@ def test_a_thousand_mutants(tmp_path: Path) -> None:
     done = fuzz(tmp_path, "--mutants", "1000", "--seed", "7", "--seconds", "120")
     assert "1000 files in" in done.stdout, done.stdout + done.stderr
     assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the memory of a worker is told on Linux")
+@pytest.mark.reference
+@pytest.mark.process
+def test_files_that_readers_once_failed_on(tmp_path: Path) -> None:
+    """Bombs, headers that promise billions, endless work and damaged results, beside the checkout."""
+    beside = Path(__file__).resolve().parents[2] / "shared" / "cases" / "files"
+    folder = Path(os.environ.get("HOMOLOG_CASES", beside)).parent / "hostile" / "inputs"
+    if not folder.is_dir():
+        pytest.skip(f"no files at {folder}; set HOMOLOG_CASES")
+    inputs = [str(path) for kind in ("minimal", "fuzz") for path in sorted((folder / kind).iterdir())]
+    done = fuzz(tmp_path, "--seconds", "120", "--files", *inputs)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 failures" in done.stdout
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the memory of a worker is told on Linux")

@@ -3,6 +3,8 @@
 import ast
 import importlib
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -67,10 +69,24 @@ FLOORS = CORE | {
     "serving": GROUND | {"shapes", "pairs", "matching", "viewing"},
     "statistics": GROUND,
     "shape_models": GROUND
-    | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"},
+    | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"}
+    | {"symmetries"},
+    "symmetries": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "statistics", "viewing"},
+    "reproduction": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "viewing"},
     "cli": GROUND
     | BENEATH_EVALUATION
-    | {"evaluation", "training", "synthesis", "volumes", "transfer", "viewing", "serving", "shape_models"}
+    | {
+        "evaluation",
+        "training",
+        "reproduction",
+        "synthesis",
+        "volumes",
+        "transfer",
+        "viewing",
+        "serving",
+        "shape_models",
+        "symmetries",
+    }
     | {"__init__"},
     "__main__": {"cli"},
     "__init__": GROUND
@@ -78,6 +94,7 @@ FLOORS = CORE | {
     | {
         "evaluation",
         "training",
+        "reproduction",
         "synthesis",
         "testing",
         "volumes",
@@ -86,6 +103,7 @@ FLOORS = CORE | {
         "serving",
         "shape_models",
         "statistics",
+        "symmetries",
     },
 }
 HEAVY = [
@@ -310,6 +328,19 @@ def test_version_is_that_of_the_package():
     assert versions()["homolog"] == version_of("homolog") is not None
     assert version_of("no-such-package-as-this") is None
     assert homolog.__version__ == version_of("homolog")
+
+
+def test_commit_and_machine_for_reports():
+    from homolog.core.versions import commit, machine
+
+    assert re.fullmatch(r".+, \d+ cores", machine())
+    git, root = shutil.which("git"), ROOT.parents[1]
+    if git is None or not (root / ".git").exists():
+        assert commit() is None
+        return
+    told = subprocess.run([git, "-C", root, "rev-parse", "HEAD"], capture_output=True, text=True, check=True).stdout
+    assert told.startswith(commit().removesuffix("-dirty"))
+    assert len(commit()) >= 10
 
 
 @pytest.mark.process

@@ -27,10 +27,12 @@ if TYPE_CHECKING:
     from homolog import matching as matching
     from homolog import methods as methods
     from homolog import pairs as pairs
+    from homolog import reproduction as reproduction
     from homolog import serving as serving
     from homolog import shape_models as shape_models
     from homolog import shapes as shapes
     from homolog import statistics as statistics
+    from homolog import symmetries as symmetries
     from homolog import synthesis as synthesis
     from homolog import testing as testing
     from homolog import training as training
@@ -56,6 +58,7 @@ if TYPE_CHECKING:
         stand_upright,
         write_shape,
     )
+    from homolog.symmetries import symmetry
 
 __all__ = [
     "HomologError",
@@ -82,6 +85,7 @@ __all__ = [
     "set_working_memory",
     "sinkhorn_matches",
     "stand_upright",
+    "symmetry",
     "tune_threads",
     "working_memory",
     "write_shape",
@@ -112,6 +116,7 @@ _MODULES = {
     "set_working_memory": "core.memory",
     "sinkhorn_matches": "maps",
     "stand_upright": "shapes",
+    "symmetry": "symmetries",
     "tune_threads": "core.threads",
     "working_memory": "core.memory",
     "write_shape": "shapes",
@@ -126,10 +131,12 @@ _PACKAGES = (
     "matching",
     "methods",
     "pairs",
+    "reproduction",
     "serving",
     "shape_models",
     "shapes",
     "statistics",
+    "symmetries",
     "synthesis",
     "testing",
     "training",

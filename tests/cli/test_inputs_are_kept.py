@@ -29,7 +29,8 @@ def commands(group, words=()):
 
 READ = {
     *("source", "target", "result", "truth", "origin", "array", "labels", "landmarks", "template", "shapes"),
-    *("data", "pairs", "maps", "clouds", "files", "file", "mask", "folder"),
+    *("data", "pairs", "maps", "clouds", "files", "file", "mask", "folder", "shape"),
+    *("source_mask", "target_mask", "symmetry"),
 }
 
 

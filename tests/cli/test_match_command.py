@@ -15,7 +15,7 @@ from homolog import shapes
 from homolog.core.errors import ShapeError
 from homolog.datasets import demo_folder
 from homolog.matching import Matcher, map_misfit
-from homolog.matching import matcher as matcher_module
+from homolog.matching import warnings as warnings_module
 from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape, read_shape, rotation_about, write_shape
 from homolog.shapes import reading as reading_module
@@ -283,7 +283,7 @@ def test_the_map_is_that_of_the_adapted_network_where_it_contradicts_itself_less
     pair, _ = matcher.pair(files.mesh, files.other)
     adapted, after = adapt_to_pair(matcher, pair, AdaptationSettings(steps=3))
     plain, other = matcher.find(pair), adapted.find(after)
-    misfits = map_misfit(plain.quality), map_misfit(other.quality)
+    misfits = map_misfit(plain), map_misfit(other)
     kept = misfits[1] < misfits[0]
     expected, found, told = (other if kept else plain), maps(tmp_path), report(tmp_path)
     assert np.array_equal(found["source_to_target"], expected.source_to_target)
@@ -372,7 +372,7 @@ def test_up(homolog, files, tmp_path, up, turn):
 
 
 def test_warnings_are_shown_and_kept(homolog, files, tmp_path, monkeypatch):
-    monkeypatch.setattr(matcher_module, "orientation_warnings", lambda *args: ("it lies on its side",))
+    monkeypatch.setattr(warnings_module, "orientation_warnings", lambda *args: ("it lies on its side",))
     ended = homolog("match", files.mesh, files.other, "--orient", "given", "-o", tmp_path)
     assert ended.code == 0
     assert "Warning: it lies on its side\n" in ended.err
@@ -727,4 +727,40 @@ def test_landmarks_that_cannot_guide_are_one_line(homolog, files, tmp_path, monk
     ended = homolog("match", files.mesh, files.other, "-o", "out", "--method", "axiomatic", *options)
     assert ended.is_one_line_of_complaint()
     assert said in ended.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_masks_leave_points_out_of_a_match(homolog, files, tmp_path):
+    low = read_shape(files.mesh).points[:, 1] < 0.5
+    np.save(tmp_path / "mask.npy", low)
+    (tmp_path / "mask.txt").write_text("\n".join(str(int(each)) for each in low[files.order]))
+    masks = ("--source-mask", tmp_path / "mask.npy", "--target-mask", tmp_path / "mask.txt")
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--method", "registration", *masks)
+    assert ended.code == 0, ended.err
+    assert (
+        f"Note: source: {(~low).sum()} points outside the mask set apart, as {tmp_path / 'mask.npy'} says" in ended.err
+    )
+    found = maps(tmp_path / "out")
+    assert (found["source_to_target"][~low] == -1).all() and low[files.order[found["source_to_target"][low]]].all()
+    assert (found["target_to_source"][~low[files.order]] == -1).all()
+    assert np.mean(files.order[found["source_to_target"][low]] == np.flatnonzero(low)) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("1\n0\n", "mask.csv has 2 numbers, but"),
+        ("one\n1\ntwo\n", "mask.csv cannot be read as a mask: line 3 is 'two'"),
+        ("0\n" * 162, "mask.csv leaves every point out"),
+        ("-1\n" * 162, "mask.csv holds -1"),
+        ("inf\n" * 162, "mask.csv holds inf"),
+        (None, "mask.csv cannot be read as a mask"),
+    ],
+)
+def test_masks_that_are_none_are_one_line(homolog, files, tmp_path, content, said):
+    if content is not None:
+        (tmp_path / "mask.csv").write_text(content)
+    options = ("--method", "registration", "--target-mask", tmp_path / "mask.csv", "-o", tmp_path / "out")
+    ended = homolog("match", files.mesh, files.other, *options)
+    assert ended.is_one_line_of_complaint() and said in ended.err
     assert not (tmp_path / "out").exists()

@@ -471,6 +471,7 @@ def test_demo(homolog, tmp_path):
     assert str(tmp_path / "demo" / "report.json") in ended.out
 
 
+@pytest.mark.slow
 def test_demo_fails_if_the_maps_are_bad(homolog, tmp_path, monkeypatch):
     """Every point to one: the error is far above the bound, and left and right are mixed up."""
 

@@ -67,7 +67,7 @@ def test_help_lists_and_mistakes_load_no_torch(tmp_path):
     (tmp_path / "a.off").write_text("OFF\n")
     there = str(tmp_path / "a.off")
     helped = [[], ["--help"], *([*words, "--help"] for words in COMMANDS), ["data"], ["synth", "--help"]]
-    done = [["data", "list"], ["data", "show", "faust_r"], ["doctor"]]
+    done = [["data", "list"], ["data", "show", "faust_r"], ["doctor"], ["reproduce", "--list"]]
     wrong = [
         ["mach"],
         ["match"],
@@ -77,6 +77,8 @@ def test_help_lists_and_mistakes_load_no_torch(tmp_path):
         ["match", there, there, "--adapt", "-1"],
         ["match", there, there, "--partial-scale", "much"],
         ["match", there, there, "--weights", "of nobody"],
+        ["reproduce", "nothing"],
+        ["reproduce", "complete"],
         ["match", there, str(tmp_path / "gone.off")],
         ["match", there, str(tmp_path)],
         ["evaluate", str(tmp_path), "--up", "w"],

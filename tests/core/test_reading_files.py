@@ -16,7 +16,7 @@ def test_only_ordinary_files_are_opened(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"\xef\xbb\xbfone\r\ntwo\r")
     (tmp_path / "link").symlink_to(tmp_path / "file")
     (tmp_path / "itself").symlink_to(tmp_path / "itself")
-    assert read_text(tmp_path / "link", encoding="utf-8-sig") == "one\ntwo\n"
+    assert read_text(tmp_path / "link") == "one\ntwo\n"
     for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path, tmp_path / "itself", tmp_path / "none"):
         for reader in (read_bytes, ordinary):
             with pytest.raises(OSError):

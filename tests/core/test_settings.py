@@ -121,6 +121,12 @@ def test_what_an_annotation_allows_in_words():
     assert described(tuple[int, ...]) == "a list, each of them a whole number"
 
 
+def test_a_byte_order_mark(tmp_path):
+    """As some editors write it."""
+    (tmp_path / "a.toml").write_text("seed = 3\n", encoding="utf-8-sig")
+    assert read_toml(tmp_path / "a.toml") == {"seed": 3}
+
+
 def test_files_that_are_no_toml(tmp_path):
     with pytest.raises(ArgumentError, match="cannot be read"):
         read_toml(tmp_path / "gone.toml")

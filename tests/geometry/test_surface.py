@@ -1,6 +1,7 @@
 """Surfaces: subdivision, closest points, and projection onto the side whose normal agrees."""
 
 import numpy as np
+import pytest
 import trimesh
 
 from homolog.geometry.surface import (
@@ -96,3 +97,11 @@ def test_split_triangles_are_the_same_surface():
     points = BarycentricPoints(np.arange(len(fine.faces)), generator.dirichlet([1.0, 1.0, 1.0], len(fine.faces)))
     np.testing.assert_allclose(split.to_original(points).positions(surface), points.positions(fine), atol=1e-12)
     assert len(split_long(surface, 0.9, most=40).surface.faces) <= 40
+
+
+def test_a_tetrahedron_is_projected_onto_although_it_has_fewer_vertices_than_are_looked_at():
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    surface = Surface(corners, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
+    below, down = np.array([[0.2, 0.2, -0.1], [0.2, 0.2, 0.1]]), np.array([[0.0, 0, -1], [0, 0, -1]])
+    found = ReferenceSurface(surface).project(below, down, around=3)
+    assert found.positions(surface) == pytest.approx(np.array([[0.2, 0.2, 0], [0.2, 0.2, 0]]))

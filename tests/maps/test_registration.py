@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -12,12 +10,15 @@ from scipy.spatial import ConvexHull, KDTree
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from homolog.core.errors import ArgumentError
 from homolog.maps import (
     RegistrationSettings,
     RegistrationStart,
+    SampledSurface,
     Similarity,
     closest_point_similarity,
     registered_positions,
+    registered_surfaces,
     registration_start,
     rotation_angle,
 )
@@ -146,7 +147,9 @@ def test_points_that_are_doubled_change_nothing_if_they_share_their_area() -> No
         torch.cat([torch.where(upper, 0.5, 1.0), torch.full((int(upper.sum()),), 0.5)]),
     )
     plain, _ = registered_positions(x, y, settings=RegistrationSettings(start_width=0))
-    shared, _ = registered_positions(x, doubled, areas_y=areas.double(), settings=RegistrationSettings(start_width=0))
+    shared, _ = registered_surfaces(
+        SampledSurface(x), SampledSurface(doubled, areas.double()), settings=RegistrationSettings(start_width=0)
+    )
     alike, _ = registered_positions(x, doubled, settings=RegistrationSettings(start_width=0))
     assert off(shared, plain) < 0.1 * off(alike, plain)
 
@@ -156,12 +159,12 @@ def test_areas_make_up_for_unlike_sampling() -> None:
     x, many = skin(800), skin(3000, seed=1)
     kept = (many[:, 2] > 0) | (torch.arange(3000) % 4 == 0)
     y, areas = many[kept], torch.where(many[kept][:, 2] > 0, 1.0, 4.0).double()
-    by_area = registered_positions(x, y, areas_y=areas)
+    by_area = registered_surfaces(SampledSurface(x), SampledSurface(y, areas))
     alike = registered_positions(x, y)
     assert off(by_area[0], x) < 0.5 * off(alike[0], x)
     assert off(by_area[1], y) < 0.5 * off(alike[1], y)
     # The two ways are one.
-    back = registered_positions(y, x, areas_x=areas)
+    back = registered_surfaces(SampledSurface(y, areas), SampledSurface(x))
     torch.testing.assert_close(back[0], by_area[1])
 
 
@@ -174,7 +177,7 @@ def lobed(points: Tensor) -> Tensor:
 
 def test_the_start_turns_a_distinct_form_back() -> None:
     turn, y = rotation_about_z(12), 2 * lobed(skin(1700, seed=1)) + 5
-    start = registration_start(lobed(skin(1500)) @ turn.T, y)
+    start = registration_start(SampledSurface(lobed(skin(1500)) @ turn.T), SampledSurface(y))
     assert rotation_angle(start.similarity.rotation @ turn) < 3
     assert abs(start.similarity.scale - 2) < 0.05
 
@@ -182,7 +185,7 @@ def test_the_start_turns_a_distinct_form_back() -> None:
 def test_the_start_leaves_a_form_that_is_smooth_all_round_as_it_stands() -> None:
     """Two spheres: nothing tells a turn."""
     x, y = (skin(1200, seed=seed) / torch.tensor([1, 1.4, 2]) for seed in (0, 1))
-    assert rotation_angle(registration_start(x, y).similarity.rotation) < 2
+    assert rotation_angle(registration_start(SampledSurface(x), SampledSurface(y)).similarity.rotation) < 2
 
 
 def test_a_start_that_is_given_is_taken() -> None:
@@ -221,15 +224,16 @@ def test_a_part_that_one_lacks_misleads_no_start_with_normals(degrees: float) ->
     """Truth: y is x with a horn, turned, shifted and made larger; most of it is a copy."""
     turn, meshes = rotation_about_z(degrees), (surface(0), surface(1))
     x, (y, _) = lobed(torch.tensor(np.array(meshes[0].vertices))), horned(torch.tensor(np.array(meshes[1].vertices)))
-    normals: dict[str, Any] = {"normals_x": normals_of(x, meshes[0]), "normals_y": normals_of(y, meshes[1]) @ turn.T}
+    normals = normals_of(x, meshes[0]), normals_of(y, meshes[1]) @ turn.T
     y = 1.3 * y @ turn.T + 5
     goal, on_horn = horned(torch.tensor(np.array(meshes[0].vertices)))
     goal = 1.3 * goal @ turn.T + 5
-    start, plain = registration_start(x, y, **normals), registration_start(x, y)
+    surfaces = SampledSurface(x, normals=normals[0]), SampledSurface(y, normals=normals[1])
+    start, plain = registration_start(*surfaces), registration_start(SampledSurface(x), SampledSurface(y))
     assert start.near_rigid and not plain.near_rigid
     errors = [off(each.similarity(x)[~on_horn], goal[~on_horn]) for each in (start, plain)]
     assert errors[0] < 0.05 and errors[0] < 0.5 * errors[1]
-    on_y, _ = registered_positions(x, y, **normals, start=start)
+    on_y, _ = registered_surfaces(*surfaces, start=start)
     assert off(on_y[~on_horn], goal[~on_horn]) < 0.08
 
 
@@ -237,9 +241,14 @@ def test_a_smooth_form_that_differs_is_no_rigid_copy() -> None:
     meshes = surface(0), surface(1)
     x, y = (torch.tensor(np.array(mesh.vertices)) for mesh in meshes)
     y = bent(y)
-    assert not registration_start(
-        x, y, normals_x=normals_of(x, meshes[0]), normals_y=normals_of(y, meshes[1])
-    ).near_rigid
+    surfaces = (SampledSurface(each, normals=normals_of(each, mesh)) for each, mesh in zip((x, y), meshes, strict=True))
+    assert not registration_start(*surfaces).near_rigid
+
+
+@pytest.mark.parametrize(("name", "shape"), [("areas", (40, 1)), ("normals", (39, 3))])
+def test_areas_and_normals_are_those_of_the_points(name: str, shape: tuple[int, ...]) -> None:
+    with pytest.raises(ArgumentError, match=f"{name} have shape .*, but must have shape"):
+        SampledSurface(skin(40), **{name: torch.ones(shape)})
 
 
 def test_what_is_nearly_rigid_does_not_shrink() -> None:

@@ -14,7 +14,7 @@ from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings
 from homolog.shapes import Shape
 
-# Shapes stand as they like, so that the orientation is only looked at where a test asks for it.
+# Both stand alike. Features without an axis up and without an orienter leave it to the search to find that.
 INFO = FeatureInfo(name="blobs", licence="none", upright=False, map_eigenpairs=40)
 
 

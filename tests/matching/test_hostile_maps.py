@@ -34,6 +34,7 @@ def test_expansion_is_bounded(tmp_path):
     refused(tmp_path / "a.npz", "HOMOLOG_EXPANSION_MB")
 
 
+@pytest.mark.slow
 def test_flipped_bytes_crash_nothing(tmp_path):
     """Some make SciPy's reader write where it must not."""
     path, random = tmp_path / "a.mat", np.random.default_rng(0)

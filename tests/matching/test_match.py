@@ -524,7 +524,7 @@ def test_what_makes_no_match_is_one_line(given, changes, said):
 
 @pytest.mark.parametrize(
     ("word", "said"),
-    [("partail", "; did you mean 'partial'?"), ("sourc_up", "; did you mean 'source_up'?"), ("q", "landmarks")],
+    [("partail", "; did you mean 'partial'?"), ("sourc_up", "; did you mean 'source_up'?"), ("q", "target_mask")],
 )
 def test_options_that_do_not_exist_are_named_with_the_nearest(word, said):
     with pytest.raises(ArgumentError) as caught:

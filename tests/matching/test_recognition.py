@@ -90,7 +90,9 @@ def test_maps_contradict_themselves_more_where_they_tear(blobs):
     match = homolog.match(blobs.source, blobs.source, method="registration")
     good = match.quality
     torn = replace(good, source=replace(good.source, dirichlet_energy=good.source.dirichlet_energy + 3))
-    assert map_misfit(torn) > map_misfit(good)
+    assert map_misfit(replace(match, quality=torn)) > map_misfit(match)
+    with pytest.raises(ArgumentError, match="has no figures of quality; give one of"):
+        map_misfit(replace(match, quality=None))
 
 
 def test_several_need_an_orienter_each(blobs):

@@ -42,7 +42,7 @@ DOCS = ROOT / "docs"
 PAGES = [
     ROOT / "README.md",
     *(DOCS / f"{name}.md" for name in ("index", "matching", "method", "conventions", "training", "data", "extending")),
-    DOCS / "serving.md",
+    *(DOCS / f"{name}.md" for name in ("serving", "symmetry")),
     *sorted((DOCS / "tutorials").glob("*.md")),
 ]
 SHELLS = ("sh", "bash", "console", "shell")
@@ -245,6 +245,7 @@ def give_cuts(folder, make):
 GIVEN = {
     "README.md": give_for_readme,
     "matching.md": give_for_readme,
+    "symmetry.md": give_for_readme,
     "training.md": give_for_training,
     "data.md": give_for_data,
 }

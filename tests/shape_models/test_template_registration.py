@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.matching import Matcher
-from homolog.pairs import MatcherSettings
+from homolog.pairs import ChoiceSettings, MatcherSettings
 from homolog.shape_models import (
     Figures,
     ShapeModelFolder,
@@ -64,6 +64,16 @@ def test_points_lie_where_they_belong_and_on_the_surface(family, gathered, tmp_p
         to_vertices = np.linalg.norm(points[:, None] - subject.points, axis=2).min(axis=1)
         assert np.median(to_vertices) > 1e-4
         assert trimesh.Trimesh(points, faces, process=False).volume == pytest.approx(mesh.volume, rel=0.03)
+
+
+def test_the_misfit_of_a_map_has_the_weights_of_the_settings(family):
+    """By hand: with those of the cycle error and of flipped triangles at 0, the logarithm of the Dirichlet energy."""
+    template = read_shape(family[0])
+    stretched = Shape(template.points * [1, 1.5, 0.7], template.faces, name="stretched.ply")
+    settings = MatcherSettings(method="registration", choice=ChoiceSettings(cycle=0, flipped=0))
+    found = Template(template, Matcher(settings=settings)).registered_to(stretched)
+    assert found.figures.cycle_error > 0.001
+    assert found.figures.map_misfit == pytest.approx(np.log(found.figures.dirichlet_energy), abs=1e-9)
 
 
 def test_figures_of_good_matches(family, gathered, tmp_path):

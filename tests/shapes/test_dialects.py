@@ -210,6 +210,21 @@ def test_stl_text_with_a_byte_order_mark(tmp_path, encoding):
     np.testing.assert_array_equal(read_shape(put(tmp_path, "a.stl", text.encode(encoding))).points[:3], POINTS[:3])
 
 
+HEADERS = {
+    "a.ply": "ply\nformat ascii 1.0\nelement vertex 6\n" + rows("xyz", "property float {}") + "end_header\n",
+    "a.pcd": "VERSION .7\nFIELDS x y z\nSIZE 8 8 8\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 6\nHEIGHT 1\nPOINTS 6\nDATA ascii\n",
+    "a.vtk": "# vtk DataFile Version 3.0\nx\nASCII\nDATASET POLYDATA\nPOINTS 6 float\n",
+}
+
+
+@pytest.mark.parametrize("name", HEADERS)
+def test_a_header_behind_a_byte_order_mark(tmp_path, name):
+    text = HEADERS[name] + rows(POINTS)
+    np.testing.assert_array_equal(read_shape(put(tmp_path, name, text.encode("utf-8-sig"))).points, POINTS)
+    with pytest.raises(ShapeError, match=r"it is UTF-16 text, but UTF-8 is needed; save it as UTF-8$"):
+        read_shape(put(tmp_path, name, text.encode("utf-16")))
+
+
 def decimal_commas(index, mark):
     lines = [index.format(number) + mark.join(map(str, point)) for number, point in enumerate(POINTS)]
     return "\n".join(lines).replace(".", ",") + "\n"

@@ -11,6 +11,10 @@ from homolog.shapes import check, read_shape, write_shape
 pytest.importorskip("vtkmodules")
 import meshio
 import pyvista
+from vtkmodules.vtkIOLegacy import vtkPolyDataWriter, vtkUnstructuredGridWriter
+
+# By whether they write a grid.
+WRITERS = (vtkPolyDataWriter, vtkUnstructuredGridWriter)
 
 # A cube of side 2 as five tetrahedra.
 CUBE = 2.0 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
@@ -284,3 +288,26 @@ def test_elements_that_do_not_end_cost_no_more_than_their_number(tmp_path):
         (tmp_path / "a.vtp").write_text(f'<VTKFile type="PolyData">{text * 100_000}</VTKFile>')
         with pytest.raises(ShapeError):
             read_shape(tmp_path / "a.vtp")
+
+
+@pytest.mark.parametrize("is_binary", [False, True])
+@pytest.mark.parametrize("is_grid", [False, True])
+def test_counts_of_legacy_files(tmp_path, is_binary, is_grid):
+    """VTK reads by one of the two counts of cells, and drops or makes up what the other one says."""
+    data = pyvista.Cube().triangulate()
+    data.clear_data()
+    data = data.cast_to_unstructured_grid() if is_grid else data
+    (write := WRITERS[is_grid]()).SetInputData(data)
+    write.SetFileVersion(42)
+    write.SetFileName(str(tmp_path / "a.vtk"))
+    (write.SetFileTypeToBinary if is_binary else write.SetFileTypeToASCII)()
+    write.Write()
+    content = (tmp_path / "a.vtk").read_bytes()
+    assert read_shape(tmp_path / "a.vtk").n_faces == 12
+    assert content.count(b" 12 48\n") == 1
+    for counts in (b"11 48", b"13 48", b"12 47", b"12 44", b"12 49", b"12 52", b"6 24"):
+        (tmp_path / "b.vtk").write_bytes(content.replace(b" 12 48\n", b" %s\n" % counts))
+        with pytest.raises(ShapeError, match=r"b\.vtk could not be read as VTK: "):
+            read_shape(tmp_path / "b.vtk")
+    (tmp_path / "c.vtk").write_bytes(b"\xef\xbb\xbf" + content)
+    np.testing.assert_array_equal(read_shape(tmp_path / "c.vtk").faces, read_shape(tmp_path / "a.vtk").faces)

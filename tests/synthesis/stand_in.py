@@ -29,7 +29,7 @@ def stick_skeleton():
 class StandIn:
     """Bodies that are ellipsoids as high as their build says."""
 
-    def __init__(self):
+    def __init__(self, *, details=False):
         self._vertices, faces = sphere(3)
         self.skeleton = stick_skeleton()
         self.template = Template.of_outer_faces(faces, self.vertices({}, {}), np.ones(len(self._vertices)))
@@ -65,7 +65,7 @@ class PartStandIn:
 
     local_changes = ("l-ear-scale-incr", "r-ear-scale-incr", "nose-hump-incr", "l-hand-scale-incr")
 
-    def __init__(self):
+    def __init__(self, *, details=False):
         self._vertices, self._faces = sphere(3)
         self.skeleton = hand_skeleton()
         self.at_joints = np.zeros(len(self._vertices), dtype=bool)

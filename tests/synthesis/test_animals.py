@@ -173,6 +173,7 @@ def rough(monkeypatch):
     return BodySettings(seed=2, mesh=MeshSettings(1200))
 
 
+@pytest.mark.slow
 def test_a_set_has_exact_ground_truth_between_poses_and_individuals(tmp_path, rough):
     root = synthesize_animals(tmp_path / "set", 5, rough).root
     folder = ShapeFolder.open(root)
@@ -202,6 +203,7 @@ def test_a_set_has_exact_ground_truth_between_poses_and_individuals(tmp_path, ro
         assert np.percentile(apart, 99) < 0.12
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_other_animals(tmp_path, rough):
     first = synthesize_animals(tmp_path / "first", 1, rough)
     animals._individual.cache_clear()
@@ -222,6 +224,7 @@ def test_the_manifest_names_sources_and_licences(tmp_path, rough):
     assert manifest["what"] == "synthetic animals with ground truth, made by homolog synth animals"
 
 
+@pytest.mark.slow
 def test_every_species_comes_first_equally_often():
     kind = Animals()
     firsts = []

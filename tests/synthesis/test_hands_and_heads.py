@@ -40,7 +40,7 @@ TO_THUMB, OUT_OF_PALM = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0])
 @pytest.fixture
 def workshop(monkeypatch):
     """Sets of stand-ins."""
-    monkeypatch.setattr(production, "_detailed_model", PartStandIn)
+    monkeypatch.setattr(production, "_body_model", PartStandIn)
     monkeypatch.setattr(production, "TEMPLATE_POINTS", 200)
     monkeypatch.setattr(remeshing, "_ROUNDS", 4)  # rough meshes do, and soon
 

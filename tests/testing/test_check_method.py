@@ -20,7 +20,13 @@ def nearest_points(pair):
     return PointMaps(nearest_neighbour(x, y).index, nearest_neighbour(y, x).index)
 
 
-@pytest.mark.parametrize("name", [name for name in method_names() if name != AUTO])
+# Their search for the way round takes most of the time.
+SLOW = dict.fromkeys(("axiomatic", "registration"), pytest.mark.slow)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=SLOW.get(name, ())) for name in method_names() if name != AUTO]
+)
 def test_every_method_passes(name):
     check_method(name)
 
@@ -29,6 +35,7 @@ def test_a_small_method_passes():
     check_method(FunctionMethod("nearest-points", nearest_points, BY_POSITION))
 
 
+@pytest.mark.slow
 def test_a_method_that_is_refined_passes_without_features():
     check_method(FunctionMethod("nearest-points", nearest_points, Supports(needs_features=False)))
 

@@ -85,7 +85,7 @@ def same_weights(one, other):
 
 
 def misfits(*matches):
-    return [map_misfit(found.quality) for found in matches]
+    return [map_misfit(found) for found in matches]
 
 
 @pytest.mark.parametrize("partial", [None, "source", "target"])

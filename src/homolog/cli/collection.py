@@ -95,6 +95,15 @@ def collection(
             rich_help_panel=INPUT,
         ),
     ] = None,
+    symmetry: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="The folder that homolog symmetry wrote of the template: take the shapes apart into symmetric and "
+            "asymmetric components.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     output: Annotated[
         Path,
         typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
@@ -117,8 +126,9 @@ def collection(
     points, 3), DIR/quality.csv (a row per shape), DIR/contact_sheet.png (the worst first), DIR/model (the mean, the
     principal modes, curves, and modes.html to drag through), DIR/shapeworks and DIR/scalismo (for these programs), and
     DIR/report.json. By default one choice of weights, or of a method without any, is made for all shapes. With
-    --landmarks also DIR/landmarks (a file per shape, in the given format) and DIR/landmarks.csv (all of them). `homolog
-    view DIR --shape NAME` shows the match of a shape.
+    --landmarks also DIR/landmarks (a file per shape, in the given format) and DIR/landmarks.csv (all of them), with
+    --symmetry DIR/symmetry (both components, and how asymmetric each shape is). `homolog view DIR --shape NAME` shows
+    the match of a shape.
 
     The same command resumes where it was stopped, and redoes what changed; more shapes can be given then. A shape that
     cannot be matched is one line on stderr and in quality.csv; the others are still written, and the exit code is 2.
@@ -129,6 +139,8 @@ def collection(
       homolog collection femur.stl femurs/*.stl -o femurs_model --weights femurs.safetensors --up z
 
       homolog collection skull.ply skulls/*.ply -o skulls_model --landmarks skull.mrk.json
+
+      homolog collection skull.ply skulls/*.ply -o skulls_model --symmetry skull-symmetry
 
       homolog collection lung.csv lungs/*.csv -o lungs_model --method registration --up z --scale
     """
@@ -160,6 +172,7 @@ def collection(
             model=model,
             landmarks=landmarks,
             axes=axes,
+            symmetry=symmetry,
             processes=processes,
             progress=progress,
             listener=_tell,

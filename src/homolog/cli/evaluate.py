@@ -13,6 +13,7 @@ import typer
 import homolog
 from homolog.cli.options import (
     INPUT,
+    METHOD,
     OUTPUT,
     PARTIAL,
     Adapt,
@@ -31,7 +32,6 @@ from homolog.cli.options import (
     build_matcher,
     check_files,
     check_inputs,
-    check_json,
     described,
     on_stdout,
     set_verbosity,
@@ -66,6 +66,8 @@ _OF_MAKING_MAPS = (
     "method",
     "weights",
     "adapt",
+    "refinement",
+    "alignment",
     "pre_aligned",
     "device",
     "no_cache",
@@ -166,6 +168,22 @@ def evaluate(
     method: MethodOption = AUTO,
     weights: Weights = None,
     adapt: Adapt = 0,
+    refinement: Annotated[
+        bool,
+        typer.Option(
+            "--refinement/--no-refinement",
+            help="Refine maps by ZoomOut, where they may be refined, or leave them as the method makes them.",
+            rich_help_panel=METHOD,
+        ),
+    ] = True,
+    alignment: Annotated[
+        bool,
+        typer.Option(
+            "--alignment/--no-alignment",
+            help="Align partial shapes with their full shapes before they are matched, or leave them as they lie.",
+            rich_help_panel=PARTIAL,
+        ),
+    ] = True,
     partial: Annotated[
         bool | None,
         typer.Option(
@@ -247,8 +265,7 @@ def evaluate(
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_json(json)
-    check_files(csv, plot)
+    check_files(csv, plot, None if on_stdout(json) else json)
     _check_maps(context, maps, base)
     check_inputs(weights=weights)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
@@ -271,7 +288,8 @@ def evaluate(
         landmarks=landmarks,
         seed=seed,
     )
-    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache)
+    without = [name for name, wanted in (("refinement", refinement), ("alignment", alignment)) if not wanted]
+    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=without)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     with progress_bar(quiet=quiet) as progress:
         evaluation = homolog.evaluation.evaluate(

@@ -101,6 +101,25 @@ def match(
     ] = None,
     clutter: ClutterOption = "remove",
     proxy: UseProxyOption = "auto",
+    source_mask: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="How much each point of the source counts, 0 to leave it out: .npy, .txt or .csv with a number per "
+            "point, or .ply with the property mask or weight, or painted black and white.",
+            show_default=False,
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    target_mask: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="How much each point of the target counts, likewise.",
+            show_default=False,
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Stop at anything to repair or to warn of.", rich_help_panel=INPUT)
     ] = False,
@@ -163,6 +182,8 @@ def match(
 
       homolog match a.ply b.ply -o result --landmarks a.mrk.json b.mrk.json
 
+      homolog match jaw.ply other.ply -o result --source-mask teeth.ply --target-mask other-teeth.ply
+
       homolog match old.ply new.ply -o result --weights people.safetensors --adapt 40
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -186,10 +207,11 @@ def match(
         proxy=proxy,
         strict=strict,
         landmarks=known_points(landmarks, landmark_uncertainty, axes),
+        source_mask=homolog.pairs.mask_of(source_mask, "source_mask"),
+        target_mask=homolog.pairs.mask_of(target_mask, "target_mask"),
     )
     with progress_bar(quiet=quiet, form=progress_form) as progress:
-        choices = weights in (None, AUTO_WEIGHTS) and method == AUTO
-        steps = STEPS + choices + adapt + (adapt > 0) + 2 * (alternatives - 1)
+        steps = STEPS + has_choice(weights, method) + adapt + (adapt > 0) + 2 * (alternatives - 1)
         timings = Timings(listener=counted(progress, steps, verbose=verbose))
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         pair, files = matcher.pair(source, target, options, timings=timings)
@@ -205,6 +227,11 @@ def match(
         say(f"Note: {len(matches)} of {alternatives} ways round were found.")
     if not quiet:
         _summary(matches, timings, paths, verbose=verbose)
+
+
+def has_choice(weights: str | None, method: str) -> bool:
+    """Whether weights and method are chosen for the pair, which is a step of its own."""
+    return weights in (None, AUTO_WEIGHTS) and method == AUTO
 
 
 def known_points(
@@ -285,7 +312,11 @@ def _summary(matches: list[Match], timings: Timings, paths: list[Path], *, verbo
         say(f"Warning: {in_options(warning)}")
     for side in get_args(Side):
         for finding in match.report["inputs"][side]["findings"]:
-            if finding["rule"] in (*homolog.geometry.CLUTTER_RULES, *homolog.pairs.PROXY_RULES):
+            if finding["rule"] in (
+                *homolog.geometry.CLUTTER_RULES,
+                homolog.geometry.MASKED,
+                *homolog.pairs.PROXY_RULES,
+            ):
                 say(in_options(f"Note: {side}: {finding['count']} {finding['rule']} {finding['action']}."))
     for number, other in enumerate(others, 2):
         for warning in other.warnings:

@@ -15,9 +15,10 @@ import typer
 import homolog
 from homolog.cli.lazy import OTHER
 from homolog.core.choices import PICTURE_WIDTHS, Device, KeepClutter, Orient, UseProxy
-from homolog.core.errors import ArgumentError, bad_choice
+from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved, write_json
 from homolog.core.pretrained import AUTO_WEIGHTS, weights_file
+from homolog.core.settings import toml_value
 from homolog.methods import method_names
 
 if TYPE_CHECKING:
@@ -119,6 +120,15 @@ DatasetOption = Annotated[
         rich_help_panel=INPUT,
     ),
 ]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="SECTION.KEY=VALUE",
+        help="Use this value instead of the recipe's, such as training.steps=2000; may be given several times.",
+        show_default=False,
+    ),
+]
 ResultFolder = Annotated[
     Path, typer.Argument(metavar="RESULT", help="A folder that homolog match wrote.", show_default=False)
 ]
@@ -196,14 +206,32 @@ NoCache = Annotated[
 ]
 
 
-def build_matcher(weights: str | None, method: str, device: Device, *, no_cache: bool) -> Matcher:
-    """The matcher that the shared options ask for; some methods need no weights."""
+def changes_of(given: list[str] | None) -> dict[str, Any]:
+    """What ``--set`` asks for, by name; a value is TOML, or else a text.
+
+    Raises:
+        ArgumentError: if one is no ``SECTION.KEY=VALUE``.
+    """
+    changes = {}
+    for each in given or ():
+        name, is_set, value = (part.strip() for part in each.partition("="))
+        if not (name and is_set and value):
+            raise bad_value("--set", each, "SECTION.KEY=VALUE, such as training.steps=2000")
+        changes[name] = toml_value(value)
+    return changes
+
+
+def build_matcher(
+    weights: str | None, method: str, device: Device, *, no_cache: bool, left_out: Iterable[str] = ()
+) -> Matcher:
+    """The matcher that the shared options ask for, without some stages; some methods need no weights."""
     from homolog.geometry import OperatorCache, compute_operators
     from homolog.matching import Matcher, features_of_weights
     from homolog.pairs import MatcherSettings
 
     operators = compute_operators if no_cache else OperatorCache.default().operators
-    settings = MatcherSettings(method=method)
+    without: dict[str, Any] = dict.fromkeys(left_out)
+    settings = MatcherSettings(method=method, **without)
     return Matcher(features_of_weights(weights, settings), settings=settings, device=device, operators=operators)
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import DatasetOption, DeviceOption, Quiet, Verbose, set_verbosity
+from homolog.cli.options import Changes, DatasetOption, DeviceOption, Quiet, Verbose, changes_of, set_verbosity
 from homolog.cli.progress import progress_bar
 from homolog.core.errors import HomologError
 from homolog.core.files import expanded, refuse_overwriting_inputs, resuming
@@ -35,6 +35,7 @@ def train(
     recipe: Annotated[
         str, typer.Option("--recipe", metavar="NAME|FILE", help="A built-in recipe, or a TOML file.")
     ] = "quick",
+    changes: Changes = None,
     dataset: DatasetOption = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on from RUN's last checkpoint, or begin where there is none.")
@@ -70,12 +71,14 @@ def train(
 
       homolog train scans -o run --recipe my_recipe.toml --resume
 
+      homolog train FAUST_r -o run --recipe faust --set training.steps=2000 --set loss.infonce=0
+
       homolog train scans -o run --weights trained_on_others.safetensors
 
       tensorboard --logdir run
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    settings = homolog.training.read_recipe(recipe)
+    settings = homolog.training.read_recipe(recipe, changes_of(changes))
     description = None if dataset is None else homolog.datasets.read_description(dataset)
     first = homolog.training.is_first_process()
     goes_on = resume and homolog.training.is_begun(expanded(output))

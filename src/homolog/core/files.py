@@ -120,14 +120,14 @@ def read_bytes(path: str | Path, *, first: int = -1) -> bytes:
         return file.read(first)
 
 
-def read_text(path: str | Path, *, encoding: str = "utf-8", errors: str = "strict") -> str:
-    """The content of an ordinary file of text, with line feeds as its ends of lines.
+def read_text(path: str | Path, *, errors: str = "strict") -> str:
+    """The content of an ordinary file of text in UTF-8, without its mark, with line feeds as its ends of lines.
 
     Raises:
         OSError: as ``opened`` does.
-        UnicodeDecodeError: if it is no text in this encoding.
+        UnicodeDecodeError: if it is no such text.
     """
-    return read_bytes(path).decode(encoding, errors).replace("\r\n", "\n").replace("\r", "\n")
+    return read_bytes(path).decode("utf-8-sig", errors).replace("\r\n", "\n").replace("\r", "\n")
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -163,6 +163,10 @@ class _Kept:
     inputs: tuple[Path, ...]
     own: Path | None = None
     written: set[Path] = field(default_factory=set)
+
+    def owns(self, target: Path, given: Path) -> bool:
+        """Whether a file lies in the writer's own folder, below an input."""
+        return self.own is not None and self.own in target.parents and resolved(given) in self.own.parents
 
 
 _keeping: ContextVar[_Kept | None] = ContextVar("keeping", default=None)
@@ -225,15 +229,10 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
         for given in read:
             if given.samefile(output):
                 raise ArgumentError(f"{output} is an input and would be replaced by the result; give another output")
-            if given.is_dir() and not _is_own(kept, target, given) and _lies_in(target, given):
+            if given.is_dir() and not kept.owns(target, given) and _lies_in(target, given):
                 raise ArgumentError(
                     f"{output} lies in the input {given} and would be replaced by the result; give another output"
                 )
-
-
-def _is_own(kept: _Kept, target: Path, given: Path) -> bool:
-    own = kept.own
-    return own is not None and own in target.parents and resolved(given) in own.parents
 
 
 def _lies_in(target: Path, folder: Path) -> bool:

@@ -49,7 +49,7 @@ def read_record(path: Path, kind: Any, *, instead: str) -> dict[str, Any]:
         DataError: if it cannot be read, or an entry is not as the model says; numbers that are not finite never are.
     """
     try:
-        text = read_text(path, encoding="utf-8-sig")
+        text = read_text(path)
     except (OSError, ValueError) as error:
         raise DataError(f"{path} cannot be read ({reason_of(error)}); {instead}") from None
     try:

@@ -112,6 +112,21 @@ def read_toml(path: Path) -> dict[str, Any]:
     return tables
 
 
+def toml_value(text: str) -> Any:
+    """The value that a text is in TOML, or the text itself where it is none.
+
+    Examples:
+        >>> toml_value("[0.3, 0.5]"), toml_value("bf16")
+        ([0.3, 0.5], 'bf16')
+    """
+    try:
+        table = tomllib.loads(f"value = {text}")
+        check_plain(table)
+    except (ValueError, RecursionError):
+        return text
+    return table["value"] if table.keys() == {"value"} else text
+
+
 def read_settings(settings: type[S], table: Mapping[str, Any], where: str) -> S:
     """Build settings from a table whose keys are the names of their fields; fields that are settings are tables.
 

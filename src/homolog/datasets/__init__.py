@@ -10,7 +10,7 @@ from homolog.core.lazy import lazy_names
 
 if TYPE_CHECKING:
     from homolog.core.choices import Split
-    from homolog.datasets.checking import DatasetReport, check_dataset, counted
+    from homolog.datasets.checking import DatasetReport, check_dataset, checksum, counted
     from homolog.datasets.description import DatasetDescription, builtin_descriptions, read_description
     from homolog.datasets.files import mesh_files
     from homolog.datasets.folder import Pair, ShapeFolder, class_of, demo_folder, drawn_pairs, partner
@@ -27,6 +27,7 @@ __all__ = [
     "Truth",
     "builtin_descriptions",
     "check_dataset",
+    "checksum",
     "class_of",
     "counted",
     "demo_folder",
@@ -49,6 +50,7 @@ _MODULES = {
     "Truth": "truth",
     "builtin_descriptions": "description",
     "check_dataset": "checking",
+    "checksum": "checking",
     "class_of": "folder",
     "counted": "checking",
     "demo_folder": "folder",

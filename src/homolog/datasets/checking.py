@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -191,19 +191,20 @@ class _Check:
                 self._say_missing(data)
 
     def _checksum(self) -> None:
-        files = sorted(file for file in set(self._files()) if not file.name.startswith("."))
-        lines = (f"{sha256(file)}  {file.relative_to(self.root).as_posix()}\n" for file in files)
-        self.report.sha256 = hashlib.sha256("".join(lines).encode(errors="surrogateescape")).hexdigest()
+        self.report.sha256 = checksum(self.root, self.description)
         if self.description.sha256 not in ("", self.report.sha256):
             self._say(
                 f"{self.root}: the checksum is {self.report.sha256}, but the dataset's is {self.description.sha256}"
             )
 
-    def _files(self) -> Iterable[Path]:
-        described = self.description
-        truth = described.truth_files if described.truth not in ("none", "same-numbering") else ""
-        for pattern in filter(None, (described.shapes, described.full, truth)):
-            yield from self.root.glob(pattern)
+
+def checksum(root: Path, description: DatasetDescription) -> str:
+    """The hash of the output of ``sha256sum`` for all files of a dataset's shapes and truth, sorted by path."""
+    truth = description.truth_files if description.truth not in ("none", "same-numbering") else ""
+    patterns = filter(None, (description.shapes, description.full, truth))
+    files = {file for pattern in patterns for file in root.glob(pattern) if not file.name.startswith(".")}
+    lines = (f"{sha256(file)}  {file.relative_to(root).as_posix()}\n" for file in sorted(files))
+    return hashlib.sha256("".join(lines).encode(errors="surrogateescape")).hexdigest()
 
 
 class _Reader:

@@ -36,6 +36,10 @@ class Truth:
     target: Int[np.ndarray, " q"]
     source: Int[np.ndarray, " q"]
 
+    def without(self, entries: Int[np.ndarray, " k"]) -> Truth:
+        """The same but for some of its entries, which are counted from 0 (k,)."""
+        return Truth(target=np.delete(self.target, entries), source=np.delete(self.source, entries))
+
 
 @dataclass(frozen=True, eq=False)
 class Counterparts:
@@ -152,7 +156,7 @@ class GroundTruth:
         if name not in self._vertices:
             path = self._file(name)
             points = read_vertices(path)
-            _check_vertices(path, points, self._shape_of(name), "leave that line out of every .vts file")
+            check_vertices(path, points, self._shape_of(name), "leave that line out of every .vts file")
             self._vertices[name] = points
         return self._vertices[name]
 
@@ -181,7 +185,7 @@ class GroundTruth:
         found = read_vertices(path)
         if len(found) != shape.n_points:
             raise DataError(f"{path} has {len(found)} lines, but {source} has {shape.n_points} points; get it again")
-        _check_vertices(path, found, self._shape_of(target), "write -1 there")
+        check_vertices(path, found, self._shape_of(target), "write -1 there")
         known = np.flatnonzero(found >= 0)
         return Truth(found[known], known)
 
@@ -236,7 +240,7 @@ def read_truth(files: tuple[Path, Path], shapes: tuple[Shape, Shape]) -> Truth:
     found = []
     for file, shape in zip(map(expanded, files), shapes, strict=True):
         points = read_vertices(file)
-        _check_vertices(file, points, shape, "leave that line out of both files")
+        check_vertices(file, points, shape, "leave that line out of both files")
         found.append(points)
     if len(found[0]) != len(found[1]):
         raise DataError(
@@ -294,7 +298,12 @@ def _read_numbers(path: Path, kind: type[Any], what: str, *, dimensions: Literal
         raise DataError(f"{path} must hold {what} ({reason_of(error)})") from None
 
 
-def _check_vertices(path: Path, vertices: Int[np.ndarray, " p"], shape: Shape, way_out: str) -> None:
+def check_vertices(path: Path, vertices: Int[np.ndarray, " p"], shape: Shape, way_out: str) -> None:
+    """Refuse a file's vertices, counted from 0, that its shape does not have, or has not in a finite place.
+
+    Raises:
+        DataError: naming the file and the vertex.
+    """
     if vertices.max() >= shape.n_points:
         raise DataError(f"{path} names vertex {vertices.max() + 1}, but the shape has {shape.n_points}")
     known = vertices[vertices >= 0]

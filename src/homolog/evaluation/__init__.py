@@ -20,7 +20,7 @@ from homolog.evaluation.metrics import (
     least_confident_share,
     pck_curve,
 )
-from homolog.evaluation.plot import plot_pck
+from homolog.evaluation.plot import PckCurve, plot_errors, plot_pck, plot_pck_curves
 from homolog.evaluation.protocol import Protocol
 from homolog.evaluation.result import Evaluation, PairErrors
 from homolog.evaluation.runner import MatchShapes, Metric, ScoredPair, evaluate
@@ -37,6 +37,7 @@ __all__ = [
     "Modalities",
     "PairErrors",
     "Partners",
+    "PckCurve",
     "Protocol",
     "ScoredPair",
     "area_under_pck",
@@ -49,5 +50,7 @@ __all__ = [
     "mirror_plane",
     "partners",
     "pck_curve",
+    "plot_errors",
     "plot_pck",
+    "plot_pck_curves",
 ]

@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 from homolog.core.errors import DataError, HomologError
 from homolog.datasets import GroundTruth, Pair, ShapeFolder, class_of, read_vertices
 from homolog.shapes import Shape
-from homolog.statistics import generalised_procrustes
+from homolog.statistics import MirrorPlane, generalised_procrustes, mirror_normal
 
 Exchange = Literal["none", "left-right", "turned over"]
 """What a map exchanges."""
@@ -70,21 +70,11 @@ def _refined_plane(
 ) -> tuple[Float[np.ndarray, " 3"], float]:
     """A plane's normal after closest points were iterated, and the mean distance of points from the mirror image."""
     for _ in range(_ROUNDS):
-        distances, nearest = tree.query(_mirrored(centred, normal))
-        before, normal = normal, _normal_between(centred, centred[nearest])
+        distances, nearest = tree.query(MirrorPlane(normal).reflected(centred))
+        before, normal = normal, mirror_normal(centred, centred[nearest])
         if np.linalg.norm(np.cross(before, normal)) < _STEADY:
             break
     return normal, float(distances.mean())
-
-
-def _normal_between(points: Float[np.ndarray, "k 3"], images: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " 3"]:
-    """The normal whose reflection takes points to their images best: it minimises (p . n)(q . n), summed."""
-    products = points.T @ images
-    return np.asarray(np.linalg.eigh(products + products.T)[1][:, 0])
-
-
-def _mirrored(points: Float[np.ndarray, "k 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "k 3"]:
-    return np.asarray(points - 2 * np.outer(points @ axis, axis))
 
 
 def partners(points: Float[np.ndarray, "k 3"], left_right: Int[np.ndarray, " k"] | None = None) -> Partners:
@@ -124,7 +114,7 @@ def _axes_within(centred: Float[np.ndarray, "k 3"], normal: Float[np.ndarray, " 
 
 
 def _nearest_mirrored(centred: Float[np.ndarray, "k 3"], axis: Float[np.ndarray, " 3"]) -> Int[np.ndarray, " k"]:
-    return np.asarray(KDTree(centred).query(_mirrored(centred, axis))[1])
+    return np.asarray(KDTree(centred).query(MirrorPlane(axis).reflected(centred))[1])
 
 
 def _among(known: Int[np.ndarray, " m"], found: Int[np.ndarray, " m"], count: int) -> Int[np.ndarray, " k"]:

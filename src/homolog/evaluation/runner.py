@@ -166,7 +166,7 @@ class _Run:
         self.clouds = {name: folder.cloud(name) for name in names if own_clouds and folder.has_cloud(name)}
         whole = [self._truth(pair) for pair in pairs]  # a fault of any is said before anything is computed
         self.known = dict(zip(pairs, [self._landmarks(*each) for each in zip(pairs, whole, strict=True)], strict=True))
-        self.truths = [_without(truth, self.known[pair]) for pair, truth in zip(pairs, whole, strict=True)]
+        self.truths = [truth.without(self.known[pair]) for pair, truth in zip(pairs, whole, strict=True)]
         self.euclidean = folder.description.holds == "clouds"  # without a surface that distances could run along
         self.exchanges = self._exchange_finder()
         self.total = self.done = 0
@@ -361,11 +361,6 @@ class _Run:
             diagonal = np.linalg.norm(np.ptp(shape.points, axis=0))
             errors[nowhere] = diagonal if self.euclidean else geodesic_diameter(shape)
         return errors
-
-
-def _without(truth: Truth, known: Int[np.ndarray, " p"]) -> Truth:
-    """The ground truth that is scored."""
-    return Truth(target=np.delete(truth.target, known), source=np.delete(truth.source, known))
 
 
 def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) -> float:

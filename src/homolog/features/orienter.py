@@ -84,7 +84,12 @@ class Orienter:
         found = self._distinct(self._step(few, rotation) for rotation in cube_rotations().to(few.points))
         for _ in range(_STEPS - 1):
             found = [self._step(seen, orientation.rotation) for orientation in found]
-        return tuple(self._with_place(sampled, seen, orientation) for orientation in self._distinct(found))
+        distinct = self._distinct(found)
+        answers = [self.network(seen.points @ orientation.rotation.T, seen) for orientation in distinct]
+        return tuple(
+            replace(orientation, upright=best_similarity(sampled.points, answer, seen.mass))
+            for orientation, answer in zip(distinct, answers, strict=True)
+        )
 
     def _step(self, basis: Basis, rotation: Float[Tensor, "3 3"]) -> Orientation:
         """The rotation that the network answers to a pose, and by how much its points differ there from the answer."""
@@ -93,10 +98,6 @@ class Orienter:
         further = best_rotation(points, answer, basis.mass)
         distances = (points @ further.T - answer).norm(dim=1)
         return Orientation(further @ rotation, float((basis.mass * distances).sum() / basis.mass.sum()))
-
-    def _with_place(self, sampled: Basis, seen: Basis, orientation: Orientation) -> Orientation:
-        answer = self.network(seen.points @ orientation.rotation.T, seen)
-        return replace(orientation, upright=best_similarity(sampled.points, answer, seen.mass))
 
     @staticmethod
     def _distinct(orientations: Iterable[Orientation]) -> list[Orientation]:

@@ -3,7 +3,7 @@
 from homolog.core.caches import cache_folder
 from homolog.geometry.basis import Basis, some_points
 from homolog.geometry.cache import OperatorCache
-from homolog.geometry.clutter import CLUTTER_RULES, Clutter, find_clutter, find_outliers, set_apart
+from homolog.geometry.clutter import CLUTTER_RULES, MASKED, Clutter, find_clutter, find_outliers, restricted, set_apart
 from homolog.geometry.geodesics import Geodesics, distances_from, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
@@ -23,6 +23,7 @@ from homolog.geometry.surface import (
 __all__ = [
     "CLOUD_NEIGHBOURS",
     "CLUTTER_RULES",
+    "MASKED",
     "BarycentricPoints",
     "Basis",
     "Clutter",
@@ -50,6 +51,7 @@ __all__ = [
     "mesh_laplacian",
     "outward",
     "pair_distances",
+    "restricted",
     "set_apart",
     "some_points",
     "split_long",

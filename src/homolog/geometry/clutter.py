@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,6 +54,8 @@ _MOST_APART = 0.9
 _PLANE, _OUTLIERS, _OBJECTS = "points of a plane", "outliers", "points of other objects"
 CLUTTER_RULES = (_PLANE, _OUTLIERS, _OBJECTS)
 """The rules of the findings that say what was set apart."""
+MASKED = "points outside the mask"
+"""The rule of the finding that says what a user left out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,16 +150,32 @@ def set_apart(repaired: Repaired, *, partial: bool = False) -> Repaired:
     left = ~clutter.points
     if left.all() or left.sum() < max(FEWEST_POINTS, (1 - _MOST_APART) * shape.n_points):
         return repaired
+    return restricted(repaired, left, clutter.findings())
+
+
+def restricted(repaired: Repaired, left: Bool[np.ndarray, " n"], findings: Iterable[Finding]) -> Repaired:
+    """A repaired shape with some of its points alone, and the faces between them.
+
+    Args:
+        repaired: a clean shape, and the way back to the one it was made from.
+        left: which of its points stay (n,).
+        findings: what to say of the others.
+
+    Raises:
+        ShapeError: if what stays is no shape.
+    """
+    shape = repaired.shape
     cleaned = repair(_subset(shape, left))
     (numbers,) = np.nonzero(left)
     new_number = np.full(shape.n_points + 1, -1)  # the last one is that of points which were left out before
     new_number[numbers] = cleaned.clean_index
-    done = (finding for finding in repaired.report.findings if finding.severity == "repaired")
+    told = repaired.report.findings
+    done = (finding for finding in told if finding.severity == "repaired" or finding.rule == MASKED)
     report = replace(
         check(cleaned.shape),
         n_points=repaired.report.n_points,
         n_faces=repaired.report.n_faces,
-        findings=(*done, *clutter.findings(), *cleaned.report.findings),
+        findings=(*done, *findings, *cleaned.report.findings),
     )
     kept = repaired.kept[numbers[cleaned.kept]]
     return Repaired(cleaned.shape, report, kept, new_number[repaired.clean_index])

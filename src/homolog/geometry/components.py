@@ -56,7 +56,8 @@ def main_points(shape: Shape, neighbours: Int[np.ndarray, "n j"] | None = None) 
         True for each point of the main component (n,).
     """
     if shape.faces is None:
-        return _main_points_of_cloud(shape.points, neighbours)
+        main = in_large_components(*cloud_components(shape.points, neighbours))
+        return main if main.mean() >= 1 - _MOST_IN_SMALL else np.ones(len(main), dtype=bool)
     component = components(shape.faces[:, 0], shape.faces[:, 1], shape.n_points, shape.faces[:, 2])
     areas = np.bincount(
         component[shape.faces[:, 0]], face_areas(shape.points, shape.faces), minlength=component.max() + 1
@@ -95,10 +96,3 @@ def in_large_components(component: Int[np.ndarray, " n"], sizes: Float[np.ndarra
     """Which points are on components that are not far smaller than the largest; all, where else too few would be."""
     main: np.ndarray = (sizes >= _SMALLEST_COMPONENT * sizes.max())[component]
     return main if main.sum() >= FEWEST_POINTS else np.ones(len(component), dtype=bool)
-
-
-def _main_points_of_cloud(
-    points: Float[np.ndarray, "n 3"], neighbours: Int[np.ndarray, "n j"] | None
-) -> Bool[np.ndarray, " n"]:
-    main = in_large_components(*cloud_components(points, neighbours))
-    return main if main.mean() >= 1 - _MOST_IN_SMALL else np.ones(len(points), dtype=bool)

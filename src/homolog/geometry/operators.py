@@ -167,7 +167,9 @@ class Operators:
         if self.scatter is None:
             return turned
         scatter, signs = turned_signs(self.scatter, rotation)
-        return replace(turned, gradient_x=_rows_multiplied(self.gradient_x, signs), scatter=scatter)
+        rows, columns, values = self.gradient_x.crow_indices(), self.gradient_x.col_indices(), self.gradient_x.values()
+        signed = compressed_rows(rows, columns, values * signs.to(values).repeat_interleave(rows.diff()))
+        return replace(turned, gradient_x=signed, scatter=scatter)
 
     def around(self, centre: Float[Tensor, " 3"]) -> Operators:
         """The same operators with positions around another point of the file, such as the centre of a full shape."""
@@ -325,12 +327,6 @@ def _spread(matrix: SparseMatrix, main: Bool[Tensor, " n"]) -> SparseMatrix:
     rows = matrix.crow_indices()[torch.cat([torch.zeros(1, dtype=torch.long), main.cumsum(0)])]
     columns = torch.nonzero(main)[:, 0].to(rows)[matrix.col_indices()]
     return compressed_rows(rows, columns, matrix.values())
-
-
-def _rows_multiplied(matrix: SparseMatrix, factors: Float[Tensor, " n"]) -> SparseMatrix:
-    """A sparse matrix with each of its rows multiplied by a factor."""
-    rows, values = matrix.crow_indices(), matrix.values()
-    return compressed_rows(rows, matrix.col_indices(), values * factors.to(values).repeat_interleave(rows.diff()))
 
 
 def _single(array: np.ndarray) -> Tensor:

@@ -215,7 +215,7 @@ class ReferenceSurface:
             return np.asarray(near)
         # For most points all of the nearest vertices agree; only the others are queried again.
         (astray,) = np.nonzero(~self._facing(near, normals).all(axis=1))
-        _, more = self._tree.query(points[astray], k=_NEAR)
+        _, more = self._tree.query(points[astray], k=[*range(1, min(_NEAR, self._tree.n) + 1)])
         facing = self._facing(more, normals[astray])
         order = np.argsort(~facing, axis=1, kind="stable")[:, :count]
         rows = np.arange(len(astray))[:, None]

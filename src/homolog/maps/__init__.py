@@ -19,7 +19,9 @@ from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flippe
 from homolog.maps.registration import (
     RegistrationSettings,
     RegistrationStart,
+    SampledSurface,
     registered_positions,
+    registered_surfaces,
     registration_start,
 )
 from homolog.maps.rigid import Similarity, best_similarity, closest_point_similarity, rigid_motion
@@ -42,6 +44,7 @@ __all__ = [
     "RefinementSettings",
     "RegistrationSettings",
     "RegistrationStart",
+    "SampledSurface",
     "Similarity",
     "SoftMatches",
     "best_rotation",
@@ -69,6 +72,7 @@ __all__ = [
     "point_map_from_functional_map",
     "principal_rotations",
     "registered_positions",
+    "registered_surfaces",
     "registration_start",
     "resolvent_mask",
     "rigid_motion",

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from homolog.core.arguments import given_or_default
 from homolog.core.arrays import takes_arrays
+from homolog.core.errors import ArgumentError
 from homolog.core.settings import Count, NotNegative, Settings, Share
 from homolog.geometry import some_points
 from homolog.maps.rigid import Similarity, closest_point_similarity
@@ -35,7 +36,7 @@ _Points = Float[np.ndarray, "n 3"]
 
 @dataclass(frozen=True, kw_only=True)
 class RegistrationSettings(Settings):
-    """Schedule of the self-organising map in ``registered_positions``.
+    """Schedule of the self-organising map in ``registered_surfaces``.
 
     The defaults were chosen on training pairs of lungs, those of turns on five vertebrae as well.
 
@@ -79,6 +80,37 @@ class RegistrationSettings(Settings):
 
 
 @dataclass(frozen=True, eq=False)
+class SampledSurface:
+    """Points of a surface that is registered, with what is known of it there.
+
+    Args:
+        points: positions (n, 3).
+        areas: of the surface that each point stands for, such as ``Operators.mass`` (n,); by default all alike.
+        normals: unit normals, which count by ``RegistrationSettings.normal_weight`` (n, 3); by default none.
+
+    Raises:
+        ArgumentError: if there are not as many areas or normals as points.
+
+    Examples:
+        >>> import homolog
+        >>> from homolog.maps import SampledSurface
+        >>> operators = homolog.compute_operators(homolog.demo_shapes()[0])
+        >>> body = SampledSurface(operators.points, operators.mass)
+    """
+
+    points: Float[Tensor, "n 3"]
+    areas: Float[Tensor, " n"] | None = None
+    normals: Float[Tensor, "n 3"] | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.points)
+        for name, shape in (("points", (count, 3)), ("areas", (count,)), ("normals", (count, 3))):
+            value = getattr(self, name)
+            if value is not None and tuple(value.shape) != shape:
+                raise ArgumentError(f"{name} have shape {tuple(value.shape)}, but must have shape {shape}")
+
+
+@dataclass(frozen=True, eq=False)
 class _Cloud:
     """Points with the share of the whole area that each stands for, and normals, which are zero where unknown."""
 
@@ -87,12 +119,8 @@ class _Cloud:
     normals: _Points
 
     @classmethod
-    def of(
-        cls,
-        points: Float[Tensor, "n 3"],
-        areas: Float[Tensor, " n"] | None = None,
-        normals: Float[Tensor, "n 3"] | None = None,
-    ) -> _Cloud:
+    def of(cls, surface: SampledSurface) -> _Cloud:
+        points, areas, normals = surface.points, surface.areas, surface.normals
         weights = _array(torch.ones_like(points[:, 0]) if areas is None else areas)
         unit = _array(torch.zeros_like(points) if normals is None else normals)
         return cls(_array(points), weights / weights.sum(), unit)
@@ -100,6 +128,16 @@ class _Cloud:
     def moved(self, similarity: Similarity) -> _Cloud:
         turned = self.normals @ similarity.rotation.numpy().T
         return replace(self, points=similarity(torch.from_numpy(self.points)).numpy(), normals=turned)
+
+    def few(self, seed: int) -> _Cloud:
+        """Some of the points, without normals: turns are too coarse for them."""
+        kept = some_points(len(self.points), _FEW, seed=seed).numpy()
+        return _Cloud(self.points[kept], self.shares[kept] / self.shares[kept].sum(), np.zeros((len(kept), 3)))
+
+    def drawn(self, seed: int) -> _Cloud:
+        """Points drawn by their area, which then count alike."""
+        drawn = np.random.default_rng(seed).choice(len(self.points), _DRAWN, p=self.shares)
+        return _Cloud(self.points[drawn], np.full(_DRAWN, 1 / _DRAWN), self.normals[drawn])
 
     @property
     def centre(self) -> Float[np.ndarray, " 3"]:
@@ -116,6 +154,21 @@ class _Cloud:
         scale = other.size / self.size if self.size else 1.0
         centre, target = torch.from_numpy(self.centre), torch.from_numpy(other.centre)
         return Similarity(rotation, scale, target - scale * rotation @ centre)
+
+    def away(self, other: _Cloud) -> _Points:
+        """From the nearest point of the other to each point."""
+        away: _Points = self.points - other.points[_nearest(self.points, self.normals, other.points, other.normals)]
+        return away
+
+    def apart(self, other: _Cloud) -> float:
+        """The median distance of closest points across the surface, which does not depend on how it is sampled."""
+        across = np.abs((self.away(other) * self.normals).sum(axis=1)) / np.linalg.norm(self.normals, axis=1)
+        return float(np.median(across))
+
+    def bent(self, other: _Cloud) -> float:
+        """How far the tenth of one that lies farthest from the other is away, at least; of the one that lies within."""
+        both = self.away(other), other.away(self)
+        return min(float(np.quantile(np.linalg.norm(away, axis=1), 0.9)) for away in both)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,38 +196,18 @@ def registered_positions(
     points_x: Float[Tensor, "n_x 3"],
     points_y: Float[Tensor, "n_y 3"],
     *,
-    areas_x: Float[Tensor, " n_x"] | None = None,
-    areas_y: Float[Tensor, " n_y"] | None = None,
-    normals_x: Float[Tensor, "n_x 3"] | None = None,
-    normals_y: Float[Tensor, "n_y 3"] | None = None,
     start: RegistrationStart | None = None,
     settings: RegistrationSettings | None = None,
 ) -> tuple[Float[Tensor, "n_x 3"], Float[Tensor, "n_y 3"]]:
     """Registration of two clouds by a self-organising map, in both directions; positions of each on the other.
 
-    Each round, every point of y pulls the point of x that is nearest to it by then, and each point of x moves to the
-    mean of what its surroundings are pulled to. The surroundings are wide first and narrow last. That is a
-    self-organising map in batches (Kohonen, "Self-organized formation of topologically correct feature maps", 1982), as
-    Ferrarini et al. ("GAMEs: growing and adaptive meshes", Medical Image Analysis 2007) use it for models of organs.
-    New here: points pull by their area, and both directions are computed and averaged, x registered to y and x carried
-    back by y registered to x.
-
-    What is nearly a rigid copy (``RegistrationStart.near_rigid``) is better moved by the mean of how far its
-    surroundings are pulled: a mean of positions shrinks, and draws a part that the other lacks into it. Nearest points
-    are those of like normals, if these are given.
-
-    Without areas every point pulls alike, so regions with many points go to regions with many: sample both clouds alike
-    then. Both must be in one orientation.
+    Every point pulls alike, so regions with many points go to regions with many: sample both clouds alike. See
+    ``registered_surfaces``.
 
     Args:
         points_x: positions of one cloud (n_x, 3).
-        points_y: of the other (n_y, 3).
-        areas_x: what each point of x stands for, such as ``Operators.mass`` (n_x,); by default all alike.
-        areas_y: likewise (n_y,).
-        normals_x: unit normals, which count by ``settings.normal_weight`` (n_x, 3); by default none.
-        normals_y: likewise (n_y, 3); both or none.
-        start: where x begins; by default with the centre and the size (root mean square) of y, and not turned. See
-            ``registration_start``.
+        points_y: of the other (n_y, 3), in the same orientation.
+        start: where x begins; by default with the centre and the size (root mean square) of y, and not turned.
         settings: the schedule of the rounds.
 
     Returns:
@@ -192,26 +225,62 @@ def registered_positions(
     See Also:
         ``nearest_neighbour`` turns the positions into point maps.
     """
+    return registered_surfaces(SampledSurface(points_x), SampledSurface(points_y), start=start, settings=settings)
+
+
+def registered_surfaces(
+    x: SampledSurface,
+    y: SampledSurface,
+    *,
+    start: RegistrationStart | None = None,
+    settings: RegistrationSettings | None = None,
+) -> tuple[Float[Tensor, "n_x 3"], Float[Tensor, "n_y 3"]]:
+    """Registration of the points of two surfaces by a self-organising map, in both directions.
+
+    Each round, every point of y pulls the point of x that is nearest to it by then, and each point of x moves to the
+    mean of what its surroundings are pulled to. The surroundings are wide first and narrow last. That is a
+    self-organising map in batches (Kohonen, "Self-organized formation of topologically correct feature maps", 1982), as
+    Ferrarini et al. ("GAMEs: growing and adaptive meshes", Medical Image Analysis 2007) use it for models of organs.
+    New here: points pull by their area, and both directions are computed and averaged, x registered to y and x carried
+    back by y registered to x.
+
+    What is nearly a rigid copy (``RegistrationStart.near_rigid``) is better moved by the mean of how far its
+    surroundings are pulled: a mean of positions shrinks, and draws a part that the other lacks into it. Nearest points
+    are those of like normals, if both have some.
+
+    Args:
+        x: one surface.
+        y: the other, in the same orientation.
+        start: where x begins; by default with the centre and the size (root mean square) of y, and not turned. See
+            ``registration_start``.
+        settings: the schedule of the rounds.
+
+    Returns:
+        Where the points of x lie on y (n_x, 3), and those of y on x (n_y, 3).
+
+    Examples:
+        >>> import torch, trimesh
+        >>> from homolog.maps import SampledSurface, registered_surfaces
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> sphere = SampledSurface(torch.tensor(mesh.vertices), normals=torch.tensor(mesh.vertex_normals))
+        >>> larger = SampledSurface(2 * sphere.points, normals=sphere.normals)
+        >>> on_larger, on_sphere = registered_surfaces(sphere, larger)
+        >>> bool((on_larger - larger.points).norm(dim=1).mean() < 0.1)
+        True
+    """
     settings = given_or_default("settings", settings, RegistrationSettings)
-    x, y = _both(_Cloud.of(points_x, areas_x, normals_x), _Cloud.of(points_y, areas_y, normals_y), settings)
-    start = start or RegistrationStart(x.onto(y, torch.eye(3).double()))
+    one, other = _both(x, y, settings)
+    start = start or RegistrationStart(one.onto(other, torch.eye(3).double()))
     begun = start.similarity.to(torch.empty(0).double())
-    on_y, at_start = _both_ways(x.moved(begun), y, settings, near_rigid=start.near_rigid)
+    on_y, at_start = _both_ways(one.moved(begun), other, settings, near_rigid=start.near_rigid)
     on_x = begun.inverse()(torch.from_numpy(at_start))
-    return torch.from_numpy(on_y).to(points_x), on_x.to(points_x)
+    return torch.from_numpy(on_y).to(x.points), on_x.to(x.points)
 
 
 def registration_start(
-    points_x: Float[Tensor, "n_x 3"],
-    points_y: Float[Tensor, "n_y 3"],
-    *,
-    areas_x: Float[Tensor, " n_x"] | None = None,
-    areas_y: Float[Tensor, " n_y"] | None = None,
-    normals_x: Float[Tensor, "n_x 3"] | None = None,
-    normals_y: Float[Tensor, "n_y 3"] | None = None,
-    settings: RegistrationSettings | None = None,
+    x: SampledSurface, y: SampledSurface, *, settings: RegistrationSettings | None = None
 ) -> RegistrationStart:
-    """The similarity transform from which two clouds that stand nearly alike are best registered. New here.
+    """The similarity transform from which two surfaces that stand nearly alike are best registered. New here.
 
     Samples are registered, and turned by the rotation about both centres that comes nearest to where they went, three
     times over. Of shapes with a distinct form, such as bones, the turns soon become small. A smooth shape, such as a
@@ -225,85 +294,55 @@ def registration_start(
     are not looked for.
 
     Args:
-        points_x: positions of one cloud (n_x, 3).
-        points_y: of the other (n_y, 3).
-        areas_x: of the surface that each point of x stands for (n_x,); by default all alike.
-        areas_y: likewise (n_y,).
-        normals_x: unit normals (n_x, 3); by default none.
-        normals_y: likewise (n_y, 3); both or none.
-        settings: as of ``registered_positions``.
+        x: one surface.
+        y: the other.
+        settings: as of ``registered_surfaces``.
 
     Examples:
         >>> import torch, trimesh
-        >>> from homolog.maps import registration_start, rotation_angle
+        >>> from homolog.maps import SampledSurface, registration_start, rotation_angle
         >>> box = trimesh.creation.box([1, 2, 3]).subdivide_loop(4)
         >>> points = torch.tensor(box.vertices)
-        >>> start = registration_start(points, 2 * points)
+        >>> start = registration_start(SampledSurface(points), SampledSurface(2 * points))
         >>> round(float(rotation_angle(start.similarity.rotation))), round(start.similarity.scale, 3)
         (0, 2.0)
     """
     settings = given_or_default("settings", settings, RegistrationSettings)
-    x, y = _both(_Cloud.of(points_x, areas_x, normals_x), _Cloud.of(points_y, areas_y, normals_y), settings)
-    rotations = _turned(x, y, settings)
+    one, other = _both(x, y, settings)
+    rotations = _turned(one, other, settings)
     first, *_, last = (float(rotation_angle(after @ before.T)) for before, after in pairwise(rotations))
     is_distinct = last < settings.most_left * first
-    if y.normals.any():
-        drawn_x, drawn_y = _drawn(x, 0), _drawn(y, 1)
-        closest = _closest(drawn_x, drawn_y, x.onto(y, rotations[-1]))
-        at_start = drawn_x.moved(closest)
-        is_near = is_distinct or _apart(at_start, drawn_y) < settings.most_apart * y.size
-        if is_near and _bent(at_start, drawn_y) < settings.most_bent * y.size:
+    if other.normals.any():
+        drawn, among = one.drawn(0), other.drawn(1)
+        arrays = map(torch.from_numpy, (drawn.points, among.points, drawn.normals, among.normals))
+        points_x, points_y, normals_x, normals_y = arrays
+        begun = one.onto(other, rotations[-1])
+        closest = closest_point_similarity(points_x, points_y, normals_x=normals_x, normals_y=normals_y, start=begun)
+        at_start = drawn.moved(closest)
+        is_near = is_distinct or at_start.apart(among) < settings.most_apart * other.size
+        if is_near and at_start.bent(among) < settings.most_bent * other.size:
             return RegistrationStart(closest, near_rigid=True)
-    return RegistrationStart(x.onto(y, rotations[-1] if is_distinct else rotations[0]))
+    return RegistrationStart(one.onto(other, rotations[-1] if is_distinct else rotations[0]))
 
 
-def _both(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> tuple[_Cloud, _Cloud]:
+def _both(x: SampledSurface, y: SampledSurface, settings: RegistrationSettings) -> tuple[_Cloud, _Cloud]:
     """Both with unit normals as long as they weigh, in y's units; without normals where those of one are unknown."""
-    length = settings.normal_weight * y.size if x.normals.any() and y.normals.any() else 0.0
-    return replace(x, normals=length * x.normals), replace(y, normals=length * y.normals)
+    one, other = _Cloud.of(x), _Cloud.of(y)
+    length = settings.normal_weight * other.size if one.normals.any() and other.normals.any() else 0.0
+    return replace(one, normals=length * one.normals), replace(other, normals=length * other.normals)
 
 
 def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().double().cpu().numpy()
 
 
-def _drawn(cloud: _Cloud, seed: int) -> _Cloud:
-    """Points drawn by their area, which then count alike."""
-    drawn = np.random.default_rng(seed).choice(len(cloud.points), _DRAWN, p=cloud.shares)
-    return _Cloud(cloud.points[drawn], np.full(_DRAWN, 1 / _DRAWN), cloud.normals[drawn])
-
-
-def _closest(x: _Cloud, y: _Cloud, start: Similarity) -> Similarity:
-    points_x, points_y, normals_x, normals_y = map(torch.from_numpy, (x.points, y.points, x.normals, y.normals))
-    return closest_point_similarity(points_x, points_y, normals_x=normals_x, normals_y=normals_y, start=start)
-
-
-def _apart(x: _Cloud, y: _Cloud) -> float:
-    """The median distance of closest points across the surface, which does not depend on how it is sampled."""
-    away = x.points - y.points[_nearest(x.points, x.normals, y.points, y.normals)]
-    return float(np.median(np.abs((away * x.normals).sum(axis=1)) / np.linalg.norm(x.normals, axis=1)))
-
-
-def _bent(x: _Cloud, y: _Cloud) -> float:
-    """How far the tenth of one that lies farthest from the other is away, at least; of the one that lies within."""
-    both = ((x, y), (y, x))
-    away = (a.points - b.points[_nearest(a.points, a.normals, b.points, b.normals)] for a, b in both)
-    return min(float(np.quantile(np.linalg.norm(each, axis=1), 0.9)) for each in away)
-
-
 def _turned(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> list[Float[Tensor, "3 3"]]:
     """No rotation, and those after one registration of some samples and more."""
-    few_x, few_y = (_few(cloud, seed) for seed, cloud in enumerate((x, y)))
+    few_x, few_y = x.few(0), y.few(1)
     rotations = [torch.eye(3).double()]
     for _ in range(_TURNS):
         rotations.append(_turn(few_x.moved(few_x.onto(few_y, rotations[-1])), few_y, settings) @ rotations[-1])
     return rotations
-
-
-def _few(cloud: _Cloud, seed: int) -> _Cloud:
-    kept = some_points(len(cloud.points), _FEW, seed=seed).numpy()
-    # Without normals: turns are too coarse for them.
-    return _Cloud(cloud.points[kept], cloud.shares[kept] / cloud.shares[kept].sum(), np.zeros((len(kept), 3)))
 
 
 def _turn(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> Float[Tensor, "3 3"]:

@@ -15,6 +15,9 @@ from homolog.core.arrays import takes_arrays
 from homolog.core.settings import Count, Positive, Settings
 from homolog.maps.nearest import nearest_neighbour
 
+# Of the largest weight of a pair: functional maps need pairs from everywhere, or they tear where there are none.
+_LEAST_WEIGHT = 0.05
+
 
 @dataclass(frozen=True, kw_only=True)
 class RefinementSettings(Settings):
@@ -95,6 +98,8 @@ def zoomout(
     *,
     settings: RefinementSettings | None = None,
     landmarks: LandmarkRows | None = None,
+    weights_x: Float[Tensor, " n_x"] | None = None,
+    weights_y: Float[Tensor, " n_y"] | None = None,
 ) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
     """ZoomOut: spectral upsampling of the point maps of two full shapes, both directions at once, guided by features.
 
@@ -113,6 +118,9 @@ def zoomout(
         features_y: likewise (n_y, d).
         settings: sizes of the basis, samples, and how much features weigh.
         landmarks: pairs of points that are known to correspond.
+        weights_x: how much each point of x counts where functional maps are fitted (n_x,); by default all alike. A pair
+            counts by the geometric mean of the weights of its points, and at least a twentieth of the largest.
+        weights_y: likewise (n_y,).
 
     Returns:
         Both refined maps, y to x first.
@@ -141,7 +149,8 @@ def zoomout(
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
     settings = given_or_default("settings", settings, RefinementSettings)
-    x, y = _Guided(eigenvectors_x, features_x, settings), _Guided(eigenvectors_y, features_y, settings)
+    x = _Guided(eigenvectors_x, features_x, settings, weights_x)
+    y = _Guided(eigenvectors_y, features_y, settings, weights_y)
     largest = min(eigenvectors_x.shape[1], eigenvectors_y.shape[1])
     rows_x, rows_y = x.samples, y.samples
     y_to_x, x_to_y = y_to_x[rows_y], x_to_y[rows_x]
@@ -168,6 +177,8 @@ def zoomout_partial(
     *,
     settings: RefinementSettings | None = None,
     landmarks: LandmarkRows | None = None,
+    weights_x: Float[Tensor, " n_x"] | None = None,
+    weights_y: Float[Tensor, " n_y"] | None = None,
 ) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
     """ZoomOut for a partial shape y and a full one x: spectral upsampling with a slanted functional map.
 
@@ -186,6 +197,8 @@ def zoomout_partial(
         features_y: likewise (n_y, d).
         settings: sizes of the basis, which are numbers of eigenvectors of x, samples, and how much features weigh.
         landmarks: pairs of points that are known to correspond.
+        weights_x: as in ``zoomout`` (n_x,).
+        weights_y: likewise (n_y,).
 
     Returns:
         The refined map, and the map back, which gives every point of x some point of y, even outside the overlap.
@@ -216,14 +229,15 @@ def zoomout_partial(
     check_finite("features_x", features_x)
     check_finite("features_y", features_y)
     settings = given_or_default("settings", settings, RefinementSettings)
-    x, y = _Guided(eigenvectors_x, features_x, settings), _Guided(eigenvectors_y, features_y, settings)
+    x = _Guided(eigenvectors_x, features_x, settings, weights_x)
+    y = _Guided(eigenvectors_y, features_y, settings, weights_y)
     rows = y.samples
     y_to_x = y_to_x[rows]
     for n_left, size, weight in settings.rounds(eigenvectors_x.shape[1]):
         k_y = max(int((eigenvalues_y <= eigenvalues_x[size - 1]).sum()), 1)
         phi_x, phi_y = x.eigenvectors[:, :size], y.eigenvectors[:, :k_y]
         pairs_x, pairs_y = (y_to_x, rows) if landmarks is None else landmarks.appended(y_to_x, rows)
-        c_xy = _fitted(phi_x[pairs_x], phi_y[pairs_y])
+        c_xy = _fitted(phi_x[pairs_x], phi_y[pairs_y], _weights(x, pairs_x, y, pairs_y))
         among = x.candidates(n_left)
         rows = y.all if n_left == 0 else y.samples
         in_y, in_x = y.guided(rows, phi_y[rows] @ c_xy, weight), x.guided(among, phi_x[among], weight)
@@ -239,6 +253,7 @@ class _Guided:
     eigenvectors: Float[Tensor, "n m"]
     features: Float[Tensor, "n d"]
     settings: RefinementSettings
+    weights: Float[Tensor, " n"] | None = None
 
     @cached_property
     def all(self) -> Int[Tensor, " n"]:
@@ -281,14 +296,31 @@ def _counterparts(
 ) -> Int[Tensor, " r"]:
     """For some points of y the nearest ones among some of x, with the functional map fitted to pairs of both."""
     phi_x, phi_y = x.eigenvectors[:, :size], y.eigenvectors[:, :size]
-    c_xy = _fitted(phi_x[pairs[1]], phi_y[pairs[0]])
+    c_xy = _fitted(phi_x[pairs[1]], phi_y[pairs[0]], _weights(x, pairs[1], y, pairs[0]))
     queries = y.guided(rows, phi_y[rows], weight)
     candidates = x.guided(among, phi_x[among] @ c_xy.T, weight)
     return among[nearest_neighbour(queries, candidates).index]
 
 
-def _fitted(pulled_back: Float[Tensor, "n k_x"], eigenvectors_y: Float[Tensor, "n k_y"]) -> Float[Tensor, "k_y k_x"]:
+def _weights(
+    x: _Guided, points_x: Int[Tensor, " p"], y: _Guided, points_y: Int[Tensor, " p"]
+) -> Float[Tensor, " p"] | None:
+    """How much each pair of points counts; None where all count alike."""
+    known = [one.weights[at] for one, at in ((x, points_x), (y, points_y)) if one.weights is not None]
+    if not known:
+        return None
+    found = torch.stack(known).log().mean(dim=0).exp()
+    return found.clamp(min=_LEAST_WEIGHT * float(found.max()))
+
+
+def _fitted(
+    pulled_back: Float[Tensor, "n k_x"],
+    eigenvectors_y: Float[Tensor, "n k_y"],
+    weights: Float[Tensor, " n"] | None = None,
+) -> Float[Tensor, "k_y k_x"]:
     """The least-squares C with Phi_y C = Pi Phi_x on the samples; sampled eigenvectors stay nearly orthogonal."""
+    if weights is not None:
+        pulled_back, eigenvectors_y = (rows * weights.sqrt()[:, None] for rows in (pulled_back, eigenvectors_y))
     gram, right = (eigenvectors_y.T @ eigenvectors_y).double(), (eigenvectors_y.T @ pulled_back).double()
     # An eigenvector that is zero on all samples must not make the system singular.
     ridge = 1e-6 * gram.diagonal().mean() * torch.eye(len(gram), dtype=gram.dtype, device=gram.device)

@@ -3,11 +3,12 @@
 from homolog.matching.alignment import Alignment, align_partial, best_alignment
 from homolog.matching.choice import features_of_weights, needs_features
 from homolog.matching.colours import matched_colours, position_colours
+from homolog.matching.feature_choice import FeatureChoice
 from homolog.matching.in_one_call import match
 from homolog.matching.inputs import with_inputs
 from homolog.matching.matcher import Matcher
 from homolog.matching.quality import MEASURES, MapQuality, Quality
-from homolog.matching.recognition import choose, map_misfit
+from homolog.matching.recognition import map_misfit
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_point_map, checked_maps
 from homolog.matching.result_files import RESULT_FILES, given_files, matched_name, read_point_map, write_folder
@@ -18,6 +19,7 @@ __all__ = [
     "MEASURES",
     "RESULT_FILES",
     "Alignment",
+    "FeatureChoice",
     "Hypothesis",
     "MapQuality",
     "Match",
@@ -27,7 +29,6 @@ __all__ = [
     "best_alignment",
     "check_point_map",
     "checked_maps",
-    "choose",
     "features_of_weights",
     "given_files",
     "low_confidence_warnings",

@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from homolog.core.arguments import check_kind, given_or_default
 from homolog.core.errors import ArgumentError
 from homolog.core.pretrained import AUTO_WEIGHTS, KINDS, pretrained_weights
 from homolog.features import FeatureExtractor, FeatureInfo, as_extractor, load_weights, on_device
@@ -34,6 +35,8 @@ def extractors_of(features: Any, info: FeatureInfo | None) -> tuple[FeatureExtra
     Raises:
         ArgumentError: if something given computes none, or one of several has no orienter, which tells what it knows.
     """
+    if info is not None:
+        check_kind("info", info, FeatureInfo)
     if features is None:
         return ()
     several = tuple(features) if isinstance(features, list | tuple) else (features,)
@@ -96,9 +99,15 @@ def _compares_given_features(method: Method) -> bool:
 
 
 def features_of_weights(
-    weights: str | Path | None, settings: MatcherSettings
+    weights: str | Path | None, settings: MatcherSettings | None = None
 ) -> FeatureExtractor | tuple[FeatureExtractor, ...] | None:
-    """The features of the weights that were given; by default of all kinds of shapes, where the method needs any."""
+    """The features of the weights that were given; by default of all kinds of shapes, where the method needs any.
+
+    Raises:
+        ArgumentError: if something given is of another kind.
+        WeightsError: if there are no such weights, or the file does not hold any.
+    """
+    settings = given_or_default("settings", settings, MatcherSettings)
     if weights is None and not needs_features(settings):
         return None
     if weights is None or str(weights) == AUTO_WEIGHTS:

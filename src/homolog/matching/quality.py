@@ -13,7 +13,6 @@ from torch import Tensor
 
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import NotNegative
-from homolog.geometry import Surface
 from homolog.maps import coverage, cycle_error, dirichlet_energy, flipped_triangles
 from homolog.pairs import SIDES, PreprocessedShape
 
@@ -98,7 +97,7 @@ def quality(
         back: likewise for the other shape.
         confidences: in each entry of ``there``.
     """
-    points, x, y = shape.operators.points, _surface(shape), _surface(other)
+    points, x, y = shape.operators.points, shape.surface, other.surface
     flipped = None if x is None or y is None else float(flipped_triangles(x, y, there.cpu().numpy()).mean())
     return Quality(
         coverage=coverage(shape.operators, other.operators, back),
@@ -109,8 +108,3 @@ def quality(
         flipped_triangles=flipped,
         confidence=float(confidences.mean()),
     )
-
-
-def _surface(preprocessed: PreprocessedShape) -> Surface | None:
-    faces = preprocessed.repaired.shape.faces
-    return None if faces is None else Surface(preprocessed.operators.points.double().cpu().numpy(), faces)

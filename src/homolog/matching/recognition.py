@@ -8,28 +8,57 @@ made, and the one that contradicts itself least is believed.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from statistics import median
+from weakref import WeakKeyDictionary
 
 import torch
 
-from homolog.core.errors import ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.features import FeatureExtractor, Orienter
+from homolog.matching.alignment import align_partial
 from homolog.matching.choice import extractor_for, method_between
 from homolog.matching.guidance import landmark_misfit
-from homolog.matching.quality import MapQuality
+from homolog.matching.refinement import method_maps, refine
 from homolog.matching.result import Match
+from homolog.matching.search import orient
 from homolog.methods import AUTO, as_method, find_method
-from homolog.pairs import Candidate, ChoiceSettings, Method, Pair, PreprocessedShape
+from homolog.pairs import Candidate, ChoiceSettings, Method, Pair, PreprocessedShape, Preprocessor
 
 # In the order in which they are believed where their maps are as good.
 _WITHOUT_FEATURES = ("axiomatic", "registration")
 # The energy of an isometry is 1; of a map to one point it is 0.
 _LEAST_ENERGY = 0.1
 
-Seen = Callable[[PreprocessedShape, FeatureExtractor | None], PreprocessedShape]
-"""A shape with other features than it has, as they find it to stand."""
+
+@dataclass(frozen=True, eq=False)
+class SeenShapes:
+    """Preprocessed shapes with other features than their own, as these find them to stand; each is looked at once.
+
+    Args:
+        preprocess: how shapes were made ready.
+    """
+
+    preprocess: Preprocessor
+    _known: WeakKeyDictionary[PreprocessedShape, dict[Hashable, PreprocessedShape]] = field(
+        default_factory=WeakKeyDictionary, repr=False
+    )
+
+    def seen(self, pair: Pair, extractor: FeatureExtractor | None, method: Method | None = None) -> Pair:
+        """A pair with other features, and with a method; by default that for shapes as repair left them."""
+        source, target = (self._seen(shape, extractor, pair) for shape in (pair.source, pair.target))
+        if method is None:
+            method = method_between(source.modality, target.modality, pair.method, pair.settings, extractor)
+        return replace(pair, source=source, target=target, method=method, extractor=extractor)
+
+    def _seen(self, shape: PreprocessedShape, extractor: FeatureExtractor | None, pair: Pair) -> PreprocessedShape:
+        partial = pair.is_partial and shape is pair.y
+        known, how = self._known.setdefault(shape, {}), (extractor, pair.options.orient, partial)
+        if how not in known:
+            preprocess = replace(self.preprocess, extractor=extractor)
+            known[how] = preprocess.again(shape, orient=pair.options.orient, partial=partial)
+        return known[how]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +70,7 @@ class _Way:
 
 
 @torch.no_grad()
-def choose(
-    pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], seen: Seen, find: Callable[[Pair], Match]
-) -> list[Pair]:
+def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes: SeenShapes) -> list[Pair]:
     """A pair with the features that know it best, or a method without features where none do; or several pairs alike.
 
     Of several pairs the medians of their misfits are compared, so that a single odd shape does not decide.
@@ -51,28 +78,32 @@ def choose(
     Args:
         pairs: with the first features, and with the same options.
         extractors: features of several kinds of shapes, with an orienter each; the first ones are the usual ones.
-        seen: gives a shape with other features.
-        find: makes the map of a pair, which need not meet its landmarks: one that misses them is believed less.
+        shapes: of the pairs, with other features.
     """
-    if len(extractors) < 2:
-        return list(pairs)
     settings = pairs[0].settings.choice
     ways = [_way(pairs)]
     if _misfit_of(ways[0]) > settings.known:
-        ways += [_way([_with_features(pair, extractor, seen) for pair in pairs]) for extractor in extractors[1:]]
+        ways += [_way([shapes.seen(pair, extractor) for pair in pairs]) for extractor in extractors[1:]]
         ways.sort(key=_misfit_of)
     if _misfit_of(ways[0]) > settings.known_best:
         plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
-        tried = _mapped([*plausible, *_without_features(pairs, seen)], find)
-        ways = sorted(tried, key=_map_misfit_of) or ways[:1]
+        tried = _mapped([*plausible, *_without_features(pairs, shapes)])
+        ways = sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]
     choice = tuple(way.candidate for way in ways)
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
 
 
-def map_misfit(quality: MapQuality, settings: ChoiceSettings | None = None) -> float:
+def map_misfit(match: Match, settings: ChoiceSettings | None = None) -> float:
     """How much a map contradicts itself: where it tears or turns over, and where there and back ends elsewhere.
 
     A smooth map tears nowhere, and may be wrong all the same: where it is, triangles are turned over.
+
+    Args:
+        match: with figures of quality.
+        settings: what these count.
+
+    Raises:
+        ArgumentError: if the match has no figures of quality, as one that was read from another program's file.
 
     Examples:
         >>> import homolog
@@ -80,11 +111,13 @@ def map_misfit(quality: MapQuality, settings: ChoiceSettings | None = None) -> f
         >>> source, target = homolog.demo_shapes()
         >>> right = homolog.match(source, target, weights="people")
         >>> wrong = homolog.match(source, target, method="registration")  # which is for shapes in one pose
-        >>> map_misfit(right.quality) < map_misfit(wrong.quality)
+        >>> map_misfit(right) < map_misfit(wrong)
         True
     """
+    if match.quality is None:
+        raise ArgumentError("the match has no figures of quality; give one of homolog.match or Matcher")
     settings = settings or ChoiceSettings()
-    figures = quality.mean
+    figures = match.quality.mean
     torn = math.log(max(figures.dirichlet_energy, _LEAST_ENERGY))
     return torn + settings.cycle * figures.cycle_error + settings.flipped * (figures.flipped_triangles or 0)
 
@@ -93,33 +126,23 @@ def _misfit_of(way: _Way) -> float:
     return way.candidate.misfit or 0.0
 
 
-def _map_misfit_of(way: _Way) -> float:
-    return way.candidate.map_misfit or 0.0
-
-
 def _way(pairs: Sequence[Pair]) -> _Way:
+    """Pairs with some features, and how little these know them: their orienter is asked where it was not before."""
     extractor = pairs[0].extractor
     assert extractor is not None
     orienter: Orienter = extractor.orienter  # type: ignore[attr-defined]
     # Of a partial pair the full shape tells, or part and whole would have to be of one kind of orienter.
     misfits = [
-        max(_misfit(shape, orienter) for shape in ([pair.x] if pair.is_partial else [pair.x, pair.y])) for pair in pairs
+        max(
+            (shape.orientations or orienter(shape.operators))[0].misfit
+            for shape in ([pair.x] if pair.is_partial else [pair.x, pair.y])
+        )
+        for pair in pairs
     ]
     return _Way(tuple(pairs), Candidate(extractor.info.name, median(misfits)))
 
 
-def _misfit(shape: PreprocessedShape, orienter: Orienter) -> float:
-    """How little the orienter knows a shape; where that was trusted to stand, it is asked now."""
-    return (shape.orientations or orienter(shape.operators))[0].misfit
-
-
-def _with_features(pair: Pair, extractor: FeatureExtractor, seen: Seen) -> Pair:
-    source, target = seen(pair.source, extractor), seen(pair.target, extractor)
-    method = method_between(source.modality, target.modality, pair.method, pair.settings, extractor)
-    return replace(pair, source=source, target=target, method=method, extractor=extractor)
-
-
-def _without_features(pairs: Sequence[Pair], seen: Seen) -> Iterator[_Way]:
+def _without_features(pairs: Sequence[Pair], shapes: SeenShapes) -> Iterator[_Way]:
     """The pairs with methods that bring what they compare, where one may be chosen."""
     first = pairs[0]
     for name in _WITHOUT_FEATURES if first.settings.method == AUTO else ():
@@ -127,27 +150,27 @@ def _without_features(pairs: Sequence[Pair], seen: Seen) -> Iterator[_Way]:
         if first.is_partial and not method.supports.partial:
             continue
         extractor = extractor_for(method, None, first.settings, first.source.operators.points.device)
-        yield _Way(tuple(_by_method(pair, method, extractor, seen) for pair in pairs), Candidate(name))
+        yield _Way(tuple(shapes.seen(pair, extractor, method) for pair in pairs), Candidate(name))
 
 
-def _by_method(pair: Pair, method: Method, extractor: FeatureExtractor | None, seen: Seen) -> Pair:
-    source, target = seen(pair.source, extractor), seen(pair.target, extractor)
-    return replace(pair, source=source, target=target, method=method, extractor=extractor)
-
-
-def _mapped(ways: Iterable[_Way], find: Callable[[Pair], Match]) -> Iterator[_Way]:
+def _mapped(ways: Iterable[_Way]) -> Iterator[_Way]:
     """The ways that lead to maps of most pairs, with what these tell."""
     for way in ways:
-        misfit = median(_misfit_of_map(pair, find) for pair in way.pairs)
+        misfit = median(_misfit_of_map(pair) for pair in way.pairs)
         if misfit < math.inf:
             yield replace(way, candidate=replace(way.candidate, map_misfit=misfit))
 
 
-def _misfit_of_map(pair: Pair, find: Callable[[Pair], Match]) -> float:
+def _misfit_of_map(pair: Pair) -> float:
+    """How much the map by features alone contradicts itself, and how far it misses the landmarks.
+
+    A map that was made to meet the landmarks would say nothing of the features.
+    """
     try:
-        match = find(pair)
+        aligned = align_partial(orient(pair))
+        unguided = replace(aligned, options=replace(pair.options, landmarks=None))
+        match = Match.of(unguided, refine(unguided, method_maps(unguided)))
     except ShapeError:  # what cannot be matched one way may be another way
         return math.inf
-    assert match.quality is not None
     missed = pair.settings.guidance.choice * landmark_misfit(pair, match)
-    return map_misfit(match.quality, pair.settings.choice) + missed
+    return map_misfit(match, pair.settings.choice) + missed

@@ -1,9 +1,25 @@
-"""Refining the point maps of a pair."""
+"""The point maps of a pair: by its method, and refined."""
 
 from __future__ import annotations
 
+from typing import Any
+
+from homolog.core.unchanged import left_unchanged
 from homolog.maps import zoomout, zoomout_partial
+from homolog.matching.result import checked_maps
 from homolog.pairs import Pair, PointMaps
+
+
+def method_maps(pair: Pair) -> PointMaps:
+    """The point maps that the pair's method finds, checked, as it may be anyone's.
+
+    Raises:
+        ArgumentError: if they do not fit the pair, or the method changes what it is lent.
+    """
+    lent = {f"{name} of {one.name}": t for one in (pair.x, pair.y) for name, t in one.tensors().items()}
+    with left_unchanged(f"method {pair.method.name!r}", lent):
+        maps = pair.method(pair)
+    return checked_maps(pair, maps)
 
 
 def refine(pair: Pair, maps: PointMaps) -> PointMaps:
@@ -22,6 +38,7 @@ def refine(pair: Pair, maps: PointMaps) -> PointMaps:
     x, y = pair.x.operators, pair.y.operators
     features = pair.x.unit_features(), pair.y.unit_features()
     landmarks = None if pair.guidance is None else pair.guidance.rows(pair.settings.guidance.rows)
+    weights: dict[str, Any] = {"weights_x": pair.x.point_weights, "weights_y": pair.y.point_weights}
     if pair.is_partial:
         y_to_x, x_to_y = zoomout_partial(
             maps.y_to_x,
@@ -32,6 +49,7 @@ def refine(pair: Pair, maps: PointMaps) -> PointMaps:
             *features,
             settings=settings,
             landmarks=landmarks,
+            **weights,
         )
     else:
         y_to_x, x_to_y = zoomout(
@@ -42,5 +60,6 @@ def refine(pair: Pair, maps: PointMaps) -> PointMaps:
             *features,
             settings=settings,
             landmarks=landmarks,
+            **weights,
         )
     return PointMaps(x_to_y=x_to_y, y_to_x=y_to_x)

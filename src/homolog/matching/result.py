@@ -418,7 +418,9 @@ def _checked_map(name: str, given: Any, n_points: int, n_others: int) -> Int[Ten
     whole = indices is not None and not (indices.is_floating_point() or indices.is_complex())
     if indices is None or not whole or indices.dtype == torch.bool or indices.shape != (n_points,):
         kind = type(given).__name__
-        found = f"a {kind}" if indices is None else f"a {kind} of {_dtype(indices)}, {tuple(indices.shape)}"
+        found = f"a {kind}"
+        if indices is not None:
+            found += f" of {str(indices.dtype).removeprefix('torch.')}, {tuple(indices.shape)}"
         raise ArgumentError(f"{name} is {found}, but must be a tensor or array of whole numbers, ({n_points},)")
     low, high = int(indices.min()), int(indices.max())
     if low < 0 or high >= n_others:
@@ -432,10 +434,6 @@ def _whole_numbers(given: Any) -> np.ndarray:
     """An array that tensors can be made of: of int64 where it holds whole numbers of any kind."""
     array = np.asarray(given)
     return array.astype(np.int64) if array.dtype.kind in "iu" else array.copy()
-
-
-def _dtype(tensor: Tensor) -> str:
-    return str(tensor.dtype).removeprefix("torch.")
 
 
 def _following_main_component(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:
@@ -496,7 +494,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "inputs": inputs,
         "method": match.method,
         "quality": None if match.quality is None else match.quality.to_dict(),
-        "options": asdict(pair.options),
+        "options": pair.options.to_dict(),
         "choice": [asdict(candidate) for candidate in pair.choice],
         "adaptation": None if pair.adaptation is None else asdict(pair.adaptation),
         "orientation": _orientation(pair),

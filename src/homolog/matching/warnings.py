@@ -10,6 +10,8 @@ from scipy.spatial import KDTree
 
 from homolog.core.errors import HomologError, ShapeError
 from homolog.geometry import surface_area
+from homolog.matching.guidance import guidance_warnings
+from homolog.matching.mirror import mirror_warnings
 from homolog.matching.result import Match
 from homolog.pairs import SIDES, Pair, PreprocessedShape, WarningSettings
 from homolog.shapes import Shape, components, face_areas, face_vectors
@@ -128,6 +130,17 @@ def _in_pieces(pair: Pair) -> str:
     described = " and ".join(f"the {side} has {count} loose pieces" for side, count in many.items())
     which = "both" if len(many) == 2 else next(iter(many))
     return f"{described}; join them, or match their points alone: as_cloud='{which}'"
+
+
+def match_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
+    """All that there is to warn of in a match, but for units that differ, which are told before.
+
+    Args:
+        pair: what was matched, turned as it was matched.
+        match: of the two.
+    """
+    checks = (*guidance_warnings(pair), *part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
+    return (*checks, *low_confidence_warnings(match, pair.settings.warnings, pair=pair))
 
 
 def orientation_warnings(match: Match) -> tuple[str, ...]:

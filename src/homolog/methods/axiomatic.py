@@ -50,14 +50,10 @@ def _signatures(operators: Operators | Basis) -> Float[Tensor, "n e"]:
     signature = wave_kernel_signature(operators.eigenvalues, operators.eigenvectors)
     share = operators.mass[:, None] / operators.mass.sum()
     deviation = signature - (share * signature).sum(dim=0)
-    size, whole = (_norms(operators, channels) for channels in (deviation, signature))
+    both = deviation, signature
+    size, whole = ((operators.mass[:, None] * channels.square()).sum(dim=0).sqrt() for channels in both)
     # On a symmetric shape a channel may be the same everywhere, but for rounding.
     return deviation / size.clamp(min=_LEAST_VARIATION * whole)
-
-
-def _norms(operators: Operators | Basis, functions: Float[Tensor, "n c"]) -> Float[Tensor, " c"]:
-    squared: Tensor = (operators.mass[:, None] * functions.square()).sum(dim=0)
-    return squared.sqrt()
 
 
 def _point_maps(pair: Pair) -> PointMaps:

@@ -65,14 +65,13 @@ def as_method(given: Any) -> Method:
             f"method is a {type(given).__name__}, but must be the name of a method, or a function of a "
             "homolog.pairs.Pair"
         )
-    method = given if isinstance(given, Method) else _of_function(given)
+    if isinstance(given, Method):
+        method = given
+    else:
+        declared = getattr(given, "supports", Supports(refinement=False))
+        method = FunctionMethod(function_name(given), given, declared, getattr(given, "features", None))
     supports: object = method.supports
     if not isinstance(supports, Supports):
         kind = type(supports).__name__
         raise ArgumentError(f"supports of method {method.name!r} is a {kind}, but must be homolog.methods.Supports")
     return method
-
-
-def _of_function(function: Callable[[Pair], PointMaps]) -> FunctionMethod:
-    supports = getattr(function, "supports", Supports(refinement=False))
-    return FunctionMethod(function_name(function), function, supports, getattr(function, "features", None))

@@ -2,36 +2,38 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from homolog.geometry import Surface
-from homolog.maps import nearest_neighbour, registered_positions, registration_start
+from homolog.maps import SampledSurface, nearest_neighbour, registered_surfaces, registration_start
 from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import Pair, PointMaps, PreprocessedShape, Supports
 
 
 def _point_maps(pair: Pair) -> PointMaps:
-    x, y = pair.x.operators.points, pair.y.operators.points
-    known: dict[str, Any] = {"areas_x": pair.x.operators.mass, "areas_y": pair.y.operators.mass}
-    known["settings"] = pair.settings.registration
+    x, y = (SampledSurface(shape.operators.points, _areas(shape)) for shape in (pair.x, pair.y))
+    settings, start = pair.settings.registration, None
     if pair.options.orient == "auto":
-        normals: dict[str, Any] = (
-            {"normals_x": _normals(pair.x), "normals_y": _normals(pair.y)} if pair.are_meshes else {}
-        )
-        known["start"] = registration_start(x, y, **known, **normals)
-        known |= normals if known["start"].near_rigid else {}
-    on_y, on_x = registered_positions(x, y, **known)
-    return PointMaps(nearest_neighbour(on_y, y).index, nearest_neighbour(on_x, x).index)
+        oriented = _with_normals(x, pair.x), _with_normals(y, pair.y)
+        start = registration_start(*oriented, settings=settings)
+        x, y = oriented if start.near_rigid else (x, y)
+    on_y, on_x = registered_surfaces(x, y, start=start, settings=settings)
+    return PointMaps(nearest_neighbour(on_y, y.points).index, nearest_neighbour(on_x, x.points).index)
 
 
-def _normals(shape: PreprocessedShape) -> Tensor:
-    faces = shape.repaired.shape.faces
-    assert faces is not None
-    points = shape.operators.points
-    return torch.from_numpy(Surface(points.cpu().numpy(), faces).vertex_normals).to(points)
+def _areas(shape: PreprocessedShape) -> Tensor:
+    """The area that each point stands for, times how much it counts."""
+    mass, weights = shape.operators.mass, shape.point_weights
+    return mass if weights is None else mass * weights
+
+
+def _with_normals(points: SampledSurface, shape: PreprocessedShape) -> SampledSurface:
+    """The points with normals, where the shape has faces."""
+    if shape.surface is None:
+        return points
+    return replace(points, normals=torch.from_numpy(shape.surface.vertex_normals).to(points.points))
 
 
 _SUPPORTS = Supports(partial=False, needs_features=False, refinement=False, small_turns=True)

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from homolog.core.choices import AsCloud, Device, Side
     from homolog.pairs.guidance import Guidance
     from homolog.pairs.landmarks import LandmarkPairs
+    from homolog.pairs.masks import MASK_SUFFIXES, Mask, mask_of, read_mask
     from homolog.pairs.method import Method, Supports, check_supported
     from homolog.pairs.options import SIDES, PairOptions
     from homolog.pairs.pair import Candidate, Pair, PairAdaptation, PairOrientation, PointMaps
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "MASK_SUFFIXES",
     "PROXY_RULES",
     "SIDES",
     "AlignmentSettings",
@@ -43,6 +45,7 @@ __all__ = [
     "Guidance",
     "GuidanceSettings",
     "LandmarkPairs",
+    "Mask",
     "MatcherSettings",
     "Method",
     "OperatorSource",
@@ -61,10 +64,13 @@ __all__ = [
     "WarningSettings",
     "check_supported",
     "choose_device",
+    "mask_of",
+    "read_mask",
 ]
 
 _MODULES = {
     "PROXY_RULES": "proxy",
+    "MASK_SUFFIXES": "masks",
     "SIDES": "options",
     "AlignmentSettings": "settings",
     "AsCloud": "options",
@@ -76,6 +82,7 @@ _MODULES = {
     "Guidance": "guidance",
     "GuidanceSettings": "settings",
     "LandmarkPairs": "landmarks",
+    "Mask": "masks",
     "MatcherSettings": "settings",
     "Method": "method",
     "OperatorSource": "preprocessing",
@@ -94,5 +101,7 @@ _MODULES = {
     "WarningSettings": "settings",
     "check_supported": "method",
     "choose_device": "settings",
+    "mask_of": "masks",
+    "read_mask": "masks",
 }
 __getattr__ = lazy_names(__name__, _MODULES)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from homolog.core.choices import Side, System
+from homolog.core.choices import Side
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Operators, distances_from
 from homolog.maps import LandmarkRows
@@ -66,9 +66,9 @@ class Guidance:
         Raises:
             ArgumentError: if an index is that of no point, a position lies far from the shape, or none can be used.
         """
-        on_sides = zip(sides, (x, y), strict=True)
         at_x, at_y = (
-            _nearest_points(pairs.on(side, _axes_of(shape)), pairs.names, shape, side) for side, shape in on_sides
+            _nearest_points(pairs.on(side, "RAS" if shape.given.space == "RAS" else "LPS"), pairs.names, shape, side)
+            for side, shape in zip(sides, (x, y), strict=True)
         )
         found = (at_x >= 0) & (at_y >= 0)
         if not found.any():
@@ -149,17 +149,10 @@ def _nearest_points(
             continue
         distance, nearest = tree.query(place)
         if distance > _FAR_AWAY * shape.operators.scale:
+            shown = ", ".join(f"{coordinate:.4g}" for coordinate in place)
             raise ArgumentError(
-                f"the landmark {names[number]!r} of the {side} is at {_shown(place)}, {distance:.3g} away from "
+                f"the landmark {names[number]!r} of the {side} is at ({shown}), {distance:.3g} away from "
                 f"{shape.name}; give it in the coordinates and the unit of that file"
             )
         found[number] = np.flatnonzero(main)[nearest]
     return found
-
-
-def _axes_of(shape: PreprocessedShape) -> System:
-    return "RAS" if shape.given.space == "RAS" else "LPS"
-
-
-def _shown(place: tuple[float, float, float]) -> str:
-    return "(" + ", ".join(f"{coordinate:.4g}" for coordinate in place) + ")"

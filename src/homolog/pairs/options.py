@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 from homolog.core.choices import AsCloud, KeepClutter, Orient, Side, Up, UseProxy
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Positive, Settings
 from homolog.pairs.landmarks import LandmarkPairs
+from homolog.pairs.masks import Mask, mask_of
 
 SIDES: tuple[Side, Side] = ("source", "target")
 
@@ -35,6 +36,11 @@ class PairOptions(Settings):
         strict: fail if a shape needs repair or a warning would be issued.
         landmarks: points that are known to correspond: ``LandmarkPairs``, or two arrays, of the source and the target,
             of indices (p,) or positions in the files' coordinates (p, 3).
+        source_mask: how much each point of the source counts: a file that ``read_mask`` reads, or truth values or
+            numbers from 0, one for each point. Points with 0 are set apart, such as teeth, a base or a scan's edge:
+            they get -1, and no point is mapped to them. Others count by their number where maps are refined, and in
+            ``registration``.
+        target_mask: likewise of the target.
 
     Raises:
         ArgumentError: if a word is none of those allowed, or an option needs a partial shape and there is none.
@@ -57,9 +63,15 @@ class PairOptions(Settings):
     proxy: UseProxy = "auto"
     strict: bool = False
     landmarks: Annotated[LandmarkPairs, "or two arrays, of indices or positions"] | None = None
+    source_mask: Annotated[Mask, "or an array, or a file"] | None = None
+    target_mask: Annotated[Mask, "or an array, or a file"] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "landmarks", _landmarks(self.landmarks))
+        given: Any = self.landmarks
+        if isinstance(given, tuple | list) and len(given) == 2:
+            object.__setattr__(self, "landmarks", LandmarkPairs(*given))
+        for side in SIDES:
+            object.__setattr__(self, f"{side}_mask", mask_of(self.mask(side), f"{side}_mask"))
         super().__post_init__()
 
     def check(self) -> None:
@@ -76,12 +88,14 @@ class PairOptions(Settings):
         """Whether a shape is used without its faces."""
         return self.as_cloud in (side, "both")
 
+    def mask(self, side: Side) -> Mask | None:
+        """How much the points of a shape count; None where all count alike."""
+        return self.source_mask if side == "source" else self.target_mask
+
+    def to_dict(self) -> dict[str, Any]:
+        """For reports: all but the masks, which have a number for each point."""
+        return {name: value for name, value in asdict(self).items() if not name.endswith("_mask")}
+
     def up(self, side: Side) -> Up:
         """Which axis of a shape points up."""
         return self.source_up if side == "source" else self.target_up
-
-
-def _landmarks(given: Any) -> Any:
-    """Landmark pairs of two arrays; anything else as it is."""
-    several = isinstance(given, tuple | list) and len(given) == 2
-    return LandmarkPairs(*given) if several else given

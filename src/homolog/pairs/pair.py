@@ -113,8 +113,8 @@ class Pair:
             it stays.
 
     Raises:
-        ArgumentError: if a shape is partial or a cloud, and the method knows full shapes or meshes alone, or the
-            features of both have different widths.
+        ArgumentError: if the options want shapes that were preprocessed in another way, a shape is partial or a cloud,
+            and the method knows full shapes or meshes alone, or the features of both have different widths.
     """
 
     source: PreprocessedShape
@@ -181,6 +181,7 @@ class Pair:
                 mirror=options.mirror == side,
                 clutter=options.clutter,
                 proxy=options.proxy,
+                mask=options.mask(side),
                 strict=options.strict,
                 timings=timings,
                 label=side,
@@ -194,6 +195,8 @@ class Pair:
         return cls(source_found, target_found, options, settings, method, preprocessor.extractor)
 
     def __post_init__(self) -> None:
+        for side in SIDES:
+            getattr(self, side).check_made_for(self.options, side)
         check_supported(self.method, self.options, self.source, self.target)
         widths = [None if shape.features is None else shape.features.shape[1] for shape in (self.source, self.target)]
         if None not in widths and widths[0] != widths[1]:

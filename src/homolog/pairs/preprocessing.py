@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, get_args
 
 import numpy as np
@@ -13,17 +14,29 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from homolog.core.arguments import check_choice, check_kind
-from homolog.core.choices import KeepClutter, Orient, UseProxy
+from homolog.core.choices import KeepClutter, Orient, Side, UseProxy
 from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
 from homolog.core.reprs import function_name
 from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, Orientation, checked_features
-from homolog.geometry import Operators, OperatorSettings, Surface, compute_operators, outward, set_apart, unit_frame
+from homolog.geometry import (
+    MASKED,
+    Operators,
+    OperatorSettings,
+    Surface,
+    compute_operators,
+    outward,
+    restricted,
+    set_apart,
+    unit_frame,
+)
 from homolog.maps import normalised, rotation_angle
+from homolog.pairs.masks import Mask
+from homolog.pairs.options import PairOptions
 from homolog.pairs.proxy import with_proxy
 from homolog.pairs.settings import OrientationSettings, ProxySettings
-from homolog.shapes import Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
+from homolog.shapes import Finding, Modality, Repaired, Shape, Up, mirrored, repair, stand_upright
 
 OperatorSource = Callable[..., Operators]
 """A function like ``compute_operators``: the operators of a clean shape, from wherever they come."""
@@ -44,6 +57,7 @@ class PreprocessedShape:
         up: the axis of the shape as given that was turned to +y.
         orientations: ways to turn the shape from there that its features' orienter found, the best first.
         rotation: the one that the operators' positions were turned by (3, 3).
+        mask: how much its points as given count; None where all count alike.
         channels: what landmarks add to features of unit norm (n, c), of one norm everywhere; None without landmarks.
     """
 
@@ -55,6 +69,7 @@ class PreprocessedShape:
     orientations: tuple[Orientation, ...] = ()
     rotation: Float[Tensor, "3 3"] = field(default_factory=lambda: torch.eye(3))
     channels: Float[Tensor, "n c"] | None = None
+    mask: Mask | None = None
 
     @property
     def name(self) -> str:
@@ -72,9 +87,44 @@ class PreprocessedShape:
         return self.repaired.shape.modality
 
     @property
+    def point_weights(self) -> Float[Tensor, " n"] | None:
+        """How much each clean point counts; None where all count alike."""
+        if self.mask is None or not self.mask.is_graded:
+            return None
+        return torch.from_numpy(self.mask.weights[self.repaired.kept]).to(self.operators.points)
+
+    @property
     def points_as_given(self) -> Float[Tensor, "n 3"]:
         """The operators' positions before anything turned them (n, 3): those of the file, upright and normalised."""
         return self.operators.points @ self.rotation.to(self.operators.points)
+
+    @cached_property
+    def surface(self) -> Surface | None:
+        """The triangles at the operators' positions, in their precision; None for a cloud."""
+        faces = self.repaired.shape.faces
+        return None if faces is None else Surface(self.operators.points.cpu().numpy(), faces)
+
+    def check_made_for(self, options: PairOptions, side: Side) -> None:
+        """Refuse options of a pair that this shape, as its source or target, was not preprocessed for.
+
+        Raises:
+            ArgumentError: naming the option, and what to give to ``Matcher.preprocess``.
+        """
+        if options.is_cloud(side) and self.modality == "mesh":
+            raise ArgumentError(
+                f"as_cloud is {options.as_cloud!r}, but the {side} was preprocessed as a mesh; "
+                "give as_cloud=True to Matcher.preprocess"
+            )
+        if options.up(side) not in (PairOptions().up(side), self.up):
+            raise ArgumentError(
+                f"{side}_up is {options.up(side)!r}, but the {side} was preprocessed with {self.up!r} up; "
+                f"give up={options.up(side)!r} to Matcher.preprocess"
+            )
+        if options.mask(side) is not None and self.mask is None:
+            raise ArgumentError(
+                f"{side}_mask is given, but the {side} was preprocessed without; give mask=Mask(...) to "
+                "Matcher.preprocess"
+            )
 
     def tensors(self) -> dict[str, Tensor]:
         """All tensors that methods are lent, by their names."""
@@ -152,6 +202,13 @@ class Preprocessor:
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     source: OperatorSource = compute_operators
 
+    def __post_init__(self) -> None:
+        if not callable(self.source):
+            raise ArgumentError(
+                f"operators is {type(self.source).__name__}, but must be a function like homolog.compute_operators, "
+                "such as an OperatorCache's operators"
+            )
+
     def __call__(
         self,
         shape: Shape,
@@ -166,6 +223,7 @@ class Preprocessor:
         mirror: bool = False,
         clutter: KeepClutter = "remove",
         proxy: UseProxy = "auto",
+        mask: Mask | None = None,
         strict: bool = False,
         timings: Timings | None = None,
         label: str = "shape",
@@ -185,6 +243,7 @@ class Preprocessor:
             mirror: reflect the shape first; points keep their numbers.
             clutter: ``"remove"`` sets apart what does not belong to the shape, see ``homolog.geometry.find_clutter``.
             proxy: ``"auto"`` matches a surface around a mesh in loose shells in its place, see ``ProxySettings``.
+            mask: how much each point as given counts; those with 0 are left out.
             strict: refuse a shape that needs repair.
             timings: collects time and memory of each step.
             label: what the steps call the shape.
@@ -197,17 +256,22 @@ class Preprocessor:
         check_choice("orient", orient, get_args(Orient))
         check_choice("clutter", clutter, get_args(KeepClutter))
         check_choice("proxy", proxy, get_args(UseProxy))
+        if mask is not None:
+            mask.check_fits(shape)
         timings = timings or Timings()
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
+            if mask is not None:
+                repaired = masked(repaired, mask)
             if clutter == "remove":
                 repaired = set_apart(repaired, partial=partial)
             severe = next((each for each in repaired.report.findings if each.severity != "note"), None)
             if strict and severe is not None:
                 raise ShapeError(f"{repaired.shape.name}: {severe} (refused as strict)")
             repaired = replace(repaired, shape=_facing_outward(repaired.shape))
-            repaired = with_proxy(repaired, proxy, self.proxies, as_cloud=as_cloud, partial=partial)
+            is_part = partial or mask is not None  # openings stay
+            repaired = with_proxy(repaired, proxy, self.proxies, as_cloud=as_cloud, partial=is_part)
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(_position("centre", centre))
@@ -224,7 +288,7 @@ class Preprocessor:
                 found = given[torch.from_numpy(repaired.kept).to(given.device)]
         if as_cloud:
             repaired = replace(repaired, shape=repaired.shape.as_cloud())
-        return PreprocessedShape(shape, repaired, operators, found, up, orientations, rotation)
+        return PreprocessedShape(shape, repaired, operators, found, up, orientations, rotation, mask=mask)
 
     @torch.no_grad()
     def again(self, shape: PreprocessedShape, *, orient: Orient = "auto", partial: bool = False) -> PreprocessedShape:
@@ -319,6 +383,27 @@ def _repaired(shape: Shape, *, as_cloud: bool) -> tuple[Repaired, bool]:
         if n_used < _SHARE_WITH_FACES * cloud.shape.n_points:
             return cloud, False
     return repaired, True
+
+
+def masked(repaired: Repaired, mask: Mask) -> Repaired:
+    """A repaired shape without the points that a mask leaves out; points at one place are left out together.
+
+    Args:
+        repaired: a clean shape, and the way back to the one it was made from.
+        mask: of the points of that one.
+
+    Raises:
+        ShapeError: if what is left is no shape.
+    """
+    left = np.ones(repaired.shape.n_points, dtype=bool)
+    left[repaired.clean_index[~mask.kept & (repaired.clean_index >= 0)]] = False
+    if left.all():
+        return repaired
+    said = Finding(MASKED, int((~mask.kept).sum()), "note", f"set apart, as {mask.name} says")
+    try:
+        return restricted(repaired, left, [said])
+    except ShapeError as error:
+        raise ShapeError(f"what {mask.name} leaves of {repaired.shape.name} is too little: {error}") from None
 
 
 def _facing_outward(shape: Shape) -> Shape:

@@ -90,7 +90,8 @@ def refusal(headers: Headers, names: HostNames) -> str | None:
     if not _is_own_host(host, names):
         return "this server does not go by that name; open the address that it printed, or allow the name there"
     origin = headers.get("origin", f"http://{host}").lower()
-    if not _is_own_origin(origin, host, names):
+    scheme, _, place = origin.partition("://")  # by any scheme: a proxy before the server may speak HTTPS
+    if place not in (host, host.removesuffix(_STANDARD_PORTS.get(scheme, "")), *names.public):
         return "other sites may not use this server"
     followed_a_link = headers.get("sec-fetch-mode", "") == "navigate"
     if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not followed_a_link:
@@ -110,9 +111,3 @@ def _is_own_host(host: str, names: HostNames) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _is_own_origin(origin: str, host: str, names: HostNames) -> bool:
-    """Whether a page is the server's, by any scheme: a proxy before it may speak HTTPS."""
-    scheme, _, place = origin.partition("://")
-    return place in (host, host.removesuffix(_STANDARD_PORTS.get(scheme, ""))) or place in names.public

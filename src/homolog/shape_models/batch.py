@@ -92,7 +92,7 @@ def register_all(
     if choice is None and missing:
         matcher = make_matcher()
         choice = choice_for_all(template, missing, matcher, settings, progress=progress)
-        if choice or not matcher.has_choice:  # where no shape could be used, those that come later decide
+        if choice or not matcher.feature_choice.is_open:  # where no shape could be used, those that come later decide
             folder.keep_choice(choice)
     name = choice[0].name if choice else None
     weights = None

@@ -13,6 +13,7 @@ from homolog.core.files import expanded, refuse_overwriting_inputs, resolved
 from homolog.core.progress import Progress, ignore
 from homolog.core.versions import versions
 from homolog.matching import Matcher
+from homolog.shape_models.asymmetry import TemplateSymmetry
 from homolog.shape_models.batch import register_all, settings_record
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.landmarks import TemplateLandmarks
@@ -51,6 +52,7 @@ def build(
     model: ModelSettings | None = None,
     landmarks: str | Path | None = None,
     axes: System | None = None,
+    symmetry: str | Path | None = None,
     processes: int = 1,
     progress: Progress = ignore,
     listener: Callable[[Outcome], None] = ignore,
@@ -72,6 +74,8 @@ def build(
             ``homolog.transfer.read_landmarks``.
         axes: the anatomical axes of all shapes, for landmark files that state theirs; by default those that the shapes'
             files name, or LPS.
+        symmetry: a folder that ``homolog.symmetries.write_symmetry`` or ``homolog symmetry`` wrote of the template, to
+            take all shapes apart into symmetric and asymmetric components.
         processes: number of worker processes.
         progress: called with the number of finished shapes, their total and the current shape's name.
         listener: called with each new outcome.
@@ -92,11 +96,12 @@ def build(
     check_extra()
     subjects, settings = subjects_of(files), settings or ShapeModelSettings()
     root = expanded(output)
-    inputs = (template, *files, *(() if landmarks is None else (landmarks,)))
+    inputs = (template, *files, *(extra for extra in (landmarks, symmetry) if extra is not None))
     refuse_inputs_inside(root, inputs)
     base, digest = read_hashed_shape(template)
     check_template(base)
     carried = None if landmarks is None else TemplateLandmarks(landmarks, base, axes)
+    mirrored = None if symmetry is None else TemplateSymmetry(symmetry, base)
     refuse_overwriting_inputs(_outputs(root, subjects, carried), inputs)
     if isinstance(make_matcher, Matcher):
         if processes != 1:
@@ -111,7 +116,7 @@ def build(
         )
         progress(len(subjects), len(subjects), "mean and modes")
         told = {"inputs": {"template": str(template), "sha256": digest}, "versions": versions(), **(report or {})}
-        written = write_outputs(folder, base, outcomes, model, landmarks=carried, report=told)
+        written = write_outputs(folder, base, outcomes, model, landmarks=carried, symmetry=mirrored, report=told)
     return BuiltModel(folder, outcomes, written, () if carried is None else carried.warnings)
 
 

@@ -43,10 +43,10 @@ def choice_for_all(
         The candidates; empty where the matcher has no choice, or no shape can be used.
     """
     settings = settings or ShapeModelSettings()
-    if not matcher.has_choice:
+    if not matcher.feature_choice.is_open:
         return ()
     pairs = pairs_with(template, subjects, matcher, settings, most=_MOST, progress=progress)
-    return matcher.choice_for(pairs, settings.pair_options()) if pairs else ()
+    return matcher.feature_choice.candidates(pairs, settings.pair_options()) if pairs else ()
 
 
 def pairs_with(

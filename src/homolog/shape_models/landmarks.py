@@ -70,7 +70,9 @@ class TemplateLandmarks:
         root, rows = shapes.folder.root, [["shape", "landmark", "x", "y", "z"]]
         made_folder(root / FOLDER)
         written: list[Path] = []
-        for name, shape, positions in self._of_all(shapes):
+        for outcome, points in zip(shapes.registered, shapes.points, strict=True):
+            name, shape = outcome.subject.name, read_shape(outcome.subject.file)
+            positions = self.on(shape, points)
             written.append(root / self.file_of(name))
             self.landmarks.write_from(written[-1], positions, system_of(shape.space, self.axes))
             rows += [

@@ -13,6 +13,7 @@ from typing_extensions import TypedDict
 from homolog.core.errors import DataError, needs_extra
 from homolog.core.files import all_or_nothing, resolved, write_json, write_npy
 from homolog.core.records import record, stored_record
+from homolog.shape_models.asymmetry import ASYMMETRY_FOLDER, TemplateSymmetry
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.landmarks import FOLDER, TABLE, TemplateLandmarks
 from homolog.shape_models.model_files import MODEL_FOLDERS, write_model
@@ -21,10 +22,10 @@ from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShap
 from homolog.shapes import Shape
 
 REPORT = "report.json"
-OUTPUT_NAMES = ("points.npy", "quality.csv", "contact_sheet.png", TABLE, FOLDER, *MODEL_FOLDERS)
+OUTPUT_NAMES = ("points.npy", "quality.csv", "contact_sheet.png", TABLE, FOLDER, ASYMMETRY_FOLDER, *MODEL_FOLDERS)
 """The files and folders that are written beside the report."""
 # Those that are folders, inner ones first.
-_FOLDERS = ("shapeworks/particles", FOLDER, *MODEL_FOLDERS)
+_FOLDERS = ("shapeworks/particles", FOLDER, ASYMMETRY_FOLDER, *MODEL_FOLDERS)
 
 
 def check_extra() -> None:
@@ -46,6 +47,7 @@ def write_outputs(
     settings: ModelSettings | None = None,
     *,
     landmarks: TemplateLandmarks | None = None,
+    symmetry: TemplateSymmetry | None = None,
     report: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Write points, table, contact sheet, statistics, exports and report; all files land together or none does.
@@ -59,6 +61,7 @@ def write_outputs(
         outcomes: of all shapes.
         settings: of the statistics.
         landmarks: of the template, to be carried to all shapes.
+        symmetry: of the template, by which shapes are taken apart into symmetric and asymmetric components.
         report: further entries of ``report.json``.
 
     Returns:
@@ -73,8 +76,9 @@ def write_outputs(
     root, before = folder.root, _earlier_files(folder.root)
     try:
         with all_or_nothing():
-            files = [path.relative_to(root).as_posix() for path in _write(shapes, landmarks)]
+            files = [path.relative_to(root).as_posix() for path in _write(shapes, landmarks, symmetry)]
             told = {**_report(shapes), "landmarks": None if landmarks is None else landmarks.to_dict()}
+            told["symmetry"] = None if symmetry is None else symmetry.to_dict()
             write_json(root / REPORT, {**told, **(report or {}), "files": files})
         for name in before - set(files):
             (root / name).unlink(missing_ok=True)
@@ -89,10 +93,13 @@ def write_outputs(
         )
     names = ["shapes", "matches", "points.npy", "quality.csv", "contact_sheet.png", REPORT]
     names += [] if landmarks is None else [FOLDER, TABLE]
+    names += [] if symmetry is None else [ASYMMETRY_FOLDER]
     return [root / name for name in (*names, *([] if shapes.model is None else ("model", "shapeworks", "scalismo")))]
 
 
-def _write(shapes: RegisteredShapes, landmarks: TemplateLandmarks | None) -> list[Path]:
+def _write(
+    shapes: RegisteredShapes, landmarks: TemplateLandmarks | None, symmetry: TemplateSymmetry | None
+) -> list[Path]:
     """Write everything but the report, and return the files."""
     root = shapes.folder.root
     table, sheet, array = root / "quality.csv", root / "contact_sheet.png", root / "points.npy"
@@ -102,6 +109,7 @@ def _write(shapes: RegisteredShapes, landmarks: TemplateLandmarks | None) -> lis
         return [table, sheet]
     write_npy(array, shapes.points)
     carried = [] if landmarks is None else landmarks.write(shapes)
+    carried += [] if symmetry is None else symmetry.write(shapes)
     return [array, table, sheet, *carried, *([] if shapes.model is None else write_model(shapes, shapes.model))]
 
 

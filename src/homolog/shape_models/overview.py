@@ -40,14 +40,11 @@ def _cells(outcome: Outcome, shapes: RegisteredShapes, number: int | None) -> li
     if outcome.figures is None:
         return [None, number, *[None] * (len(_FIGURES) + 3), f"not registered: {outcome.error}"]
     row, figures = shapes.row_of[outcome.subject.name], asdict(outcome.figures)
-    values = [_cell(figures[name]) for name in _FIGURES]
+    known = (figures[name] for name in _FIGURES)
+    values = [each if each is None or isinstance(each, bool) else f"{each:.6g}" for each in known]
     distance = f"{shapes.aligned.distances[row]:.6g}"
     told = outcome.matched_by, f"{outcome.seconds:.2f}", "; ".join(outcome.warnings)
     return [row, number, *values, distance, *told]
-
-
-def _cell(figure: float | bool | None) -> str | bool | None:
-    return figure if figure is None or isinstance(figure, bool) else f"{figure:.6g}"
 
 
 def write_sheet(path: Path, shapes: RegisteredShapes) -> None:

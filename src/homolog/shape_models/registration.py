@@ -157,13 +157,13 @@ class Template:
         if strict and units:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
         options = PairOptions(orient=self.orient, strict=strict)
-        matches = [
-            matcher.match_pair(matcher.paired(template, subject, options))
-            for matcher, template, subject in zip(self.matchers, self.prepared, subjects, strict=True)
-        ]
-        found = min(matches, key=_misfit)  # of equal ones the first
+        tried = []
+        for matcher, template, subject in zip(self.matchers, self.prepared, subjects, strict=True):
+            match = matcher.match_pair(matcher.paired(template, subject, options))
+            tried.append((map_misfit(match, matcher.settings.choice), match))
+        misfit, found = min(tried, key=lambda each: each[0])  # of equal ones the first
         smooth = untangled(surface_map(self.projector, target, found))
-        figures = _figures(smooth, found, adapted=None if len(matches) < 2 else found is matches[1])
+        figures = _figures(smooth, found, misfit, adapted=None if len(tried) < 2 else found is tried[1][1])
         uneven = figures.low_confidence_warnings()
         if strict and uneven:
             raise ShapeError(f"{shape.name}: {uneven[0]} (refused as strict)")
@@ -204,12 +204,7 @@ def _match_warnings(found: Match) -> list[str]:
     return [told if warning in of_orientation else warning for warning in found.warnings]
 
 
-def _misfit(found: Match) -> float:
-    assert found.quality is not None
-    return map_misfit(found.quality)
-
-
-def _figures(smooth: SurfaceMap, found: Match, *, adapted: bool | None) -> Figures:
+def _figures(smooth: SurfaceMap, found: Match, misfit: float, *, adapted: bool | None) -> Figures:
     assert found.quality is not None
     mean, flipped = found.quality.mean, smooth.flipped_triangles
     low, high = _edge_spread(smooth)
@@ -222,7 +217,7 @@ def _figures(smooth: SurfaceMap, found: Match, *, adapted: bool | None) -> Figur
         edges_5=low,
         edges_95=high,
         ambiguous_orientation=bool(orientation_warnings(found)),
-        map_misfit=_misfit(found),
+        map_misfit=misfit,
         adapted=adapted,
     )
 

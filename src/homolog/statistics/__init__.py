@@ -1,16 +1,30 @@
-"""Statistics of shapes in correspondence: Procrustes alignment, principal modes, and the quality of a shape model."""
+"""Statistics of shapes in correspondence: Procrustes alignment, principal modes, quality of a model, mirror planes."""
 
 from homolog.statistics.alignment import Aligned, generalised_procrustes
 from homolog.statistics.curves import Curve, compactness, generalisation, specificity
 from homolog.statistics.model import ShapeModel, principal_modes
+from homolog.statistics.symmetry import (
+    FEWEST_PAIRS,
+    MirrorPlane,
+    SymmetricComponents,
+    best_mirror_plane,
+    mirror_normal,
+    symmetric_components,
+)
 
 __all__ = [
+    "FEWEST_PAIRS",
     "Aligned",
     "Curve",
+    "MirrorPlane",
     "ShapeModel",
+    "SymmetricComponents",
+    "best_mirror_plane",
     "compactness",
     "generalisation",
     "generalised_procrustes",
+    "mirror_normal",
     "principal_modes",
     "specificity",
+    "symmetric_components",
 ]

@@ -129,9 +129,10 @@ def _horn(points: Float[np.ndarray, "d 3"], form: Form) -> Float[np.ndarray, "d 
     flat = points - np.outer(points @ _HORN_NORMAL, _HORN_NORMAL)
     ring = np.linalg.norm(flat, axis=1)
     at = 1 - (ring / _HORN_RADIUS).clip(0, 1)
-    side = form["horn_side"] + form["horn_side_bend"] * _HORN_STEPS
-    back = form["horn_back"] + form["horn_back_bend"] * _HORN_STEPS
-    ahead = _directions(side, back)
+    # Unit vectors that lean to the left and backwards from straight up.
+    side = np.deg2rad(form["horn_side"] + form["horn_side_bend"] * _HORN_STEPS)
+    back = np.deg2rad(form["horn_back"] + form["horn_back_bend"] * _HORN_STEPS)
+    ahead = np.stack([np.sin(side), np.cos(side) * np.cos(back), -np.cos(side) * np.sin(back)], axis=1)
     curve = form["horn_length"] / (len(_HORN_STEPS) - 1) * np.cumsum(ahead, axis=0)
     here, there = (np.stack([np.interp(at, _HORN_STEPS, x) for x in values.T], axis=1) for values in (curve, ahead))
     turned = [smallest_rotation(_HORN_NORMAL, direction) for direction in unit(there)]
@@ -139,9 +140,3 @@ def _horn(points: Float[np.ndarray, "d 3"], form: Form) -> Float[np.ndarray, "d 
     girth = root * form["horn_radius"] * np.sqrt(1 - at) * (1 - 0.25 * at) + (1 - root) * ring
     grown = here + girth[:, None] * np.einsum("dij,dj->di", np.array(turned), unit(flat))
     return np.asarray(points + np.interp(at, [0, 0.15], [0, 1])[:, None] * (grown - points))
-
-
-def _directions(side: Float[np.ndarray, " s"], back: Float[np.ndarray, " s"]) -> Float[np.ndarray, "s 3"]:
-    """Unit vectors that lean to the left and backwards from straight up by angles in degrees."""
-    side, back = np.deg2rad(side), np.deg2rad(back)
-    return np.stack([np.sin(side), np.cos(side) * np.cos(back), -np.cos(side) * np.sin(back)], axis=1)

@@ -127,7 +127,9 @@ def bone_rotations(angles: Angles, skeleton: Skeleton) -> dict[str, Float[np.nda
     rotations = _thumb(angles, skeleton, frame)
     for finger, number in FINGERS.items():
         of_finger = {joint: angles[f"{finger}_{joint}"] for joint in _OF_FINGER}
-        axis = _hinge(skeleton, number, frame)
+        # Fingers bend to the palm about nearly the same axis, so that they do not meet.
+        ahead = direction(skeleton, f"finger{number}-1.L", f"finger{number}-2.L")
+        axis = unit((ahead * (frame[0] @ ahead) - frame[0])[None])[0]
         spread = about(frame[2], -of_finger["spread"])
         rotations[f"finger{number}-1.L"] = (spread * about(axis, of_finger["knuckle"])).as_matrix()
         rotations[f"finger{number}-2.L"] = about(axis, of_finger["middle_joint"]).as_matrix()
@@ -143,12 +145,6 @@ def _thumb(angles: Angles, skeleton: Skeleton, frame: Float[np.ndarray, "3 3"]) 
         "finger1-2.L": about(axis, angles["thumb_knuckle"]).as_matrix(),
         "finger1-3.L": about(axis, angles["thumb_last_joint"]).as_matrix(),
     }
-
-
-def _hinge(skeleton: Skeleton, number: int, frame: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
-    """The axis about which a finger bends to the palm: nearly the same for all, so that fingers do not meet."""
-    ahead = direction(skeleton, f"finger{number}-1.L", f"finger{number}-2.L")
-    return np.asarray(unit((ahead * (frame[0] @ ahead) - frame[0])[None])[0])
 
 
 def hand_frame(skeleton: Skeleton) -> Float[np.ndarray, "3 3"]:

@@ -56,7 +56,7 @@ def synthesize_people(
         >>> synthesize_people("people", 500, BodySettings(seed=1), processes=4)  # doctest: +SKIP
     """
     check_choice("poses", poses, get_args(Poses))
-    return _synthesize(partial(_people, poses), output, n, settings, processes=processes, progress=progress)
+    return _synthesize(partial(_of_model, People, poses), output, n, settings, processes=processes, progress=progress)
 
 
 def synthesize_animals(
@@ -122,7 +122,9 @@ def synthesize_hands(
         >>> synthesize_hands("hands", 400, BodySettings(seed=1), processes=4)  # doctest: +SKIP
     """
     check_choice("sides", sides, get_args(HandSides))
-    return _synthesize(partial(_hands, sides), output, n, settings, processes=processes, progress=progress)
+    return _synthesize(
+        partial(_of_model, Hands, sides, details=True), output, n, settings, processes=processes, progress=progress
+    )
 
 
 def synthesize_heads(
@@ -154,7 +156,9 @@ def synthesize_heads(
     Examples:
         >>> synthesize_heads("heads", 400, BodySettings(seed=1), processes=4)  # doctest: +SKIP
     """
-    return _synthesize(_heads, output, n, settings, processes=processes, progress=progress)
+    return _synthesize(
+        partial(_of_model, Heads, details=True), output, n, settings, processes=processes, progress=progress
+    )
 
 
 def _synthesize(
@@ -207,24 +211,12 @@ class _Making:
         self.folder.write_body(self.folder.name(index), body)
 
 
-def _people(poses: Poses) -> People:
-    return People(_body_model(), poses)
-
-
-def _hands(sides: HandSides) -> Hands:
-    return Hands(_detailed_model(), sides)
-
-
-def _heads() -> Heads:
-    return Heads(_detailed_model())
+def _of_model(kind: Callable[..., Kind], *how: str, details: bool = False) -> Kind:
+    """Bodies of a kind, made of the body model of this process."""
+    return kind(_body_model(details=details), *how)
 
 
 @cache
-def _body_model() -> BodyModel:
+def _body_model(*, details: bool) -> BodyModel:
     """The body model of this process; loading it takes seconds."""
-    return BodyModel()
-
-
-@cache
-def _detailed_model() -> BodyModel:
-    return BodyModel(details=True)
+    return BodyModel(details=details)

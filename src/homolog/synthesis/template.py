@@ -64,17 +64,15 @@ class Template:
         rest = Surface(_with_centres(vertices[kept], rims), closed)
         lid = np.arange(len(open_faces), len(closed))
         if cut:
-            longest = int(np.argmax([_length(vertices[kept][rim]) for rim in rims]))
+            outlines = [vertices[kept][rim] for rim in rims]
+            lengths = [np.linalg.norm(each - np.roll(each, 1, axis=0), axis=1).sum() for each in outlines]
+            longest = int(np.argmax(lengths))
             lid = np.split(lid, np.cumsum([len(rim) for rim in rims])[:-1])[longest]
         return cls(kept, rims, closed, _with_centres(detail[kept], rims), rest, lid if cut else lid[:0])
 
     def surface(self, vertices: Float[np.ndarray, "v 3"]) -> Surface:
         """The closed surface of a body, from all the model's vertices."""
         return Surface(_with_centres(vertices[self.kept], self.rims), self.faces)
-
-
-def _length(rim: Float[np.ndarray, "r 3"]) -> float:
-    return float(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1).sum())
 
 
 def _with_centres(values: np.ndarray, rims: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -224,15 +224,9 @@ def _cloud(shape: Shape, camera: Camera, corners: Float[np.ndarray, "m 3 3"], si
     nearest = np.take_along_axis(faces, weights.argmax(axis=1)[:, None], axis=1)[:, 0]
     points = np.einsum("rk,rkd->rd", weights, shape.points[faces])
     noise = sigma * np.random.default_rng([seed, _NOISE]).standard_normal(len(met))
-    points += noise[:, None] * _directions(camera, rays[met])
+    along = np.column_stack([rays[met], np.ones(len(met))]) @ camera.axes
+    points += noise[:, None] * (along / np.linalg.norm(along, axis=1, keepdims=True))
     return PartialShape(Shape(points, name=shape.name), nearest, triangles, weights)
-
-
-def _directions(camera: Camera, rays: Float[np.ndarray, "r 2"]) -> Float[np.ndarray, "r 3"]:
-    """Unit vectors along rays, in the shape's own coordinates."""
-    along = np.column_stack([rays, np.ones(len(rays))]) @ camera.axes
-    unit: np.ndarray = along / np.linalg.norm(along, axis=1, keepdims=True)
-    return unit
 
 
 def _vector(values: Float[np.ndarray, " 3"]) -> Vector:

@@ -12,7 +12,6 @@ from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.progress import Listener
 from homolog.core.settings import Count, Settings
 from homolog.features import DiffusionNet, FeatureInfo, NetworkFeatures
-from homolog.geometry import Basis
 from homolog.matching import Matcher, align_partial, map_misfit, orient
 from homolog.pairs import Pair, PairAdaptation, PreprocessedShape
 from homolog.training.losses import TOTAL
@@ -94,15 +93,9 @@ def adapt_if_better(
     if pair.choice and not isinstance(pair.extractor, NetworkFeatures):
         return matcher, replace(pair, adaptation=PairAdaptation(0))
     adapted, after = adapt_to_pair(matcher, pair, settings, listener=listener)
-    plain, other = (_map_misfit(*both) for both in ((matcher, pair), (adapted, after)))
+    plain, other = (map_misfit(one.find(its), its.settings.choice) for one, its in ((matcher, pair), (adapted, after)))
     told = PairAdaptation(settings.steps, plain, other, kept=other < plain)
     return (adapted, replace(after, adaptation=told)) if told.kept else (matcher, replace(pair, adaptation=told))
-
-
-def _map_misfit(matcher: Matcher, pair: Pair) -> float:
-    quality = matcher.find(pair).quality
-    assert quality is not None
-    return map_misfit(quality, pair.settings.choice)
 
 
 def adapt_to_pair(
@@ -176,16 +169,13 @@ def _adapted(
 def _training_shapes(matcher: Matcher, shape: PreprocessedShape, settings: SampleSettings) -> list[TrainingShape]:
     """A shape at each of its subsets of points."""
     clean, mesh = shape.repaired.shape, shape.operators.basis
-    cloud = mesh if clean.faces is None else _cloud_basis(matcher, shape)
+    cloud = mesh
+    if clean.faces is not None:  # of the same points, wherever a part was aligned
+        of_points = matcher.preprocess.operators(clean, as_cloud=True, scale=shape.operators.scale).basis
+        cloud = replace(of_points, points=mesh.points)
     return [
         TrainingShape(clean.name, at_points(mesh, kept), at_points(cloud, kept)) for kept in subsets(mesh, settings)
     ]
-
-
-def _cloud_basis(matcher: Matcher, shape: PreprocessedShape) -> Basis:
-    scale = shape.operators.scale
-    cloud = matcher.preprocess.operators(shape.repaired.shape, as_cloud=True, scale=scale).basis
-    return replace(cloud, points=shape.operators.basis.points)  # of the same points, wherever a part was aligned
 
 
 def _train(

@@ -14,8 +14,11 @@ def augmented(
 ) -> Float[Tensor, "n 3"]:
     """Positions turned, stretched, shifted and jittered at random, by torch's own generator if none is given."""
     moved = points @ _turn(settings, generator).T.to(points)
-    if settings.tilt:
-        moved = moved @ _tilt(settings, generator).T.to(points)
+    if settings.tilt:  # about a horizontal axis, each direction and each angle as likely
+        share, direction = _uniform(2, generator)
+        half, around = torch.deg2rad(settings.tilt * share) / 2, 2 * torch.pi * direction
+        quaternion = [half.cos(), half.sin() * around.cos(), torch.zeros(()), half.sin() * around.sin()]
+        moved = moved @ rotation_of(torch.stack(quaternion)).T.to(points)
     low, high = settings.least_scale, settings.most_scale
     moved = moved * (low + (high - low) * _uniform(3, generator)).to(points)
     if settings.shift:
@@ -33,13 +36,6 @@ def _turn(settings: AugmentationSettings, generator: torch.Generator | None) -> 
         return rotation_of(torch.randn(4, generator=generator, device=_device(generator)).cpu())
     half = torch.deg2rad(settings.degrees * (2 * _uniform(1, generator)[0] - 1)) / 2
     return rotation_of(torch.stack([half.cos(), torch.zeros(()), half.sin(), torch.zeros(())]))
-
-
-def _tilt(settings: AugmentationSettings, generator: torch.Generator | None) -> Float[Tensor, "3 3"]:
-    """A rotation about a horizontal axis, each direction and each angle as likely."""
-    share, direction = _uniform(2, generator)
-    half, around = torch.deg2rad(settings.tilt * share) / 2, 2 * torch.pi * direction
-    return rotation_of(torch.stack([half.cos(), half.sin() * around.cos(), torch.zeros(()), half.sin() * around.sin()]))
 
 
 def rotation_of(quaternion: Float[Tensor, 4]) -> Float[Tensor, "3 3"]:

@@ -1,4 +1,4 @@
-"""The shapes of a training and its pairs, found in a folder. Ground truth is not looked at."""
+"""The shapes of a training and its pairs, found in a folder. Ground truth is for the loss ``supervised`` alone."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Int
 
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import expanded
 from homolog.datasets import DatasetDescription, Pair, ShapeFolder, mesh_files, partner
-from homolog.shapes import Shape, Up, read_shape, stand_upright
+from homolog.datasets.folder import path_of
+from homolog.datasets.truth import check_vertices
+from homolog.shapes import Shape, Up, read_shape, repair, stand_upright
 from homolog.training.settings import DataSettings, PartialSettings, Recipe
 
 _log = logging.getLogger(__name__)
@@ -107,6 +110,21 @@ class TrainingSet:
                 "with homolog reconstruct, or have [data] clouds = true in the recipe"
             )
         return shape
+
+    def template(self, name: str) -> Int[np.ndarray, " t"]:
+        """For each point of the template the point of the repaired shape that lies there, or -1: the ground truth.
+
+        Raises:
+            DataError: if there is no template, or the file of the shape's truth is not as it should be.
+        """
+        folder = self.described or ShapeFolder(self.root, self.names)
+        if folder.description.truth != "template-correspondence":
+            raise DataError(
+                f"{self.root} has no template, but {folder.description.truth!r}; leave out the loss supervised"
+            )
+        shape, vertices = self.shape(name), folder.template_correspondence(name)
+        check_vertices(path_of(folder.root, folder.description.truth_files, name), vertices, shape, "get both again")
+        return np.where(vertices < 0, -1, repair(shape).clean_index[vertices])
 
     @property
     def used(self) -> tuple[str, ...]:

@@ -244,7 +244,8 @@ class _Training:
         stopped = self._share(losses, bool(interrupts))
         norm = self.gradient.norm()
         self._check(losses, norm)
-        self._clip(norm)
+        if longest := self.recipe.optimiser.gradient_clip:
+            self.gradient.mul_((longest / norm.clamp(min=longest)).clamp(max=1.0))
         rate = learning_rate(self.recipe.optimiser, self.state.step, self.recipe.training.steps)
         self.state.take_step(rate, self.recipe.optimiser.average)
         if self.log is not None:
@@ -298,11 +299,6 @@ class _Training:
             f"step {self.state.step + 1}: the {what} of {pairs} is not finite; lower [optimiser] learning_rate, "
             "or look at these shapes with homolog info"
         )
-
-    def _clip(self, norm: Tensor) -> None:
-        longest = self.recipe.optimiser.gradient_clip
-        if longest:
-            self.gradient.mul_((longest / norm.clamp(min=longest)).clamp(max=1.0))
 
     # ---- between steps, in the first process
 

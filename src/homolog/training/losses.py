@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import TypeVar
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.core.errors import ArgumentError, bad_choice, bad_value
+from homolog.core.errors import ArgumentError, DataError, bad_choice, bad_value
 from homolog.core.plugins import offered
 from homolog.maps import losses as formulas
 from homolog.maps import normalised
@@ -208,6 +209,26 @@ def registration(
     return formulas.registration_loss(
         soft_features_x, soft_features_y, points, registration_targets, reach=reach, temperature=temperature
     )
+
+
+@_builtin(weight=0.0)
+def supervised(
+    features_x: Float[Tensor, "n_x d"],
+    features_y: Float[Tensor, "n_y d"],
+    shape_x: TrainingShape,
+    shape_y: TrainingShape,
+    settings: QuantitySettings,
+) -> Float[Tensor, ""]:
+    """Points that correspond, by the ground truth, resemble each other: the one loss that is not self-supervised."""
+    rows_x, rows_y = shape_x.template_rows, shape_y.template_rows
+    if rows_x is None or rows_y is None or len(rows_x) != len(rows_y):
+        raise DataError(f"{shape_x.name} and {shape_y.name} have no common template, which the loss supervised needs")
+    pairs = torch.stack([rows_x, rows_y], dim=1)
+    pairs = torch.unique(pairs[(pairs >= 0).all(dim=1)], dim=0)
+    if not len(pairs):
+        return features_x.new_zeros(())
+    x, y = normalised(features_x[pairs[:, 0]]), normalised(features_y[pairs[:, 1]])
+    return formulas.infonce_loss(x, y, temperature=settings.infonce_temperature)
 
 
 def installed_losses() -> dict[str, EntryPoint]:

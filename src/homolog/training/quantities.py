@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.core.errors import ArgumentError, TrainingError
@@ -51,6 +51,8 @@ class TrainingShape:
         pairing: takes functions at the mesh's points to the cloud's, sparse (n_cloud, n_mesh); None where both have the
             same points in the same order.
         cloud_is_partial: the cloud lacks a piece of the mesh's surface.
+        template_rows: for each point of the template the row of the mesh's basis at which it lies, or -1 for none;
+            None where no loss asks for ground truth.
     """
 
     name: str
@@ -58,6 +60,7 @@ class TrainingShape:
     cloud: Basis
     pairing: Tensor | None = None
     cloud_is_partial: bool = False
+    template_rows: Int[Tensor, " t"] | None = None
 
     def at_cloud(self, functions: Float[Tensor, "n_mesh c"]) -> Float[Tensor, "n_cloud c"]:
         """Functions on the mesh at the cloud's points."""

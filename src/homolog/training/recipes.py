@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from homolog.core.errors import bad_choice
+from homolog.core.errors import bad_choice, bad_value
 from homolog.core.files import expanded
 from homolog.core.settings import read_settings, read_toml
 from homolog.training.settings import LossSettings, Recipe
@@ -16,8 +16,12 @@ from homolog.training.settings import LossSettings, Recipe
 _BUILTIN = (Path(__file__).parent / "recipes", Path(__file__).parents[3] / "recipes")
 
 
-def read_recipe(recipe: str | Path) -> Recipe:
+def read_recipe(recipe: str | Path, changes: Mapping[str, Any] | None = None) -> Recipe:
     """Read a recipe from a TOML file, or a built-in one by its name.
+
+    Args:
+        recipe: the file, or the name.
+        changes: values to use instead of those in the file, by ``"section.key"``, or ``"key"`` of none.
 
     Raises:
         ArgumentError: if there is no such recipe, or it is not as it should be; one line with file, section and key.
@@ -26,9 +30,24 @@ def read_recipe(recipe: str | Path) -> Recipe:
         >>> from homolog.training import read_recipe
         >>> read_recipe("quick").training.steps
         5000
+        >>> read_recipe("quick", {"training.steps": 100, "loss.infonce": 0.0}).training.steps
+        100
     """
     path = find_recipe(recipe)
-    return recipe_from(read_toml(path), str(path))
+    table = read_toml(path)
+    for name, value in (changes or {}).items():
+        _change(table, name, value)
+    return recipe_from(table, str(path))
+
+
+def _change(table: dict[str, Any], name: str, value: Any) -> None:
+    """Set one value of a recipe's nested tables, by the names of its sections and its own, with dots between."""
+    *sections, key = name.split(".")
+    for section in sections:
+        table = table.setdefault(section, {})
+        if not isinstance(table, dict):
+            raise bad_value("a change", name, "section.key, where the section is one of a recipe")
+    table[key] = value
 
 
 def recipe_from(table: Mapping[str, Any], where: str) -> Recipe:

@@ -124,7 +124,9 @@ class RunFolder:
         instead = "remove it, and give --resume"
         found = read_record(self._alignment, dict[str, Aligned], instead=instead)
         for name, how in found.items():
-            if not _is_rotation(how["rotation"]):
+            rows = how["rotation"]
+            square = list(map(len, rows)) == [3, 3, 3]
+            if not (square and np.allclose(np.array(rows) @ np.transpose(rows), np.eye(3), atol=1e-4)):
                 raise DataError(f"{self._alignment} is damaged: {name} has no rotation; {instead}")
         return {name: np.array(how["rotation"]) for name, how in found.items()}
 
@@ -198,10 +200,6 @@ class RunFolder:
 def is_begun(path: Path) -> bool:
     """Whether a training has begun in a folder."""
     return (path / _LAST).is_file()
-
-
-def _is_rotation(rows: list[list[float]]) -> bool:
-    return list(map(len, rows)) == [3, 3, 3] and np.allclose(np.array(rows) @ np.transpose(rows), np.eye(3), atol=1e-4)
 
 
 def weights_info(recipe: Recipe) -> FeatureInfo:

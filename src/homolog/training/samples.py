@@ -25,6 +25,7 @@ class Samples:
         meshes: the bases of the mesh that belong to them, where they are not those of the mesh's own subsets.
         pairings: the interpolation from those to the cloud's points.
         points: all of them, in the coordinates of the bases (n, 3).
+        mesh_indices: of the mesh's points at those bases.
         centre: of the points that the bases are centred at, in the mesh's normalised coordinates (3,).
     """
 
@@ -32,6 +33,7 @@ class Samples:
     bases: tuple[Basis, ...]
     meshes: tuple[Basis, ...] = ()
     pairings: tuple[Tensor, ...] = ()
+    mesh_indices: tuple[Int[np.ndarray, " s"], ...] = ()
     points: Float[Tensor, "n 3"] = field(default_factory=lambda: torch.zeros(0, 3))
     centre: Float[Tensor, " 3"] = field(default_factory=lambda: torch.zeros(3))
 

@@ -12,7 +12,8 @@ from functools import lru_cache
 import numpy as np
 import scipy.sparse as sparse
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from torch import Tensor
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.core.progress import Progress
@@ -93,6 +94,8 @@ class ShapeStore:
         self._seed, self._settings, self._operator_settings = recipe.seed, recipe.samples, recipe.operators
         self._workers = recipe.data.workers
         self._mesh = lru_cache(maxsize=2 * self._workers)(self._read_mesh)
+        self._template = lru_cache(maxsize=None)(shapes.template)
+        self._is_supervised = recipe.loss.weights["supervised"] > 0
         self.rotations = rotations or {}
         self._frames: dict[str, Frame] = {}
         self._memory = _Memory(recipe.data.memory_gb * 2**30)
@@ -124,7 +127,18 @@ class ShapeStore:
         meshes = clouds.meshes or self.samples(sampled.name, MESH).bases
         pairing = clouds.pairings[sampled.subset] if clouds.pairings else None
         is_partial = self.variants[sampled.variant].is_partial
-        return TrainingShape(sampled.name, meshes[sampled.subset], cloud, pairing, is_partial)
+        rows = None
+        if self._is_supervised:
+            indices = clouds.mesh_indices or self.samples(sampled.name, MESH).indices
+            rows = self._template_rows(sampled.name, indices[sampled.subset])
+        return TrainingShape(sampled.name, meshes[sampled.subset], cloud, pairing, is_partial, rows)
+
+    def _template_rows(self, name: str, indices: Int[np.ndarray, " s"]) -> Int[Tensor, " t"]:
+        """Where among some points of a mesh each point of the template lies, or -1."""
+        vertices = self._template(name)
+        rows = np.full(max(vertices.max(initial=-1), indices.max()) + 2, -1)  # the last one is that of -1
+        rows[indices] = np.arange(len(indices))
+        return torch.from_numpy(rows[vertices]).to(self.device)
 
     def frame(self, name: str) -> Frame:
         """Centre and scale of a shape, in the coordinates of its file."""
@@ -181,6 +195,7 @@ class ShapeStore:
             at_subsets(cloud.basis, rows, self.device),
             meshes,
             tuple(pairings),
+            columns if meshes else (),
             cloud.points.to(self.device),
             cloud.centre.float().to(self.device),
         )

@@ -67,16 +67,12 @@ def read_original(result: Match, side: Side, path: Path | None = None) -> Origin
     if not (is_there(file) and file.is_file()):
         raise DataError(f"{file}, the {side} of this match, is not there; say with --from FILE where it is now")
     shape = read_shape(file)
-    digest = sha256(*files_of_shape(file))
-    if recorded.get("sha256", digest) != digest or not _same_points(shape, getattr(result, side)):
+    digest, drawn = sha256(*files_of_shape(file)), getattr(result, side)
+    finite = np.isfinite(shape.points).all(axis=1)  # points that are no numbers are replaced in a result
+    same = shape.n_points == drawn.n_points and np.array_equal(shape.points[finite], drawn.points[finite])
+    if recorded.get("sha256", digest) != digest or not same:
         raise DataError(f"{file} is not the file that was matched, or was changed since; match it again")
     return Original(file, shape)
-
-
-def _same_points(shape: Shape, drawn: Shape) -> bool:
-    """Whether a shape has the points of a result's shape, whose points that are no numbers were replaced."""
-    finite = np.isfinite(shape.points).all(axis=1)
-    return shape.n_points == drawn.n_points and np.array_equal(shape.points[finite], drawn.points[finite])
 
 
 def read_array(path: Path, shape: Shape) -> Num[np.ndarray, "n ..."]:

@@ -96,7 +96,7 @@ def _read_array(path: Path, named: str | Path) -> Num[np.ndarray, "p ..."]:
 def _read_indices(path: Path) -> Num[np.ndarray, " p"] | None:
     """Indices of points, one a line; None where the file holds anything else."""
     try:
-        lines = [line.partition("#")[0].strip() for line in read_text(path, encoding="utf-8-sig").splitlines()]
+        lines = [line.partition("#")[0].strip() for line in read_text(path).splitlines()]
     except (OSError, UnicodeDecodeError):
         return None  # the reader of positions says what is wrong with the file
     rows = [line for line in lines if line]

@@ -92,7 +92,7 @@ def read_landmarks(path: str | Path) -> Landmarks:
 
 
 def _read_markups(path: Path) -> Landmarks:
-    text = read_text(path, encoding="utf-8-sig")
+    text = read_text(path)
     content = _markups_content(text)
     # Of what the file defines, the points of all lists, one after the other.
     points = np.array([_position(point) for point in _control_points(content)]).reshape(-1, 3)
@@ -162,7 +162,7 @@ def _read_scalismo(path: Path) -> Landmarks:
     What else it says of a landmark stays, but for its uncertainty, whose directions are those of the other shape. A
     landmark without a position is left out.
     """
-    text = read_text(path, encoding="utf-8-sig")
+    text = read_text(path)
     points = np.array([_three_numbers(each["coordinates"]) for each in _scalismo_content(text)]).reshape(-1, 3)
 
     def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
@@ -193,7 +193,7 @@ def _scalismo_content(text: str) -> list[dict[str, Any]]:
 
 
 def _read_fcsv(path: Path) -> Landmarks:
-    lines = read_text(path, encoding="utf-8-sig").splitlines()
+    lines = read_text(path).splitlines()
     rows = [number for number, line in enumerate(lines) if line.strip() and not line.startswith("#")]
     if not rows:
         raise UnreadableError("it holds no landmarks")
@@ -240,7 +240,7 @@ def _read_table(path: Path) -> Landmarks:
     # Slicer's own tables name their columns by the system.
     table = read_table_lines(path, other_axes=("lps", "ras"))
     lines_of_rows = table.lines.as_written()
-    text = read_text(path, encoding="utf-8-sig", errors="replace")
+    text = read_text(path, errors="replace")
     cells = [row_cells(line, table.delimiter) for line in lines_of_rows]  # what cannot be written again is refused now
     if _begins_with_names(text, cells):
         table = table._replace(columns=[1, 2, 3])

@@ -3,7 +3,7 @@
 from homolog.pairs import SIDES
 from homolog.viewing.colours import Ramp, principal_colours
 from homolog.viewing.contact_sheet import MOST_TILES, Tile, contact_sheet
-from homolog.viewing.layers import Layer, confidence_layer, error_layer, feature_layer, matched_layer
+from homolog.viewing.layers import Layer, confidence_layer, error_layer, feature_layer, heat_layer, matched_layer
 from homolog.viewing.measuring import map_errors, pair_features
 from homolog.viewing.modes_page import ModesScene, modes_page_of
 from homolog.viewing.notebook import notebook_html, plot
@@ -27,6 +27,7 @@ __all__ = [
     "contact_sheet",
     "error_layer",
     "feature_layer",
+    "heat_layer",
     "map_errors",
     "matched_layer",
     "modes_page_of",

@@ -52,14 +52,25 @@ def confidence_layer(result: Match) -> Layer:
 
 
 def error_layer(errors: dict[Side, Float[np.ndarray, " n"]], unit: str) -> Layer:
-    """The error of each point's match; see ``map_errors``.
+    """The error of each point's match; see ``map_errors``."""
+    note = "How far from the truth each point is matched. Grey: not matched, or not known."
+    return heat_layer("Error", note, errors, unit)
+
+
+def heat_layer(name: str, note: str, values: dict[Side, Float[np.ndarray, " n"]], unit: str) -> Layer:
+    """Numbers of which 0 is best, as a heat map.
 
     The ramp ends at the 95th percentile.
+
+    Args:
+        name: a word or two, for a choice among layers.
+        note: a sentence for the legend.
+        values: per point of each shape (n,); NaN where there is none.
+        unit: what they are.
     """
-    known = np.concatenate([values[np.isfinite(values)] for values in errors.values()])
+    known = np.concatenate([numbers[np.isfinite(numbers)] for numbers in values.values()])
     high = float(np.quantile(known, _ERROR_SHARE)) if len(known) else 0.0
-    note = "How far from the truth each point is matched. Grey: not matched, or not known."
-    return _of_values("Error", note, errors, Ramp(GOOD_TO_BAD, 0.0, high or 1.0, unit))
+    return _of_values(name, note, values, Ramp(GOOD_TO_BAD, 0.0, high or 1.0, unit))
 
 
 def feature_layer(source: Float[np.ndarray, "n_source d"], target: Float[np.ndarray, "n_target d"]) -> Layer:

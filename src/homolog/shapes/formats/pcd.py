@@ -11,6 +11,7 @@ import numpy as np
 
 from homolog.core.files import read_bytes
 from homolog.shapes.formats.parsing import CUT_OFF, Arrays, UnreadableError, check_claim, left_out
+from homolog.shapes.formats.text_lines import mark_length
 from homolog.shapes.shape import Shape
 
 # LZF writes at least three bytes for 264.
@@ -25,6 +26,7 @@ def read(path: Path) -> Arrays:
     from pypcd4.pypcd4 import PointCloud
 
     content = read_bytes(path)
+    content = content[mark_length(content[:4]) :]
     n_points, over = _check_pcd(content)
     cloud = PointCloud.from_fileobj(cast(Any, BytesIO(content)))
     if missing := {"x", "y", "z"}.difference(cloud.fields):

@@ -30,7 +30,7 @@ from homolog.shapes.formats.parsing import (
     refuse_further_lines,
     space_of,
 )
-from homolog.shapes.formats.text_lines import Polygons, n_lines, number_rows, polygon_rows, text_lines
+from homolog.shapes.formats.text_lines import Polygons, mark_length, n_lines, number_rows, polygon_rows, text_lines
 from homolog.shapes.shape import Shape
 
 _TYPES = {
@@ -119,15 +119,27 @@ def read_ply_colours(path: Path) -> Float[np.ndarray, "n 3"] | None:
     return None if values is None else values / largest
 
 
+def read_ply_property(path: Path, name: str) -> Float[np.ndarray, " n"] | None:
+    """A number of each point of a PLY file; None if it has no such property."""
+    file = _opened(path)
+    vertex = next((element for element in file.elements if element.name == "vertex"), None)
+    if vertex is None or not {name, name.upper()} & {prop.name for prop in vertex.properties if not prop.count_type}:
+        return None
+    values, _, _ = _parts(file, (name,))
+    return None if values is None else values[:, 0]
+
+
 def _opened(path: Path) -> _File:
     with opened(path) as file:
+        mark = mark_length(file.read(4))
+        file.seek(mark)
         head = _head(file)
         end = head.find(_END)
         if not head.startswith(b"ply") or end < 0:
             raise UnreadableError("it has no header from 'ply' to 'end_header'")
         # Lines end as the first one does; some old programs write a carriage return alone.
         line_end = b"\n" if b"\n" in head[:end] else b"\r"
-        start = head.find(line_end, end) + 1 or len(head)
+        start = mark + (head.find(line_end, end) + 1 or len(head))
         byte_order, elements = _parse_header(head[:end].decode("ascii", errors="replace"))
         size = file.seek(0, os.SEEK_END) - start
         for element in elements:

@@ -30,6 +30,17 @@ def encoding_of(head: bytes) -> str:
     return "utf-16" if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig"
 
 
+def mark_length(head: bytes) -> int:
+    """The bytes of a byte order mark before a header, which some editors write; 0 without one.
+
+    Raises:
+        UnreadableError: for text whose characters are not bytes.
+    """
+    if (encoding := encoding_of(head)) != "utf-8-sig":
+        raise UnreadableError(f"it is {encoding.upper()} text, but UTF-8 is needed; save it as UTF-8")
+    return len(codecs.BOM_UTF8) if head.startswith(codecs.BOM_UTF8) else 0
+
+
 def text_blocks(path: Path, *, start: int = 0, padded: bool = False) -> Iterator[str]:
     """The text of a file in blocks of whole lines, which end with line feeds; UTF-16 and UTF-32 by their marks.
 

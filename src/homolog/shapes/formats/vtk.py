@@ -26,6 +26,7 @@ from homolog.shapes.formats.parsing import (
     polygon_faces,
     space_of,
 )
+from homolog.shapes.formats.text_lines import mark_length
 from homolog.shapes.polygons import strips
 from homolog.shapes.shape import Shape
 
@@ -62,6 +63,7 @@ def read(path: Path) -> Arrays:
     Of volume cells the outer surface is read. Faces of quadratic cells go through the points on their edges.
     """
     content = read_bytes(path)
+    content = content[mark_length(content[:4]) :]
     return _load(path, ".vtk" if content.startswith(b"# vtk") else _xml_kind(content), content)
 
 

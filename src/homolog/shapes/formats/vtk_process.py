@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 import warnings
 from collections.abc import Iterator
@@ -41,10 +42,19 @@ vtk_to_numpy: Any = numpy_support.vtk_to_numpy
 
 _BLANKS_LEFT = 32
 
+# What a legacy file announces of its cells, and with which function a data set gives them.
+_LEGACY_CELLS = {
+    "GetPolys": re.compile(rb"^[ \t]*polygons[ \t]+(\d+)[ \t]+(\d+)", re.IGNORECASE | re.MULTILINE),
+    "GetStrips": re.compile(rb"^[ \t]*triangle_strips[ \t]+(\d+)[ \t]+(\d+)", re.IGNORECASE | re.MULTILINE),
+    "GetCells": re.compile(rb"^[ \t]*cells[ \t]+(\d+)[ \t]+(\d+)", re.IGNORECASE | re.MULTILINE),
+}
+
 
 def read(path: str, suffix: str) -> dict[str, np.ndarray]:
     """What ``surface`` gives of a file, by name, and the number of its lines."""
     data = load(Path(path), suffix)
+    if suffix == ".vtk":
+        _check_counts(data, Path(path).read_bytes())
     arrays = *surface(data), np.array(_line_count(data))
     return dict(zip(("points", "sizes", "corners", "strip_sizes", "strip_corners", "n_lines"), arrays, strict=True))
 
@@ -82,7 +92,7 @@ def load(path: Path, suffix: str) -> Any:
         ".vtu": vtkXMLUnstructuredGridReader,
     }
     reader = readers[suffix]()
-    with collected_messages() as messages, _without_long_end(path) as path:
+    with collected_messages() as messages, _readable(path) as path:
         reader.SetFileName(str(path))
         reader.Update()
         data = reader.GetOutput()
@@ -94,17 +104,22 @@ def load(path: Path, suffix: str) -> Any:
 
 
 @contextmanager
-def _without_long_end(path: Path) -> Iterator[Path]:
-    """A file without a long run of blanks at its end, in which VTK's reader of legacy files never finds the end."""
+def _readable(path: Path) -> Iterator[Path]:
+    """A file without what VTK's reader of legacy files does not bear: a byte order mark, and a long run of blanks.
+
+    In one at the end it never finds the end.
+    """
     content = path.read_bytes()
     n_blanks = len(content) - len(content.rstrip())
-    if n_blanks <= 2 * _BLANKS_LEFT:
+    is_marked = content.startswith(codecs.BOM_UTF8)
+    if n_blanks <= 2 * _BLANKS_LEFT and not is_marked:
         yield path
         return
     with TemporaryDirectory() as folder:
         shorter = Path(folder) / "shorter.vtk"
-        # Some may be the last bytes of numbers.
-        shorter.write_bytes(content[: len(content) - n_blanks + _BLANKS_LEFT])
+        # Some blanks may be the last bytes of numbers.
+        end = len(content) - max(0, n_blanks - _BLANKS_LEFT)
+        shorter.write_bytes(content[len(codecs.BOM_UTF8) if is_marked else 0 : end])
         yield shorter
 
 
@@ -123,6 +138,25 @@ def surface(data: Any) -> tuple[np.ndarray, ...]:
     _cells(data.GetCells(), len(points))
     linear = all(_cell_of(cell_type).IsLinear() for cell_type in np.unique(_types(data)).tolist())
     return points, *(_linear_surface(data) if linear else (*_quadratic_surface(data), nothing, nothing))
+
+
+def _check_counts(data: Any, content: bytes) -> None:
+    """Refuse a legacy file whose cells are not as many as it announces: VTK goes by one of two counts alone."""
+    version = re.search(rb"# vtk DataFile Version +(\d+)", content)
+    with_offsets = version is not None and int(version[1]) >= 5
+    for get, pattern in _LEGACY_CELLS.items():
+        announced = pattern.search(content)
+        if announced is None or not hasattr(data, get):
+            continue
+        cells = getattr(data, get)()
+        n_cells, n_corners = cells.GetNumberOfCells(), cells.GetNumberOfConnectivityIds()
+        # From version 5 on there is one offset more than there are cells; before, sizes stand among the corners.
+        found = (n_cells + 1, n_corners) if with_offsets else (n_cells, n_cells + n_corners)
+        if found != (int(announced[1]), int(announced[2])) and (n_cells or int(announced[1])):
+            raise ValueError(
+                f"it announces {announced[1].decode()[:20]} {announced[2].decode()[:20]} for its cells, but holds "
+                f"{found[0]} {found[1]}; correct the counts"
+            )
 
 
 def _cells(cells: Any, n_points: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,223 @@
+"""Experiments of the paper as data: which rows and columns a table has, and what each cell is measured on.
+
+They are TOML files: ``experiments/NAME.toml`` for each experiment, ``trainings.toml`` for the trainings that they
+share, and ``data.toml`` for the folders of the datasets. Nothing here loads PyTorch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from homolog.core.choices import KeepClutter, Modalities, Orient, OutlierKind, Split, Turn
+from homolog.core.errors import bad_choice
+from homolog.core.method_names import AUTO
+from homolog.core.settings import Count, CountOrZero, NotNegative, Settings, read_settings, read_toml
+from homolog.datasets.description import DatasetDescription, read_description
+
+_FOLDER = Path(__file__).parent / "experiments"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataPlace(Settings):
+    """Where a dataset lies below the folder of all, and what it is.
+
+    Args:
+        dataset: name of its description.
+        folders: names that its folder may have.
+        source: where to get it, where the description does not say so.
+    """
+
+    dataset: str
+    folders: tuple[str, ...]
+    source: str = ""
+
+    @property
+    def description(self) -> DatasetDescription:
+        """The description of the dataset."""
+        return read_description(self.dataset)
+
+    @property
+    def to_be_had(self) -> str:
+        """Where to get it."""
+        return self.source or f"get it from {self.description.source}"
+
+    def find(self, data: Path) -> Path | None:
+        """Its folder below the folder of all; None if it is not there."""
+        return next((data / name for name in self.folders if (data / name).is_dir()), None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingPlan(Settings):
+    """A training that experiments take weights from.
+
+    Args:
+        name: by which rows call it.
+        recipe: name of a recipe.
+        data: names of datasets, whose training shapes are taken together.
+        first: so many of them, of each dataset; 0 for all.
+        changes: values that differ from the recipe's, by ``"section.key"``.
+        start: name of the pretrained weights to start from; random ones by default.
+        minutes: that it takes on two cores, about.
+    """
+
+    name: str
+    recipe: str
+    data: tuple[str, ...]
+    first: Annotated[CountOrZero, "0 for all"] = 0
+    changes: dict[str, Any] = field(default_factory=dict)
+    start: str = ""
+    minutes: Count = 60
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row(Settings):
+    """What the cells of a row are measured on.
+
+    Args:
+        name: of the row.
+        data: name of the dataset.
+        training: name of the training that weights come from; empty for a method that needs none.
+        trained_only: the row is about this training, so that weights that are given cannot take its place.
+        paper: the paper's figure, as tables show it, if it has one.
+        names: pattern of the shapes that are tested: the second ones of pairs; by default all of the split.
+        curve: the curve that the row is a point of, where the experiment has an axis.
+        split: these and the following are options of ``homolog.evaluation.Protocol``, and the method.
+        modality: of source and target.
+        noise: on clouds.
+        outliers: added to clouds.
+        outlier_kind: where they lie.
+        turn: of every shape.
+        method: by which maps are made.
+    """
+
+    name: str
+    data: str
+    training: str = ""
+    trained_only: bool = False
+    paper: float | None = None
+    names: str = "*"
+    curve: str = ""
+    split: Split = "test"
+    modality: Modalities = "mesh"
+    noise: NotNegative = 0.0
+    outliers: NotNegative = 0.0
+    outlier_kind: OutlierKind = "box"
+    turn: Turn = "none"
+    method: str = AUTO
+
+
+@dataclass(frozen=True, kw_only=True)
+class Column(Settings):
+    """How the cells of a column are matched.
+
+    Args:
+        title: of the column.
+        orient: whether the way round is found, or trusted.
+        clutter: whether what does not belong to clouds is set apart.
+        left_out: stages of matching that are left out: their settings are None.
+    """
+
+    title: str
+    orient: Orient = "auto"
+    clutter: KeepClutter = "remove"
+    left_out: tuple[Literal["refinement", "alignment"], ...] = ()
+
+
+COLUMNS = {
+    "paper": Column(title="the paper's setting", orient="given", clutter="keep", left_out=("refinement", "alignment")),
+    "ours": Column(title="ours"),
+}
+"""The columns of every experiment: the paper's setting has no search and no refinement, and trusts poses."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A table of the paper.
+
+    Args:
+        name: by which the command knows it.
+        title: for people.
+        about: what is trained on and tested on, and how the paper's figures compare.
+        rows: of the table, each with every column of ``COLUMNS``.
+        axis: the option of rows that errors are drawn against; empty for none.
+    """
+
+    name: str
+    title: str
+    about: str
+    rows: tuple[Row, ...]
+    axis: Literal["", "noise", "outliers"] = ""
+
+    @property
+    def trainings(self) -> tuple[TrainingPlan, ...]:
+        """The trainings that its rows take weights from, in their order."""
+        return tuple(trainings()[name] for name in dict.fromkeys(row.training for row in self.rows if row.training))
+
+    @property
+    def folders(self) -> tuple[str, ...]:
+        """The folders of the datasets that are tested on and trained on."""
+        names = [*(row.data for row in self.rows), *(name for plan in self.trainings for name in plan.data)]
+        return tuple(dict.fromkeys(data_places()[name].folders[0] for name in names))
+
+    def rows_named(self, words: tuple[str, ...]) -> tuple[Row, ...]:
+        """The rows whose names contain one of these words, in any case; all rows where there are none.
+
+        Raises:
+            ArgumentError: if a word is in no name.
+        """
+        for word in words:
+            if not any(word.lower() in row.name.lower() for row in self.rows):
+                raise bad_choice("only", word, [row.name for row in self.rows], "or give a part of a name")
+        return tuple(row for row in self.rows if not words or any(word.lower() in row.name.lower() for word in words))
+
+
+def experiment_names() -> tuple[str, ...]:
+    """The names of all experiments.
+
+    Examples:
+        >>> "complete" in experiment_names()
+        True
+    """
+    return tuple(path.stem for path in sorted(_FOLDER.glob("*.toml")))
+
+
+@cache
+def read_experiment(name: str) -> Experiment:
+    """An experiment by its name.
+
+    Raises:
+        ArgumentError: if there is none of this name.
+
+    Examples:
+        >>> read_experiment("complete").rows[0].paper
+        2.0
+    """
+    if name not in experiment_names():
+        raise bad_choice("the experiment", name, experiment_names())
+    path = _FOLDER / f"{name}.toml"
+    table = read_toml(path)
+    rows = tuple(read_settings(Row, row, f"{path}: [[rows]]") for row in table.pop("rows"))
+    return Experiment(name=name, rows=rows, **table)
+
+
+@cache
+def trainings() -> dict[str, TrainingPlan]:
+    """The trainings that experiments share, by name."""
+    path = _FOLDER.parent / "trainings.toml"
+    return {
+        name: read_settings(TrainingPlan, {"name": name, **table}, f"{path}: [{name}]")
+        for name, table in read_toml(path).items()
+    }
+
+
+@cache
+def data_places() -> dict[str, DataPlace]:
+    """The datasets that experiments need, by name."""
+    path = _FOLDER.parent / "data.toml"
+    return {
+        name: read_settings(DataPlace, {"folders": [name], **table}, f"{path}: [{name}]")
+        for name, table in read_toml(path).items()
+    }
