@@ -188,11 +188,10 @@ def match(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
-    check_folder(output, names=homolog.matching.RESULT_FILES)
+    for folder in (output, *(output / f"alternative-{number}" for number in range(2, alternatives + 1))):
+        check_folder(folder, names=homolog.matching.RESULT_FILES)
     check_page_file(page)
     check_picture_file(picture, lines, picture_width)
-    for number in range(2, alternatives + 1):
-        check_folder(output / f"alternative-{number}", names=homolog.matching.RESULT_FILES)
     refuse_overwriting_inputs(_alternatives(output))
     options = homolog.PairOptions(
         as_cloud=as_cloud,
