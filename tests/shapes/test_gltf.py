@@ -549,3 +549,50 @@ def test_versions(tmp_path, file, asset, reason):
         return
     with pytest.raises(ShapeError, match=reason):
         read_shape(path)
+
+
+def skin_of_one_joint(file, joint, count=5):
+    """A mesh of one joint, whose rows refer to a joint."""
+    file.primitive(POINTS, FACES)["attributes"].update(
+        JOINTS_0=file.accessor(np.full((count, 4), joint, "|u1")),
+        WEIGHTS_0=file.accessor(np.tile(np.array([1, 0, 0, 0], "<f4"), (count, 1))),
+    )
+    file.tree |= {"skins": [{"joints": [1]}], "nodes": [{"mesh": 0, "skin": 0}, {}], "scenes": [{"nodes": [0, 1]}]}
+    return file
+
+
+def refused(path, said):
+    with pytest.raises(ShapeError) as caught:
+        read_shape(path)
+    assert said in str(caught.value)
+    assert "leads nowhere" not in str(caught.value)
+
+
+def test_joints_that_a_skin_has_not(tmp_path, file):
+    refused(skin_of_one_joint(file, 9).put(tmp_path), "a mesh refers to joint 9 of its skin 0, which has 1;")
+
+
+def test_a_skin_of_other_points(tmp_path, file):
+    refused(skin_of_one_joint(file, 0, count=3).put(tmp_path), "a skin has 3 rows for 5 points;")
+
+
+def test_a_morph_target_of_other_points(tmp_path, file):
+    file.primitive(POINTS, FACES, targets=[{"POSITION": file.accessor(POINTS[:3])}])
+    file.tree["meshes"][0]["weights"] = [1]
+    refused(file.put(tmp_path), "a morph target has 3 rows for 5 points;")
+
+
+def test_sparse_rows_that_an_accessor_has_not(tmp_path, file):
+    sparse = {
+        "count": 1,
+        "indices": {"bufferView": file.view(np.array([5], "<u2")), "componentType": 5123},
+        "values": {"bufferView": file.view(POINTS[:1])},
+    }
+    file.primitive(file.accessor(POINTS, sparse=sparse), FACES)
+    refused(file.put(tmp_path), "its sparse accessor 0 replaces row 5, but has 5 rows;")
+
+
+def test_no_accessors_at_all(tmp_path, file):
+    file.primitive(0)
+    file.tree.pop("accessors")
+    refused(file.put(tmp_path), "it refers to number 0 of its accessors, but has 0;")

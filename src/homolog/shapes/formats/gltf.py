@@ -226,6 +226,10 @@ class Gltf:
         if sparse := accessor.get("sparse"):
             index_type = np.dtype(_known(_COMPONENTS, sparse["indices"], "componentType"))
             which = _from_zero(self._rows(sparse["indices"], index_type, 1, sparse["count"])[:, 0])
+            if len(which) and which.max() >= len(rows):
+                raise UnreadableError(
+                    f"its sparse accessor {number} replaces row {which.max()}, but has {len(rows)} rows; {CUT_OFF}"
+                )
             rows = rows.copy()
             rows[which] = self._rows(sparse["values"], dtype, width, sparse["count"])
         if accessor.get("normalized") and dtype.kind != "f":
@@ -406,6 +410,7 @@ def _checked_header(content: bytes) -> dict[str, Any]:
         check_record(header, _Header)
     except ValueError as error:
         raise UnreadableError(f"{error}; {CUT_OFF}") from None
+    header.setdefault("accessors", [])
     header |= {name: _Entries(name, entry) for name, entry in header.items() if isinstance(entry, list)}
     required = header.get("extensionsRequired", [])
     unknown = [str(name) for name in required if not _HARMLESS.fullmatch(str(name)) and name not in _READ]
@@ -558,10 +563,17 @@ def _placed(
     points: np.ndarray = file.accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
     for weight, target in zip(weights, primitive.get("targets", []), strict=False):
         if weight and "POSITION" in target:
-            points = points + weight * file.accessor(target["POSITION"], "VEC3")
+            points = points + weight * _as_many(file.accessor(target["POSITION"], "VEC3"), points, "a morph target")
     if "skin" not in file.nodes[node] or "JOINTS_0" not in primitive["attributes"]:
         return np.asarray(points @ world[:3, :3].T + world[:3, 3])
     return _posed(file, file.nodes[node]["skin"], primitive["attributes"], points) if pose == "posed" else points
+
+
+def _as_many(rows: np.ndarray, points: Float[np.ndarray, "n 3"], what: str) -> np.ndarray:
+    """Rows of numbers, of which there must be one for each point."""
+    if len(rows) != len(points):
+        raise UnreadableError(f"{what} has {len(rows)} rows for {len(points)} points; {CUT_OFF}")
+    return rows
 
 
 def _posed(
@@ -572,6 +584,10 @@ def _posed(
     carried = np.stack([file.world(joint) for joint in joints]) @ _inverse_binds(file, skin)
     posed, total = np.zeros_like(points), np.zeros((len(points), 1))
     for joint, share in influences(file, attributes):
+        _as_many(joint, points, "a skin"), _as_many(share, points, "a skin")
+        if len(joint) and joint.max() >= len(joints):
+            found = f"a mesh refers to joint {joint.max()} of its skin {skin}, which has {len(joints)}"
+            raise UnreadableError(f"{found}; {CUT_OFF}")
         matrices = carried[joint]
         posed += share[:, None] * (np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3])
         total += share[:, None]
