@@ -231,8 +231,8 @@ class ProxySettings(Settings):
     """When a proxy is matched in place of a shape, and how it is made; ``PairOptions.proxy`` says whether it may be.
 
     Args:
-        most_outside: share of the area beyond the largest component from which on a mesh has a proxy. Of 380 meshes of
-            FAUST, SCAPE, SMAL, SHREC'16 and bones, all have none.
+        most_outside: share of the area beyond the largest component from which on a mesh has a proxy. Of 371 meshes of
+            FAUST, SCAPE, SMAL, SHREC'16, SHREC'19 and bones, none has one.
         most_broken: share of edges that do not join two faces from which on it has one.
         points: approximate number of points of the proxy.
         resolution: voxels along the longest side; at least 64.
