@@ -217,8 +217,11 @@ def test_only_some_shapes_are_tested(data, output):
 
 
 def test_weights_take_the_place_of_trainings(data, output):
-    done = reproduce("learned", data, output, ReproductionSettings(weights="people"))
+    told = []
+    settings = ReproductionSettings(weights="people")
+    done = reproduce("learned", data, output, settings, progress=lambda *given: told.append(given))
     assert done.made == 2
+    assert {total for _, total, _ in told} == {8}  # pairs of rows that stay empty are none that are left
     assert done.empty["without contrast", "ours"] == (
         "it is about the training small_no_contrast, which other weights cannot replace"
     )

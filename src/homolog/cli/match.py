@@ -188,9 +188,11 @@ def match(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
-    _check_folders(output, alternatives)
+    for folder in (output, *(output / f"alternative-{number}" for number in range(2, alternatives + 1))):
+        check_folder(folder, names=homolog.matching.RESULT_FILES)
     check_page_file(page)
     check_picture_file(picture, lines, picture_width)
+    refuse_overwriting_inputs(_alternatives(output))
     options = homolog.PairOptions(
         as_cloud=as_cloud,
         partial=partial,
@@ -241,13 +243,6 @@ def known_points(
         if given:
             raise ArgumentError(f"{name} is {given}, but is about landmarks; add --landmarks, or leave it out")
     return None
-
-
-def _check_folders(output: Path, alternatives: int) -> None:
-    """Refuse a folder that cannot be written to, or results of earlier alternatives that are inputs now."""
-    for folder in (output, *(output / f"alternative-{number}" for number in range(2, alternatives + 1))):
-        check_folder(folder, names=homolog.matching.RESULT_FILES)
-    refuse_overwriting_inputs(_alternatives(output))
 
 
 def remove_alternatives(output: Path) -> None:

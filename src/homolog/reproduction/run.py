@@ -266,6 +266,7 @@ class _Run:
         """How many pairs a cell of a row has; 0 if it lacks what it needs."""
         try:
             pairs = self._pairs(row, self.dataset(row.data)[0])[0]
+            self._check_weights(row)
         except (_EmptyCellError, DataError):
             return 0
         return _fewer(self.settings.n_pairs, pairs) or len(pairs)
@@ -283,18 +284,21 @@ class _Run:
             lines.writelines(f"{source},{target}\n" for source, target in chosen)
         return chosen, str(file)
 
+    def _check_weights(self, row: Row) -> None:
+        """Refuse a row whose weights are not there, and are not to be trained."""
+        if self.settings.weights is None:
+            if row.training and not (self.settings.train or self.training(row.training).done()):
+                raise _EmptyCellError(f"the training {row.training} is not there; use --train, or give --weights FILE")
+        elif row.trained_only:
+            raise _EmptyCellError(f"it is about the training {row.training}, which other weights cannot replace")
+
     def _weights(self, row: Row) -> tuple[str | None, TrainingRun | None]:
-        """The weights of a row, and the training that they are from, which is run if that is wanted."""
-        if not row.training:
-            return None, None
-        if self.settings.weights is not None:
-            if row.trained_only:
-                raise _EmptyCellError(f"it is about the training {row.training}, which other weights cannot replace")
-            return self.settings.weights, None
+        """The weights of a row, and the training that they are from, which is run if need be."""
+        self._check_weights(row)
+        if not row.training or self.settings.weights is not None:
+            return self.settings.weights if row.training else None, None
         training = self.training(row.training)
         if training.done() is None:
-            if not self.settings.train:
-                raise _EmptyCellError(f"the training {row.training} is not there; use --train, or give --weights FILE")
             training.run(self.settings.device, lambda *told: self._tell_training(row.training, *told))
         return str(training.weights), training
 
