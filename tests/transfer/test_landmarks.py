@@ -269,3 +269,10 @@ def test_faults_of_files(tmp_path, name, content, told):
     with pytest.raises(DataError, match=told) as raised:
         read_landmarks(tmp_path / name)
     assert "\n" not in str(raised.value) and name in str(raised.value)
+
+
+def test_a_quote_that_does_not_end_is_named(tmp_path):
+    path = tmp_path / "a.fcsv"
+    path.write_text('1,0,0,0,0,0,0,1,1,1,0,"' + "x" * 200_000 + "\n")
+    with pytest.raises(DataError, match=r"a\.fcsv .*is no row of a table \(.*\); correct or remove it$"):
+        read_landmarks(path)
