@@ -189,7 +189,12 @@ def _other_names(names: list[str], columns: list[int]) -> tuple[Finding, ...]:
         return ()
     taken = shorten(", ".join(names[column] for column in columns), 100)
     return (
-        Finding("columns of other names", 3, "note", f"{taken} are taken as x, y and z; name these if they are not"),
+        Finding(
+            "columns of other names",
+            3,
+            "note",
+            f"{taken} are taken as x, y and z; if they are something else, convert them",
+        ),
     )
 
 
