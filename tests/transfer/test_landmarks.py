@@ -278,3 +278,10 @@ def test_faults_of_files(tmp_path, name, content, told):
 def test_names_that_repeat_are_told(names, repeated):
     told = repeated_names_warning(Path("a.csv"), tuple(names))
     assert (f"the same name, {repeated};" in told) if repeated else not told
+
+
+def test_a_quote_that_does_not_end_is_named(tmp_path):
+    path = tmp_path / "a.fcsv"
+    path.write_text('1,0,0,0,0,0,0,1,1,1,0,"' + "x" * 200_000 + "\n")
+    with pytest.raises(DataError, match=r"a\.fcsv .*is no row of a table \(.*\); correct or remove it$"):
+        read_landmarks(path)

@@ -78,6 +78,8 @@ def test_spellings(tmp_path, library, use):
         ("newmtl a #first", "usemtl a # once more"),
         ('newmtl "a" # first', 'usemtl "a" # again'),
         ("newmtl a # first # of all", "usemtl a"),
+        ("newmtl a #1", "usemtl a"),
+        ("newmtl a # gone\nKd 0 0 1\nnewmtl a # first", "usemtl a"),
         ("newmtl Material #1 # first", "usemtl Material #1"),
     ],
 )
@@ -97,6 +99,14 @@ def test_materials_that_are_not_there_are_told(tmp_path):
     assert missing_materials(path) == ["gone", "Material #3", "Material"]
     assert colours(path)[2:] == [(255, 255, 255)] * 6
     assert materials_warning(path) == "no file of materials holds its gone, Material #3, Material"
+
+
+def test_texture_coordinates_that_are_not_there(tmp_path):
+    path = obj(tmp_path, f"mtllib m.mtl\nusemtl a\n{FACE.replace('4/4', '4/9')}", m=KD)
+    with pytest.raises(
+        DataError, match=r"a\.obj: .* a face names texture coordinates 9, but there are 4; export it again"
+    ):
+        colours(path)
 
 
 @pytest.mark.parametrize("words", ["nan 0 x", "1 0", "inf 0 0", "0,5 0 0", ""])

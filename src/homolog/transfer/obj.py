@@ -17,6 +17,7 @@ from homolog.core.files import atomic_path
 from homolog.core.messages import shorten
 from homolog.shapes import Shape
 from homolog.shapes.formats.obj import ObjMesh, obj_statements, parse_obj
+from homolog.shapes.formats.parsing import UnreadableError
 from homolog.shapes.formats.text_lines import number_rows, text_blocks
 from homolog.shapes.polygons import triangulate
 
@@ -153,15 +154,19 @@ def missing_materials(path: Path) -> list[str]:
 def _material(known: dict[str, Material], name: str) -> Material | None:
     """The material of a name, in another case if need be; a comment may follow the name here and in the library.
 
-    A number behind the mark is part of a name: ``Material #1`` is not ``Material #2``.
+    A number behind the mark may be part of a name: ``Material #1`` is not ``Material #2``. Of several that differ
+    in their comments alone the last one counts, as it does of several of one name.
     """
     lower = {other.lower(): material for other, material in known.items()}
     for spelling in _without_comments(name):
         if found := known.get(spelling, lower.get(spelling.lower())):
             return found
-    spellings = {spelling.lower() for spelling in _without_comments(name, numbered=False)}
-    alike = [other for other in known for cut in _without_comments(other, numbered=False) if cut.lower() in spellings]
-    return known[alike[0]] if len({*alike}) == 1 else None
+    bare = {spelling.lower() for spelling in _without_comments(name, numbered=False)}
+    commented = [other for other in known if bare & {cut.lower() for cut in _without_comments(other, numbered=False)}]
+    if commented:
+        return known[commented[-1]]
+    numbered = [other for other in known if name.lower() in {cut.lower() for cut in _without_comments(other)}]
+    return known[numbered[0]] if len(numbered) == 1 else None
 
 
 def _without_comments(name: str, *, numbered: bool = True) -> Iterator[str]:
@@ -210,7 +215,9 @@ class _Coordinates:
         """A row per triangle; faces without coordinates have those of the image's corner."""
         numbers = np.array(self.numbers)
         if numbers.max() >= len(self.places):
-            raise DataError(f"a face names texture coordinates {numbers.max() + 1}, but there are {len(self.places)}")
+            raise UnreadableError(
+                f"a face names texture coordinates {numbers.max() + 1}, but there are {len(self.places)}"
+            )
         # The last row stands for corners without coordinates.
         places = np.array([*self.places, (0.0, 1.0)])[numbers[triangulate(*mesh)]]
         number_of = {name: number for number, name in enumerate(names)}
