@@ -289,3 +289,19 @@ def test_the_texture_files_of_the_source_are_inputs(homolog, make, tmp_path):
     ended = homolog("transfer", tmp_path / "result", "--texture", "-o", tmp_path)
     assert ended.is_one_line_of_complaint() and "textured.mtl is an input and would be replaced" in ended.err
     assert sha256(tmp_path / "textured.mtl", tmp_path / "textured.png") == before
+
+
+def test_materials_that_no_library_holds_are_told(homolog, make, tmp_path):
+    shape = make.blob(2)
+    lines = [*("v %r %r %r" % tuple(point) for point in shape.points.tolist()), "usemtl red"]  # noqa: UP031
+    faces = ["f %d %d %d" % tuple(face) for face in (shape.faces + 1).tolist()]  # noqa: UP031
+    lines = ["mtllib a.mtl", *lines, *faces[:100], "usemtl gone", *faces[100:]]
+    (tmp_path / "a.obj").write_text("\n".join(lines) + "\n")
+    (tmp_path / "a.mtl").write_text("newmtl red # of the upper half\nKd 1 0 0\n")
+    source, same = read_shape(tmp_path / "a.obj"), np.arange(shape.n_points)
+    inputs = {"source": {"file": str(tmp_path / "a.obj"), "sha256": sha256(tmp_path / "a.obj")}}
+    Match(source, shape, same, same, method="nearest-features", report={"inputs": inputs}).save(tmp_path / "r")
+    ended = homolog("transfer", tmp_path / "r", "--texture", "--texture-size", 64, "-o", tmp_path / "out")
+    told = "Warning: a.obj: no file of materials holds its gone; its faces are white"
+    assert ended.code == 0 and told in ended.err.splitlines()
+    assert json.loads((tmp_path / "out" / "transfer.json").read_text())["notes"] == [told]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from homolog.core.array_files import ArrayFileError, open_npz, read_npy
 from homolog.core.errors import ArgumentError
@@ -38,6 +39,10 @@ def rows(text):
         (rows("1\nx\n"), "row 2 holds 'x', which is no such number"),
         (rows("1\n2 3\n"), "row 2 has 2 columns, others have another number"),
         (lambda: list(csv.reader(["a" * 200_000])), "it has a cell of more than 131072 characters"),
+        (lambda: float("x"), "'x' stands where a number should"),
+        (lambda: int("x"), "'x' stands where a whole number should"),
+        (lambda: torch.empty(10**9, 10**10, device="meta"), "its sizes are too large for any computer"),
+        (lambda: torch.empty(-1, device="meta"), "one of its sizes is below 0"),
         (lambda: int("9" * 5000), "it holds a whole number of more than 64 bits"),
     ],
 )

@@ -302,7 +302,7 @@ def test_settings_that_promise_more_than_the_file_holds_take_no_memory(promised:
     path = rewritten(saved, settings=json.dumps(settings))
     resource = pytest.importorskip("resource")
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    refuses(path)
+    refuses(path, "are too large for any computer|but its settings ask for|but it holds")
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
 
 

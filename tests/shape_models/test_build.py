@@ -9,7 +9,7 @@ from test_template_registration import on_triangles
 from without_weights import axiomatic
 
 from homolog.core.errors import ArgumentError, DataError
-from homolog.shape_models import ModelSettings, ShapeModelFolder, ShapeModelSettings, build
+from homolog.shape_models import ModelSettings, ShapeModelFolder, ShapeModelSettings, TemplateLandmarks, build
 from homolog.shapes import read_shape
 from homolog.transfer import read_landmarks
 
@@ -127,3 +127,12 @@ def test_the_match_of_each_shape_is_kept(family, tmp_path):
         ShapeModelFolder.existing(tmp_path)
     built.folder.forget(built.outcomes[1].subject)
     assert not built.folder.match_folder("copy1").exists() and folder.names == ["copy0"]
+
+
+@pytest.mark.parametrize(("names", "repeated"), [("AB", ""), ("AA", "A")])
+def test_names_of_landmarks_that_repeat_are_a_warning(family, tmp_path, names, repeated):
+    shape = read_shape(family[0])
+    rows = zip(names, shape.points[[3, 50]].tolist(), strict=True)
+    (tmp_path / "marks.csv").write_text("".join(f"{name},{x},{y},{z}\n" for name, (x, y, z) in rows))
+    told = TemplateLandmarks(tmp_path / "marks.csv", shape).warnings
+    assert [f"have the same name, {repeated};" in line for line in told] == ([True] if repeated else [])

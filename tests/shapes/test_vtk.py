@@ -7,6 +7,7 @@ import pytest
 
 from homolog.core.errors import ShapeError
 from homolog.shapes import check, read_shape, write_shape
+from homolog.shapes.formats.vtk_process import reason
 
 pytest.importorskip("vtkmodules")
 import meshio
@@ -311,3 +312,16 @@ def test_counts_of_legacy_files(tmp_path, is_binary, is_grid):
             read_shape(tmp_path / "b.vtk")
     (tmp_path / "c.vtk").write_bytes(b"\xef\xbb\xbf" + content)
     np.testing.assert_array_equal(read_shape(tmp_path / "c.vtk").faces, read_shape(tmp_path / "a.vtk").faces)
+
+
+def test_entities_of_xml_that_expand_are_refused_in_our_words(tmp_path):
+    entities = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 9))
+    head = f'<?xml version="1.0"?><!DOCTYPE l [<!ENTITY a0 "{"a" * 32}">{entities}]>'
+    (tmp_path / "a.vtp").write_text(f'{head}<VTKFile type="PolyData">&a8;</VTKFile>')
+    with pytest.raises(ShapeError, match=r"a\.vtp .*: the entities of its XML would expand to too much; "):
+        read_shape(tmp_path / "a.vtp")
+
+
+def test_what_vtk_says_is_cut_between_words():
+    said = reason("ERROR: In vtkReader.cxx, line 1\nvtkReader (0x5f): " + "the header is damaged " * 9)
+    assert said == "the header is damaged " * 3 + "the header ..."

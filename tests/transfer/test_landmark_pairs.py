@@ -1,6 +1,7 @@
 """Landmark files of two shapes, in all formats, as pairs."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -26,6 +27,12 @@ def fcsv(path, labels):
         for n, (label, (x, y, z)) in enumerate(zip(labels, POINTS, strict=False))
     ]
     path.write_text("\n".join(["# CoordinateSystem = RAS", *rows]) + "\n")
+    return path
+
+
+def table(path, labels):
+    rows = [f"{label},{x},{y},{z}" for label, (x, y, z) in zip(labels, POINTS, strict=False)]
+    path.write_text("\n".join(["name,x,y,z", *rows]) + "\n")
     return path
 
 
@@ -77,12 +84,45 @@ def test_arrays_of_indices_or_positions(tmp_path, values):
     assert found.uncertainties == (0.5, 0.5, 0.5)
 
 
-def test_names_that_occur_twice_pair_nothing(tmp_path):
-    found = read_landmark_pairs(
-        markups(tmp_path / "a.mrk.json", ["F", "F", "F"]), markups(tmp_path / "b.mrk.json", ["F", "G", "H"])
-    )
-    assert found.source == found.target
-    assert len(found) == 3
+@pytest.mark.parametrize("labels", [["p0", "p0", "p1"], ["F", "F", "F"]])
+@pytest.mark.parametrize("write", [markups, fcsv, table])
+@pytest.mark.parametrize("is_target", [False, True])
+def test_names_that_occur_twice_are_refused(tmp_path, labels, write, is_target):
+    """They would pair landmarks by their order though the names say otherwise."""
+    names = {markups: "a.mrk.json", fcsv: "a.fcsv", table: "a.csv"}
+    files = [write(tmp_path / names[write], labels), markups(tmp_path / "b.mrk.json", ["p0", "p1", "p2"])]
+    if write is fcsv and len({*labels}) == 1:  # as Slicer labels all, while their identifiers differ
+        with pytest.raises(ArgumentError, match="no landmark has one name on both"):
+            read_landmark_pairs(*files)
+        return
+    with pytest.raises(DataError, match=rf"{re.escape(str(files[0]))} has several .* same name, {labels[0]}, .*; give"):
+        read_landmark_pairs(*(files[::-1] if is_target else files))
+
+
+def test_names_of_one_file_alone_may_repeat(tmp_path):
+    """The other file tells no names, so that the order is all there is."""
+    (tmp_path / "b.txt").write_text("10\n11\n12\n")
+    found = read_landmark_pairs(table(tmp_path / "a.csv", ["F", "F", "F"]), tmp_path / "b.txt")
+    assert found.source == tuple(map(tuple, POINTS)) and found.target == (10, 11, 12)
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "repeats"),
+    [
+        ("x,y,z,visible", "{x},{y},{z},1", False),
+        ("x,y,z,label", "{x},{y},{z},1", True),
+        ("name,x,y,z", "1,{x},{y},{z}", True),
+    ],
+)
+def test_numbers_that_repeat_are_names_where_the_table_says_so(tmp_path, header, row, repeats):
+    rows = [row.format(x=x, y=y, z=z) for x, y, z in POINTS]
+    (tmp_path / "a.csv").write_text("\n".join([header, *rows]) + "\n")
+    files = tmp_path / "a.csv", table(tmp_path / "b.csv", ["a", "b", "c"])
+    if repeats:
+        with pytest.raises(DataError, match="same name, 1, but"):
+            read_landmark_pairs(*files)
+    else:
+        assert len(read_landmark_pairs(*files)) == 3
 
 
 @pytest.mark.parametrize(
@@ -99,7 +139,7 @@ def test_files_that_cannot_be_read(tmp_path, name, content, said):
         (tmp_path / name).write_bytes(content)
     with pytest.raises(DataError) as refused:
         read_landmark_pairs(tmp_path / name, tmp_path / name)
-    assert said in str(refused.value)
+    assert (said in str(refused.value) and "; " in str(refused.value)) or "must have one of" in said
 
 
 def test_files_without_a_name_in_common_are_named(tmp_path):

@@ -1,6 +1,7 @@
 """Landmarks: read from tables and Slicer's formats, carried, and written back as they were."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from homolog.core.errors import DataError
 from homolog.shapes import Shape
 from homolog.transfer import Transfer, read_landmarks
+from homolog.transfer.landmarks import repeated_names_warning
 
 POINTS = np.array([[1.5, -2.0, 3.25], [0.1, 0.2, -0.3], [7.0, 8.0, 9.0]])
 
@@ -260,7 +262,7 @@ def test_landmarks_go_along(make, matched):
         ("a.json", '[{"id": "A", "coordinates": [1, 2, NaN]}]', "cannot be read as landmarks"),
         ("a.json", "[", "no valid JSON"),
         ("a.json", json.dumps(markups()), "are called .mrk.json"),
-        ("a.csv", None, "No such file"),
+        ("a.csv", None, "No such file or directory; give a file that is there"),
     ],
 )
 def test_faults_of_files(tmp_path, name, content, told):
@@ -269,6 +271,13 @@ def test_faults_of_files(tmp_path, name, content, told):
     with pytest.raises(DataError, match=told) as raised:
         read_landmarks(tmp_path / name)
     assert "\n" not in str(raised.value) and name in str(raised.value)
+    assert "; " in str(raised.value) or "must have one of" in told  # what to do
+
+
+@pytest.mark.parametrize(("names", "repeated"), [("aab", "a"), ("abc", ""), ("abab", "a, b")])
+def test_names_that_repeat_are_told(names, repeated):
+    told = repeated_names_warning(Path("a.csv"), tuple(names))
+    assert (f"the same name, {repeated};" in told) if repeated else not told
 
 
 def test_a_quote_that_does_not_end_is_named(tmp_path):

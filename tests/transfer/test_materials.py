@@ -11,8 +11,8 @@ from homolog.core.errors import DataError
 from homolog.shapes import read_shape, write_shape
 from homolog.shapes.formats.gltf import GlbWriter
 from homolog.transfer import SurfaceProjector, read_appearance, write_glb
-from homolog.transfer.appearance import Texture, left_out
-from homolog.transfer.obj import read_obj_texture
+from homolog.transfer.appearance import Texture, left_out, materials_warning
+from homolog.transfer.obj import missing_materials, read_obj_texture
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
@@ -68,6 +68,54 @@ def test_names_with_marks(tmp_path):
 def test_spellings(tmp_path, library, use):
     image(tmp_path / "red.png", RED)
     assert colours(obj(tmp_path, f"mtllib m.mtl\n{use}\n{FACE}", m=library)) == [RED, RED]
+
+
+@pytest.mark.parametrize(
+    ("library", "use"),
+    [
+        ("newmtl a # first", "usemtl a"),
+        ("newmtl a\t# first", "usemtl A"),
+        ("newmtl a #first", "usemtl a # once more"),
+        ('newmtl "a" # first', 'usemtl "a" # again'),
+        ("newmtl a # first # of all", "usemtl a"),
+        ("newmtl a #1", "usemtl a"),
+        ("newmtl a # gone\nKd 0 0 1\nnewmtl a # first", "usemtl a"),
+        ("newmtl Material #1 # first", "usemtl Material #1"),
+    ],
+)
+def test_comments_behind_names(tmp_path, library, use):
+    image(tmp_path / "red.png", RED)
+    others = "newmtl b # second\nKd 0 0 1\nnewmtl Material #2\nKd 0 0 1\n"
+    path = obj(tmp_path, f"mtllib m.mtl # here\n{use}\n{FACE}", m=f"{library}\nmap_Kd red.png # tex\n{others}")
+    assert colours(path) == [RED, RED] and missing_materials(path) == []
+
+
+def test_materials_that_are_not_there_are_told(tmp_path):
+    """A number behind a mark is part of the name, so that no other is taken for it."""
+    image(tmp_path / "red.png", RED)
+    faces = "".join(f"usemtl {name}\n{FACE}" for name in ("a", "gone", "Material #3", "Material"))
+    library = "newmtl a\nmap_Kd red.png\nnewmtl Material #1\nKd 0 0 1\nnewmtl Material #2\nKd 0 1 0\n"
+    path = obj(tmp_path, f"mtllib m.mtl\nusemtl unused\n{faces}", m=library)
+    assert missing_materials(path) == ["gone", "Material #3", "Material"]
+    assert colours(path)[2:] == [(255, 255, 255)] * 6
+    assert materials_warning(path) == "no file of materials holds its gone, Material #3, Material"
+
+
+def test_texture_coordinates_that_are_not_there(tmp_path):
+    path = obj(tmp_path, f"mtllib m.mtl\nusemtl a\n{FACE.replace('4/4', '4/9')}", m=KD)
+    with pytest.raises(
+        DataError, match=r"a\.obj: .* a face names texture coordinates 9, but there are 4; export it again"
+    ):
+        colours(path)
+
+
+@pytest.mark.parametrize("words", ["nan 0 x", "1 0", "inf 0 0", "0,5 0 0", ""])
+def test_colours_that_are_no_numbers(tmp_path, words):
+    library = f"# head\nnewmtl a\nKd {words}\nnewmtl b\nKd 0 0 1\n"
+    with pytest.raises(DataError) as caught:
+        colours(obj(tmp_path, f"mtllib m.mtl\nusemtl a\n{FACE}", m=library))
+    shown = f"{tmp_path / 'm.mtl'}, line 3: {f'Kd {words}'.strip()!r}"
+    assert str(caught.value) == f"{shown} should hold one number or three, from 0 to 1; correct it"
 
 
 @pytest.mark.parametrize("name", ["my red.png", "1 red.png", "-1 red.png"])

@@ -48,7 +48,7 @@ def refused(path: Path, content: bytes, *words: str) -> None:
 
 @pytest.mark.parametrize("dims", ["4294967295", "-1", "0", "50", "9" * 400, "x"])
 def test_numbers_of_dimensions_crash_nothing(tmp_path: Path, dims: str, capfd: pytest.CaptureFixture[str]) -> None:
-    refused(tmp_path / "a.mha", meta(dims=dims) + bytes(729))
+    refused(tmp_path / "a.mha", meta(dims=dims) + bytes(729), "dimensions, but a volume has 3; give one volume")
     assert capfd.readouterr() == ("", "")
 
 
@@ -73,7 +73,38 @@ def test_vectors_of_hundreds_of_digits_crash_nothing(tmp_path: Path) -> None:
     ],
 )
 def test_promised_volumes_are_weighed_against_the_file(tmp_path: Path, name: str, content: bytes) -> None:
-    refused(tmp_path / name, content, "HOMOLOG_EXPANSION_MB")
+    refused(tmp_path / name, content, f"{name}: its ", "HOMOLOG_EXPANSION_MB")
+
+
+@pytest.mark.parametrize(
+    ("entry", "changed", "told"),
+    [
+        ("dimension: 3", "dimension: 99", ": its header says 99 dimensions, but a volume has 3; give one volume"),
+        ("sizes: 9 9 9", "sizes: 9 9", "(its entry 'sizes' is not as NRRD allows); write it again"),
+        ("sizes: 9 9 9", "sizes: 9 0 9", "(its entry 'sizes' is not as NRRD allows); write it again"),
+        ("encoding: raw", "encoding: none", "(its entry 'encoding' is not as NRRD allows); write it again"),
+        ("(1,0,0)", "(x,0,0)", "(a vector of its header is not as NRRD allows); write it again"),
+        ("NRRD0004", "NRRD0099", "(it has no header of NRRD); write it again"),
+        ("space origin: (0,0,0)\n\n", "", "(its header ends early); write it again"),
+    ],
+)
+def test_headers_of_nrrd_are_refused_in_our_words(tmp_path: Path, entry: str, changed: str, told: str) -> None:
+    content = nrrd().decode()
+    assert entry in content
+    damaged = content.replace(entry, changed).encode()
+    refused(tmp_path / "a.nrrd", damaged + (bytes(729) if changed else b""), told)
+
+
+@pytest.mark.parametrize(
+    ("entry", "changed", "told"),
+    [
+        ("DimSize = 9 9 9", "DimSize = 9 9", "(its header is not as MetaImage has it); write it again"),
+        ("NDims = 3\n", "", "(its header is not as MetaImage has it); write it again"),
+        ("MET_UCHAR", "MET_NONE", "(its voxels are of a type that is not known); write it again"),
+    ],
+)
+def test_headers_of_metaimage_are_refused_in_our_words(tmp_path: Path, entry: str, changed: str, told: str) -> None:
+    refused(tmp_path / "a.mha", meta().replace(entry.encode(), changed.encode()) + bytes(729), told)
 
 
 def test_voxels_that_cannot_be_unpacked_are_not_believed(tmp_path: Path) -> None:

@@ -42,6 +42,12 @@ _SAID: tuple[tuple[str, str, int], ...] = (
     (r"PytorchStreamReader|Weights only load failed", "it is damaged, or PyTorch has not written it", 0),
     (r"deserializing header", "its header is damaged, or it is no safetensors file", 0),
     (r"limit .* for integer string conversion", "it holds a whole number of more than 64 bits", 0),
+    (r"could not convert string to float: (?P<found>'.*')", "{found} stands where a number should", 0),
+    (r"invalid literal for int\(\) with base 10: (?P<found>'.*')", "{found} stands where a whole number should", 0),
+    (r"not enough values to unpack", "one of its lines or entries is too short", 0),
+    (r"too many values to unpack", "one of its lines or entries is too long", 0),
+    (r"Storage size calculation overflowed|multiplication overflow", "its sizes are too large for any computer", 0),
+    (r"Trying to create tensor with negative dimension", "one of its sizes is below 0", 0),
     (r"Unknown mat file type", "it is damaged, or MATLAB has not written it", 0),
 )
 # What Python says of TOML, and what is allowed there instead.
@@ -95,6 +101,34 @@ def reason_of(error: BaseException, length: int = 160) -> str:
         'it is no text in UTF-8'
     """
     return shorten(_reason(error), length)
+
+
+def reason_with_remedy(error: BaseException, remedy: str) -> str:
+    """``reason_of`` an error, and what to do, where the reason itself does not say so.
+
+    Examples:
+        >>> reason_with_remedy(EOFError(), "copy it again")
+        'it ends too early; copy it again'
+    """
+    reason = reason_of(error, 400)
+    if isinstance(error, FileNotFoundError):
+        remedy = "give a file that is there"
+    elif isinstance(error, OSError):
+        remedy = "give an ordinary file that may be read"
+    return reason if "; " in reason else f"{reason}; {remedy}"
+
+
+def image_reason(error: BaseException) -> str:
+    """Why Pillow cannot read an image, and what to do; it names addresses in memory and limits of its own."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.strerror}; put an image there"
+    if pixels := re.search(r"Image size \((\d+) pixels\)", str(error)):
+        return f"it has {pixels[1]} pixels, more than an image may have; make it smaller"
+    if "cannot identify" in str(error):
+        return "it is no image that Pillow knows, or it is cut off; export it again"
+    if isinstance(error, MemoryError):
+        return "it does not fit into memory; make it smaller"
+    return "it is damaged, or cut off; export it again"
 
 
 def _reason(error: BaseException) -> str:

@@ -14,7 +14,7 @@ from homolog.core.array_files import ArrayFileError, read_npy
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import expanded, read_text
 from homolog.core.messages import shorten
-from homolog.core.reasons import reason_of
+from homolog.core.reasons import reason_with_remedy
 from homolog.shapes.formats.parsing import UnreadableError
 from homolog.shapes.formats.ply import read_ply_colours, read_ply_property
 from homolog.shapes.shape import Shape
@@ -128,7 +128,8 @@ def read_mask(path: str | Path) -> Mask:
     try:
         values = reader(expanded(path))
     except (OSError, UnicodeDecodeError, ArrayFileError, UnreadableError) as error:
-        raise DataError(f"{path} cannot be read as a mask: {reason_of(error, 400)}") from None
+        reason = reason_with_remedy(error, "write the mask again")
+        raise DataError(f"{path} cannot be read as a mask: {reason}") from None
     return Mask(values, str(path))
 
 

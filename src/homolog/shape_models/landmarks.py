@@ -14,6 +14,7 @@ from homolog.core.files import expanded, made_folder, write_csv
 from homolog.shape_models.registered_shapes import RegisteredShapes
 from homolog.shapes import Shape, read_shape
 from homolog.transfer import FAR_LANDMARK, SurfaceProjector, read_landmarks, system_of
+from homolog.transfer.landmarks import repeated_names_warning
 
 FOLDER, TABLE = "landmarks", "landmarks.csv"
 
@@ -43,13 +44,15 @@ class TemplateLandmarks:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """A warning if a landmark is far from the template's surface."""
+        """Warnings if a landmark is far from the template's surface, or several have the same name."""
+        names = repeated_names_warning(self.file, self.landmarks.names)
         if self.farthest is None or self.farthest <= FAR_LANDMARK * self._spacing:
-            return ()
-        return (
+            return (names,) if names else ()
+        far = (
             f"a landmark of {self.file.name} is {self.farthest:.3g} away from the template's surface; "
-            "look at its units and at --axes",
+            "look at its units and at --axes"
         )
+        return (far, names) if names else (far,)
 
     def file_of(self, name: str) -> str:
         """The file of a shape's landmarks, in the collection's folder."""

@@ -17,13 +17,14 @@ from homolog.core.errors import DataError, HomologError, needs_extra
 from homolog.core.files import read_bytes
 from homolog.core.memory import expansion_fault
 from homolog.core.messages import shorten
+from homolog.core.reasons import image_reason, reason_with_remedy
 from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.shapes import Shape
 from homolog.shapes.formats.ply import read_ply_colours
 from homolog.transfer.gltf import linear, read_gltf_look, srgb
 from homolog.transfer.gltf import looks_left_out as _left_out_of_gltf
 from homolog.transfer.obj import looks_left_out as _left_out_of_obj
-from homolog.transfer.obj import obj_files, read_obj_colours, read_obj_texture, tells_colours
+from homolog.transfer.obj import missing_materials, obj_files, read_obj_colours, read_obj_texture, tells_colours
 
 NO_COLOUR = (160, 160, 160)
 """The colour of what has no counterpart: grey."""
@@ -144,8 +145,8 @@ def _blamed(path: Path) -> Iterator[None]:
     except HomologError:
         raise
     except Exception as error:
-        said = shorten((isinstance(error, OSError) and error.strerror) or error, 160)
-        raise DataError(f"{path}: its texture or colours cannot be read ({said}); export it again") from error
+        reason = reason_with_remedy(error, "export it again")
+        raise DataError(f"{path}: its texture or colours cannot be read: {reason}") from error
 
 
 def read_image(source: Path | bytes, name: str | None = None) -> Image:
@@ -166,13 +167,13 @@ def read_image(source: Path | bytes, name: str | None = None) -> Image:
         with catch_warnings():
             simplefilter("ignore")  # of Pillow, about large images
             with Pillow.open(BytesIO(content)) as image:
-                if fault := expansion_fault(3 * image.width * image.height, len(content)):
-                    raise ValueError(fault)
-                return np.asarray(image.convert("RGB"))
+                fault = expansion_fault(3 * image.width * image.height, len(content))
+                if not fault:
+                    return np.asarray(image.convert("RGB"))
     except (OSError, ValueError, SyntaxError, MemoryError, Pillow.DecompressionBombError) as error:
-        called = name if isinstance(source, bytes) else f"{shorten(source, 200)}, a texture,"
-        said = shorten((isinstance(error, OSError) and error.strerror) or error, 120)
-        raise DataError(f"{called} cannot be read as an image ({said}); put it there, or export it again") from None
+        fault = image_reason(error)
+    called = name if isinstance(source, bytes) else f"{shorten(source, 200)}, a texture,"
+    raise DataError(f"{called} cannot be read as an image: {fault}")
 
 
 def _of_obj(path: Path, shape: Shape) -> Appearance:
@@ -225,6 +226,13 @@ def left_out(path: Path) -> tuple[str, ...]:
     found = {".obj": _left_out_of_obj, ".glb": _left_out_of_gltf, ".gltf": _left_out_of_gltf}.get(path.suffix.lower())
     with _blamed(path):
         return () if found is None else tuple(sorted(found(path)))
+
+
+def materials_warning(path: Path) -> str:
+    """What is said of materials that the faces of an OBJ file name, but none of its libraries has; else nothing."""
+    with _blamed(path):
+        missing = missing_materials(path) if path.suffix.lower() == ".obj" else []
+    return f"no file of materials holds its {shorten(', '.join(missing), 100)}" if missing else ""
 
 
 def files_of_look(path: Path) -> tuple[Path, ...]:

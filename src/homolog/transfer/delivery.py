@@ -22,11 +22,11 @@ from homolog.core.files import (
 )
 from homolog.geometry.projection import SurfaceProjector
 from homolog.shapes import drawable, write_shape
-from homolog.transfer.appearance import Appearance, Checkerboard, left_out
+from homolog.transfer.appearance import Appearance, Checkerboard, left_out, materials_warning
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels
-from homolog.transfer.landmarks import read_landmarks, system_of
+from homolog.transfer.landmarks import read_landmarks, repeated_names_warning, system_of
 from homolog.transfer.obj import write_obj
 from homolog.transfer.skin import Skin
 from homolog.transfer.transfer import Transfer, no_counterpart_label
@@ -115,6 +115,8 @@ class Delivery:
             unmatched = int((np.isfinite(distances) & np.isnan(images[:, 0])).sum())
             farthest = float(np.nanmax(distances)) if np.isfinite(distances).any() else None
             self._note_landmarks(path, unmatched, farthest)
+            if told := repeated_names_warning(path, landmarks.names):
+                self.notes.append(f"Warning: {told}")
             figures = {"without_counterpart": unmatched, "largest_distance_from_source": farthest}
             return {path.name: {"kind": "landmarks", "file": str(path), **figures}}
 
@@ -199,7 +201,7 @@ class Delivery:
                 "points": self.transfer.target.given.n_points,
                 "without_counterpart": int((self.transfer.found.target_to_source < 0).sum()),
             }
-            write_json(root / _REPORT, report | {"target": target, "files": files})
+            write_json(root / _REPORT, report | {"target": target, "files": files, "notes": self.notes})
         return [root / name for name in (*files, _REPORT)]
 
     def _write_glb(
@@ -234,6 +236,8 @@ class Delivery:
     def _note_left_out(self, original: Original) -> None:
         if names := left_out(original.path):
             self.notes.append(f"{original.path.name}: left out of its look: {', '.join(names)}")
+        if original.appearance.texture is not None and (told := materials_warning(original.path)):
+            self.notes.append(f"Warning: {original.path.name}: {told}; its faces are white")
 
     def _note_landmarks(self, path: Path, unmatched: int, farthest: float | None) -> None:
         if unmatched:
@@ -254,8 +258,11 @@ class Delivery:
             if not mesh:
                 possible = {"colours"} if held & {"texture", "colours"} else set()
             if not possible:
+                missing = materials_warning(original.path)
                 raise DataError(
-                    f"{original.path} holds nothing that could be transferred; give --array, --labels or --landmarks"
+                    f"{original.path} holds nothing that could be transferred; "
+                    + (f"{missing}; name them alike, or " if missing else "")
+                    + "give --array, --labels or --landmarks"
                 )
             return set(possible)
         for kind in kinds:

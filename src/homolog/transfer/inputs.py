@@ -13,6 +13,7 @@ from homolog.core.array_files import ArrayFileError, read_npy
 from homolog.core.errors import DataError
 from homolog.core.files import expanded, is_there, sha256
 from homolog.core.messages import shorten
+from homolog.core.reasons import reason_with_remedy
 from homolog.matching import Match
 from homolog.pairs import Side
 from homolog.shapes import Shape, files_of_shape, read_shape
@@ -83,12 +84,9 @@ def read_array(path: Path, shape: Shape) -> Num[np.ndarray, "n ..."]:
     """
     try:
         array = read_npy(expanded(path))
-    except OSError as error:
-        raise DataError(f"{path} cannot be read as an NPY array: {error.strerror or error}") from None
-    except ArrayFileError as error:
-        # A reason may say itself what to do.
-        mend = "" if "; " in str(error) else "; write it anew with numpy.save, from an array of numbers"
-        raise DataError(f"{path} cannot be read as an NPY array: {error}{mend}") from None
+    except (OSError, ArrayFileError) as error:
+        reason = reason_with_remedy(error, "write it anew with numpy.save, from an array of numbers")
+        raise DataError(f"{path} cannot be read as an NPY array: {reason}") from None
     if array.dtype.kind not in "biuf":
         raise DataError(f"{path} holds {shorten(array.dtype)}, but must be one array of numbers")
     if array.ndim < 1 or len(array) != shape.n_points:

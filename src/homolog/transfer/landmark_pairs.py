@@ -14,9 +14,10 @@ from homolog.core.array_files import ArrayFileError, read_npy
 from homolog.core.choices import System
 from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import expanded, read_text
-from homolog.core.reasons import reason_of
+from homolog.core.messages import shorten
+from homolog.core.reasons import reason_with_remedy
 from homolog.pairs import LandmarkPairs
-from homolog.transfer.landmarks import LANDMARK_SUFFIXES, read_landmarks
+from homolog.transfer.landmarks import LANDMARK_SUFFIXES, read_landmarks, repeated_names
 
 _INDEX = re.compile(r"-1|\d{1,18}")
 
@@ -49,13 +50,16 @@ def read_landmark_pairs(
 
     Raises:
         ArgumentError: if there are no pairs, or too many.
-        DataError: if a file is missing or damaged.
+        DataError: if a file is missing or damaged, or both have names and one gives a name twice.
 
     Examples:
         >>> landmarks = read_landmark_pairs("a.mrk.json", "b.fcsv")  # doctest: +SKIP
         >>> homolog.match("a.ply", "b.ply", landmarks=landmarks)  # doctest: +SKIP
     """
     first, second = (_read(expanded(path), path, axes) for path in (source, target))
+    if first.names and second.names:
+        _check_names(source, first.names)
+        _check_names(target, second.names)
     try:
         pairs = _by_name(first, second) if first.names and second.names else _in_order(first, second)
     except ArgumentError as error:
@@ -81,16 +85,24 @@ def _read(path: Path, named: str | Path, axes: System | None) -> _Places:
 
 
 def _telling(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names that tell landmarks apart; none where two are alike, or all are the numbers of nameless ones."""
-    numbers = tuple(map(str, range(1, len(names) + 1)))
-    return names if len(set(names)) == len(names) and names != numbers else ()
+    """Names of landmarks; none where they are the numbers of nameless ones."""
+    return () if names == tuple(map(str, range(1, len(names) + 1))) else names
+
+
+def _check_names(named: str | Path, names: tuple[str, ...]) -> None:
+    if repeated := repeated_names(names):
+        raise DataError(
+            f"{named} has several landmarks of the same name, {shorten(', '.join(repeated), 100)}, but landmarks are "
+            "paired by their names; give each its own, or remove the names of one file to pair them by their order"
+        )
 
 
 def _read_array(path: Path, named: str | Path) -> Num[np.ndarray, "p ..."]:
     try:
         return read_npy(path)
     except (OSError, ArrayFileError) as error:
-        raise DataError(f"{named} cannot be read as landmarks: {reason_of(error, 400)}") from None
+        reason = reason_with_remedy(error, "write it anew with numpy.save, from an array of numbers")
+        raise DataError(f"{named} cannot be read as landmarks: {reason}") from None
 
 
 def _read_indices(path: Path) -> Num[np.ndarray, " p"] | None:

@@ -6,7 +6,8 @@ import csv
 import io
 import json
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from homolog.core.choices import System
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, expanded, parse_json, read_text
 from homolog.core.messages import shorten
-from homolog.core.reasons import reason_of
+from homolog.core.reasons import reason_of, reason_with_remedy
 from homolog.core.records import check_plain
 from homolog.shapes.formats.parsing import UnreadableError
 from homolog.shapes.formats.tables import read_table_lines, row_cells
@@ -33,6 +34,11 @@ _LPS_TO_RAS = np.array([-1.0, -1.0, 1.0])  # and back
 _FCSV_LABEL = 11
 # Beyond it floating-point numbers end.
 _LARGEST = 1e300
+# How a table calls its column of names, and what a column of other values holds.
+_NAME_TITLE, _VALUE = (
+    re.compile(r"\b(name|label|landmark|id)s?\b", re.IGNORECASE),
+    re.compile(r"[-+.,\de]*", re.IGNORECASE),
+)
 _SYSTEMS: dict[str, System] = {"0": "RAS", "1": "LPS", "RAS": "RAS", "LPS": "LPS"}
 
 
@@ -63,6 +69,18 @@ class Landmarks:
         self.write(path, points if self.system in (None, system) else points * _LPS_TO_RAS)
 
 
+def repeated_names(names: Sequence[str]) -> list[str]:
+    """The names that several landmarks have."""
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
+def repeated_names_warning(path: Path, names: Sequence[str]) -> str:
+    """A warning about names in a file that several landmarks have; nothing if there are none."""
+    repeated = shorten(", ".join(repeated_names(names)), 100)
+    told = f"several landmarks of {path.name} have the same name, {repeated}; give each its own to tell them apart"
+    return told if repeated else ""
+
+
 def system_of(space: str | None, axes: System | None = None) -> System:
     """The coordinate system of a shape: the one that was given, or that its file names, or LPS."""
     return axes or ("RAS" if space == "RAS" else "LPS")
@@ -86,7 +104,8 @@ def read_landmarks(path: str | Path) -> Landmarks:
     try:
         found = _READERS[suffix](file)
     except (OSError, UnreadableError, UnicodeDecodeError) as error:
-        raise DataError(f"{path} cannot be read as landmarks: {reason_of(error, 400)}") from None
+        reason = reason_with_remedy(error, "save the landmarks again")
+        raise DataError(f"{path} cannot be read as landmarks: {reason}") from None
     names = tuple(name or str(number) for number, name in enumerate(found.names, 1))
     return replace(found, names=names, suffix=suffix)
 
@@ -138,7 +157,7 @@ def _control_points(content: dict[str, Any]) -> list[dict[str, Any]]:
     lists = [markup.get("controlPoints", []) for markup in content["markups"]]
     points = [point for listed in lists if isinstance(listed, list) for point in listed]
     if not points or not all(isinstance(point, dict) for point in points):
-        raise UnreadableError("it has no control points")
+        raise UnreadableError("it has no control points; place some, and save it again")
     return points
 
 
@@ -188,7 +207,7 @@ def _scalismo_content(text: str) -> list[dict[str, Any]]:
             "called .mrk.json"
         )
     if not content:
-        raise UnreadableError("it holds no landmarks")
+        raise UnreadableError("it holds no landmarks; place some, and save it again")
     return list(content)
 
 
@@ -196,7 +215,7 @@ def _read_fcsv(path: Path) -> Landmarks:
     lines = read_text(path).splitlines()
     rows = [number for number, line in enumerate(lines) if line.strip() and not line.startswith("#")]
     if not rows:
-        raise UnreadableError("it holds no landmarks")
+        raise UnreadableError("it holds no landmarks; place some, and save it again")
     points = number_rows([lines[number] for number in rows], (1, 2, 3), delimiter=",")
     system = _fcsv_system(lines)
 
@@ -215,8 +234,9 @@ def _read_fcsv(path: Path) -> Landmarks:
     labels = _fcsv_label_column(lines)
     cells = [row_cells(lines[number], ",") for number in rows]
     names = tuple((row[labels] if labels < len(row) else "") or row[0] for row in cells)
-    tells_apart = len(set(names)) == len(names)
-    return Landmarks(points, system, write, names if tells_apart else tuple(row[0] for row in cells))
+    # One label for all, as older versions of Slicer give it, names none.
+    is_alike = len(set(names)) == 1 < len(names)
+    return Landmarks(points, system, write, tuple(row[0] for row in cells) if is_alike else names)
 
 
 def _fcsv_label_column(lines: list[str]) -> int:
@@ -246,7 +266,7 @@ def _read_table(path: Path) -> Landmarks:
         table = table._replace(columns=[1, 2, 3])
     points = table.points()
     if not len(points):
-        raise UnreadableError("it holds no landmarks")
+        raise UnreadableError("it holds no landmarks; place some, and save it again")
 
     def write(output: Path, points: Float[np.ndarray, "p 3"]) -> None:
         rows = iter(points)
@@ -259,8 +279,15 @@ def _read_table(path: Path) -> Landmarks:
         with atomic_path(output) as temporary:
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
-    names = tuple(next((cell for n, cell in enumerate(row) if n not in table.columns), "") for row in cells)
-    return Landmarks(points, _SYSTEMS.get(table.axes.upper()), write, names)
+    return Landmarks(points, _SYSTEMS.get(table.axes.upper()), write, _table_names(text, cells, table.columns))
+
+
+def _table_names(text: str, cells: list[list[str]], columns: list[int]) -> tuple[str, ...]:
+    """The first column beside the coordinates, unless it lies behind them, repeats numbers and is not called a name."""
+    names = tuple(next((cell for n, cell in enumerate(row) if n not in columns), "") for row in cells)
+    header = next((line for line in text.splitlines() if line.strip()), "")
+    are_names = columns == [1, 2, 3] or _NAME_TITLE.search(header) or not all(map(_VALUE.fullmatch, names))
+    return names if are_names or not repeated_names(names) else ("",) * len(names)
 
 
 def _begins_with_names(text: str, cells: list[list[str]]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +14,18 @@ from jaxtyping import Float, Int
 
 from homolog.core.errors import DataError
 from homolog.core.files import atomic_path
+from homolog.core.messages import shorten
 from homolog.shapes import Shape
 from homolog.shapes.formats.obj import ObjMesh, obj_statements, parse_obj
-from homolog.shapes.formats.text_lines import number_rows
+from homolog.shapes.formats.parsing import UnreadableError
+from homolog.shapes.formats.text_lines import number_rows, text_blocks
 from homolog.shapes.polygons import triangulate
 
 _NO_MATERIAL = ""
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?\s+"
+# Where a comment may begin; before a number the mark may be part of a name.
+_MARK, _MARK_OF_WORDS = re.compile(r"\s+#"), re.compile(r"\s+#(?!\d)")
+_DECIMAL = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
+_NUMBER = rf"{_DECIMAL}\s+"
 # No name of a file is longer, with what may stand before it.
 _LONGEST_NAME = 4096
 # The values that follow options of textures, where these are not one word.
@@ -84,7 +90,7 @@ def read_obj_texture(path: Path) -> ObjTexture | None:
     for file in libraries(path, obj_statements(path), may_lack=all(number < 0 for number in coordinates.numbers)):
         known |= _materials(file)
     names = list(dict.fromkeys(coordinates.material_of))
-    materials = tuple(_material(known, name) for name in names)
+    materials = tuple(_material(known, name) or Material() for name in names)
     if all(material.image is None for material in materials) and not tells_colours([m.colour for m in materials]):
         return None
     return coordinates.assembled(parse_obj(obj_statements(path)), names, materials)
@@ -132,21 +138,52 @@ def looks_left_out(path: Path) -> set[str]:
     return {called for called, of_it in _NOT_CARRIED.items() if keys & {*of_it}}
 
 
-def _material(known: dict[str, Material], name: str) -> Material:
-    """The material of a name, which a comment may follow; in another case if need be."""
+def missing_materials(path: Path) -> list[str]:
+    """The names of materials that faces of an OBJ file have, but none of its libraries holds."""
+    names, name = dict[str, None](), _NO_MATERIAL
+    for key, rest in obj_statements(path):
+        name = _unquoted(rest) if key == "usemtl" else name
+        if key == "f":
+            names[name] = None
+    known = dict[str, Material]()
+    for file in libraries(path, obj_statements(path), may_lack=True):
+        known |= _materials(file)
+    return [name for name in names if name != _NO_MATERIAL and _material(known, name) is None]
+
+
+def _material(known: dict[str, Material], name: str) -> Material | None:
+    """The material of a name, in another case if need be; a comment may follow the name here and in the library.
+
+    A number behind the mark may be part of a name: ``Material #1`` is not ``Material #2``. Of several that differ
+    in their comments alone the last one counts, as it does of several of one name.
+    """
     lower = {other.lower(): material for other, material in known.items()}
     for spelling in _without_comments(name):
         if found := known.get(spelling, lower.get(spelling.lower())):
             return found
-    return Material()
+    bare = {spelling.lower() for spelling in _without_comments(name, numbered=False)}
+    commented = [other for other in known if bare & {cut.lower() for cut in _without_comments(other, numbered=False)}]
+    if commented:
+        return known[commented[-1]]
+    numbered = [other for other in known if name.lower() in {cut.lower() for cut in _without_comments(other)}]
+    return known[numbered[0]] if len(numbered) == 1 else None
 
 
-def _without_comments(name: str) -> Iterator[str]:
-    """A name, and then what is left of it where each of its marks of comments begins one, the last mark first."""
-    yield name
-    while " #" in name:
-        name = name.rpartition(" #")[0].rstrip()
-        yield name
+def _without_comments(name: str, *, numbered: bool = True) -> Iterator[str]:
+    """A name, and then what is left of it where each of its marks of comments begins one, the last mark first.
+
+    Args:
+        name: what follows a keyword.
+        numbered: whether a number may follow such a mark.
+    """
+    yield _unquoted(name)
+    for mark in reversed([*(_MARK if numbered else _MARK_OF_WORDS).finditer(name)]):
+        yield _unquoted(name[: mark.start()])
+
+
+def _unquoted(name: str) -> str:
+    """A name without quotes around it; a comment may follow them."""
+    return name.strip().strip('"')
 
 
 class _Coordinates:
@@ -163,7 +200,7 @@ class _Coordinates:
             u, *more = rest.split()
             self.places.append((float(u), float(more[0]) if more else 0.0))
         elif key == "usemtl":
-            self._material = rest.strip('"')
+            self._material = _unquoted(rest)
         elif key == "f":
             self.numbers += [self._number(corner) for corner in rest.split()]
             self.material_of.append(self._material)
@@ -178,7 +215,9 @@ class _Coordinates:
         """A row per triangle; faces without coordinates have those of the image's corner."""
         numbers = np.array(self.numbers)
         if numbers.max() >= len(self.places):
-            raise DataError(f"a face names texture coordinates {numbers.max() + 1}, but there are {len(self.places)}")
+            raise UnreadableError(
+                f"a face names texture coordinates {numbers.max() + 1}, but there are {len(self.places)}"
+            )
         # The last row stands for corners without coordinates.
         places = np.array([*self.places, (0.0, 1.0)])[numbers[triangulate(*mesh)]]
         number_of = {name: number for number, name in enumerate(names)}
@@ -204,15 +243,36 @@ def _materials(library: Path) -> dict[str, Material]:
     for key, rest in obj_statements(library):
         before = found.get(name, Material())
         if key == "newmtl":
-            name = rest.strip('"')
+            name = _unquoted(rest)
             found[name] = Material()
         elif key == "kd" and not rest.startswith(("spectral", "xyz")):
-            # One number stands for all three.
-            red, green, blue = [float(word) for word in (rest.split() * 3)[:3]]
-            found[name] = replace(before, colour=(red, green, blue))
+            found[name] = replace(before, colour=_colour(library, rest))
         elif key == "map_kd":
             found[name] = _textured(before, rest, library.parent)
     return found
+
+
+def _colour(library: Path, words: str) -> tuple[float, float, float]:
+    """Red, green and blue of a statement; one number stands for all three."""
+    given = words.split()
+    numbers = [float(word) for word in given if re.fullmatch(_DECIMAL, word, re.IGNORECASE)]
+    if len(numbers) < len(given) or len(numbers) in (0, 2) or not all(map(math.isfinite, numbers)):
+        raise DataError(
+            f"{library}{_line_number(library, given)}: {shorten('Kd ' + words, 60)!r} should hold one number or three, "
+            "from 0 to 1; correct it"
+        )
+    red, green, blue = (numbers * 3)[:3]
+    return red, green, blue
+
+
+def _line_number(library: Path, words: list[str]) -> str:
+    """Where a colour stands; nothing if its line goes on in the next."""
+    lines = (line.split() for block in text_blocks(library) for line in block.splitlines())
+    found = (
+        n for n, line in enumerate(lines, 1) if line[:1] and line[0].lower() == "kd" and line[1:][: len(words)] == words
+    )
+    number = next(found, None)
+    return "" if number is None else f", line {number}"
 
 
 def _textured(material: Material, words: str, folder: Path) -> Material:
@@ -235,7 +295,7 @@ def _beside(folder: Path, name: str) -> Path:
 
     If need be without some of its folders, in other case, without a comment behind it, or with what ``%`` quotes.
     """
-    spellings = [spelling.strip().strip('"').replace("\\", "/") for spelling in _without_comments(name)]
+    spellings = [spelling.replace("\\", "/") for spelling in _without_comments(name)]
     for spelling in dict.fromkeys([*spellings, *map(unquote, spellings)]):
         words = Path(spelling.lstrip("/")).parts
         # An absolute path is of another machine, but its last folders may be there.

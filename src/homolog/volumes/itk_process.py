@@ -47,15 +47,33 @@ def read(path: str, kind: str, voxels_size: str) -> dict[str, np.ndarray]:
     except RuntimeError as error:
         if "allocate" in str(error):
             raise MemoryError from None
-        said = str(error).replace(reader.GetFileName(), "it").strip().splitlines()[-1]
-        said = re.sub(r"ITK ERROR: \w+\(0x\w+\): ", "", said).strip()
-        # After this word the system's last error follows, which may be another one.
-        said = "its voxels end early or are damaged" if said.startswith("Reason:") else said
-        said = "it has no header of NRRD" if "_nrrdRead: " in said else said
-        raise ValueError(f"it cannot be read as a volume ({said[:100]}); write it again") from None
+        reason = _in_our_words(str(error).strip().splitlines()[-1], kind, has_header=len(reader.GetSize()) > 0)
+        raise ValueError(f"it cannot be read as a volume ({reason}); write it again") from None
     steps = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
     _KEPT.append(image)
     return {"values": _itk.GetArrayViewFromImage(image), "origin": np.array(image.GetOrigin()), "steps": steps}
+
+
+# What the library says of a header, and the same in our words, with the entry that is at fault.
+_SAID = (
+    (r"_nrrdRead: ", "it has no header of NRRD"),
+    (r"hit end of header", "its header ends early"),
+    (r"_nrrdEncoding\w+_read|_nrrdDataFNCheck", "its voxels end early or are damaged"),
+    (r"_nrrdSizeCheck", "its entry 'sizes' is not as NRRD allows"),
+    (r"_nrrdSpaceVectorParse", "a vector of its header is not as NRRD allows"),
+    (r"_nrrd(?:ReadNrrdParse|FieldCheck)_(?P<entry>\w+)", "its entry {entry!r} is not as NRRD allows"),
+    (r"PixelType", "its voxels are of a type that is not known"),
+    (r"recognized as a NIFTI", "it has no header of NIfTI"),
+)
+
+
+def _in_our_words(said: str, kind: str, *, has_header: bool) -> str:
+    """Why a file cannot be read, by the last line of the library, where the system's error may be another one."""
+    for pattern, words in _SAID:
+        if found := re.search(pattern, said):
+            return words.format(entry=found.groupdict().get("entry", "").replace("_", " "))
+    name = kind.removesuffix("IO") if kind == "MetaImageIO" else kind.removesuffix("ImageIO").upper()
+    return "its voxels end early or are damaged" if has_header else f"its header is not as {name} has it"
 
 
 def _read(file: Path, reader: Any, voxels_size: int, folder: Path) -> Any:

@@ -89,6 +89,7 @@ def _read(file: Path) -> dict[str, np.ndarray]:
     kind = next(kind for suffix, kind in _KINDS.items() if suffix in file.name.lower())
     try:
         head = _head(file)
+        _check_dimension(file, head)
         voxels = _voxel_files(file, head)
         for one in voxels:
             if not (is_there(one) and one.is_file()):
@@ -102,7 +103,9 @@ def _read(file: Path) -> dict[str, np.ndarray]:
     except OSError as error:
         raise ShapeError(f"{file} cannot be read as a volume ({error.strerror}); write it again") from None
     except ReaderProcessError as error:
-        raise ShapeError(f"{file} {shorten(error, 200).removeprefix('it ')}") from None
+        said = shorten(error, 200)
+        told = f"{file} {said.removeprefix('it ')}" if said.startswith("it ") else f"{file}: {said}"
+        raise ShapeError(told if "; " in said else f"{told}; write it again") from None
 
 
 def _head(file: Path) -> dict[str, str]:
@@ -138,6 +141,16 @@ def _voxel_files(file: Path, head: dict[str, str]) -> list[Path]:
     else:
         names = [] if first.upper() in ("LOCAL", "") else [first]
     return [file.parent / name for name in names]
+
+
+def _check_dimension(file: Path, head: dict[str, str]) -> None:
+    """Refuse numbers of dimensions that no volume has, some of which end the library's process."""
+    given = head.get("ndims", head.get("dimension", "3"))
+    # In NRRD the values of a voxel may be a dimension as well.
+    if given not in ("3", "4"):
+        raise ShapeError(
+            f"{file}: its header says {shorten(given, 40)} dimensions, but a volume has 3; give one volume"
+        )
 
 
 def _check_length(voxels: Path, head: dict[str, str]) -> None:

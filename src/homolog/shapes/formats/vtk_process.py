@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import codecs
 import re
+import textwrap
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -77,7 +78,11 @@ def reason(messages: str) -> str:
     """What VTK said first, without its file names and addresses."""
     lines = [line for line in messages.splitlines() if line and not re.match(r"(ERROR|.*Warning): In ", line)]
     said = re.sub(r"^\w+ \(0x\w+\): ", "", lines[0]) if lines else "VTK gives no reason"
-    return said.partition(" for file")[0][:80].rstrip(".! ")
+    if "amplification" in said:
+        return "the entities of its XML would expand to too much"
+    # Of an error in XML, what its parser says last; the place in the file helps nobody.
+    said = re.sub(r"^Error parsing XML in stream at .*?byte index \d+: ", "its XML is damaged: ", said)
+    return textwrap.shorten(said.partition(" for file")[0].rstrip("!. "), 80, placeholder=" ...")
 
 
 def load(path: Path, suffix: str) -> Any:
