@@ -155,6 +155,44 @@ def test_features_that_cannot_be_are_one_line(blobs, features, said):
     assert "\n" not in str(caught.value)
 
 
+def failing(given):
+    raise KeyError("out of\norder")
+
+
+def test_features_that_fail_name_themselves_and_the_shape(blobs):
+    name = blobs.source.name
+    with pytest.raises(ArgumentError, match=f"^{name}: features 'failing' failed: KeyError: ") as caught:
+        homolog.match(blobs.source, blobs.target, features=failing, device="cpu")
+    assert isinstance(caught.value.__cause__, KeyError) and "\n" not in str(caught.value)
+
+
+def test_features_of_a_wrong_shape_are_named_once(blobs):
+    said = rf"^{blobs.source.name}: features '<lambda>' have shape \(3, 3\), but must"
+    with pytest.raises(ArgumentError, match=said):
+        homolog.match(blobs.source, blobs.target, features=lambda shape: torch.eye(3), device="cpu")
+
+
+def test_a_module_that_takes_tensors_is_told_what_it_is_given(blobs):
+    with pytest.raises(
+        ArgumentError, match=r"features 'Linear' failed: TypeError: .*; a module is called with Operators"
+    ):
+        homolog.match(blobs.source, blobs.target, features=torch.nn.Linear(3, 4), device="cpu")
+
+
+@pytest.mark.parametrize("supports", [None, Supports(needs_features=False)])
+def test_a_method_that_fails_names_itself_and_the_pair(blobs, supports):
+    def theirs(pair):
+        return 1 / 0
+
+    theirs.supports = supports or Supports(needs_features=False, refinement=False)
+    said = (
+        f"^method 'theirs' failed on {blobs.source.name} -> {blobs.target.name}: ZeroDivisionError: division by zero$"
+    )
+    with pytest.raises(ArgumentError, match=said) as caught:
+        homolog.match(blobs.source, blobs.target, method=theirs, device="cpu")
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+
 @pytest.mark.parametrize(
     ("values", "said"),
     [
