@@ -142,6 +142,16 @@ def test_ply_with_old_line_ends_and_capitals(tmp_path):
     assert is_cloud(read_shape(put(tmp_path, "a.ply", text.replace(b"\n", b"\r"))))
 
 
+@pytest.mark.parametrize("comment", ["comment before end_header by me", "comment end_header", "obj_info end_header"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("padding", [0, 2**16 - 30, 2**16 - 200])
+def test_ply_header_ends_at_a_line_of_its_own(tmp_path, comment, end, padding):
+    """Also where that line lies at the end of what is read at a time."""
+    head = ["ply", "format ascii 1.0", comment, "comment " + "x" * padding, "element vertex 6"]
+    head += [*(f"property float {axis}" for axis in "xyz"), "end_header \t", *rows(POINTS).splitlines()]
+    assert is_cloud(read_shape(put(tmp_path, "a.ply", (end.join(head) + end).encode())))
+
+
 def test_ply_lines_beyond_the_last_element_are_refused(tmp_path):
     text = ply("ascii", f"element vertex 6\n{VERTEX}", (rows(POINTS) + OFF_FACES).encode())
     with pytest.raises(ShapeError, match=r"3 lines follow the elements that its header announces \(6 vertex\)"):
@@ -156,7 +166,7 @@ def test_ply_bytes_beyond_the_last_element_are_noted(tmp_path):
 
 
 def test_ply_edges_are_noted(tmp_path):
-    elements = f"element vertex 6\n{VERTEX}\nelement edge 2\nproperty int vertex1\nproperty int vertex2"
+    elements = f"element vertex 6\n{VERTEX}\nelement edge 2\nproperty int vertex1\nproperty int vertex2\n"
     shape = read_shape(put(tmp_path, "a.ply", ply("ascii", elements, (rows(POINTS) + "0 1\n1 2\n").encode())))
     assert notes(shape)["lines"][0] == 2
 
@@ -357,6 +367,30 @@ def test_a_count_that_does_not_fit_is_refused(tmp_path):
             read_shape(put(tmp_path, "a.xyz", f"{count}\n" + rows(POINTS)))
 
 
+@pytest.mark.parametrize(
+    ("head", "pattern"),
+    [
+        ("r theta phi\n", "{}"),
+        ("# r theta phi\n", "{}"),
+        ("x y height\n", "{}"),
+        (",r,theta,phi\n", "n,{}"),
+        ("r,theta,phi\n", "n,{}"),
+    ],
+)
+def test_three_columns_of_other_names_are_noted(tmp_path, head, pattern):
+    text = rows(POINTS, pattern)
+    shape = read_shape(put(tmp_path, "a.csv", head + (text.replace(" ", ",") if "," in pattern else text)))
+    assert is_cloud(shape)
+    names = ", ".join(head.strip("#, \n").replace(",", " ").split())
+    count, action = notes(shape)["columns of other names"]
+    assert count == 3 and action.startswith(f"{names} are taken as x, y and z")
+
+
+def test_numbers_are_no_other_names(tmp_path):
+    """As pandas numbers columns."""
+    assert notes(read_shape(put(tmp_path, "a.csv", "0,1,2\n" + rows(POINTS + 0.5).replace(" ", ",")))) == {}
+
+
 @pytest.mark.parametrize("points", ["points", "vertices", "verts", "V", "xyz", "pos", "coords"])
 @pytest.mark.parametrize("faces", ["faces", "triangles", "tris", "F", "face", "tri", "polys"])
 def test_npz_keys(tmp_path, points, faces):
@@ -376,6 +410,58 @@ def test_npz_arrays_that_are_left_out_are_named(tmp_path):
 def test_npz_of_one_array(tmp_path):
     np.savez(tmp_path / "a.npz", POINTS)
     assert is_cloud(read_shape(tmp_path / "a.npz"))
+    np.savez(tmp_path / "a.npz", Verts=POINTS)
+    assert is_cloud(read_shape(tmp_path / "a.npz"))
+
+
+@pytest.mark.parametrize("name", ["faces", "TRIS", "labels", "normals", "arr_1"])
+@pytest.mark.parametrize("further", [{}, {"f": FACES}, {"colours": POINTS}])
+def test_npz_without_a_name_of_points(tmp_path, name, further):
+    """An array that stands alone may be anything, and so may an unnamed one beside others."""
+    np.savez(tmp_path / "a.npz", **{name: POINTS}, **further)
+    with pytest.raises(ShapeError) as caught:
+        read_shape(tmp_path / "a.npz")
+    found = ", ".join(sorted([name, *further]))
+    assert f"it holds {found}, but an array of points is needed, named one of points, vertices, verts, v," in str(
+        caught.value
+    )
+    assert "faces are named one of faces, triangles, tris, f," in str(caught.value)
+
+
+def test_npz_with_several_arrays_of_a_kind_says_which_was_chosen(tmp_path):
+    arrays = {"v": POINTS + 1, "vertices": POINTS, "F": FACES[:1], "faces": FACES, "edges": FACES}
+    np.savez(tmp_path / "a.npz", **arrays)
+    shape = read_shape(tmp_path / "a.npz")
+    np.testing.assert_array_equal(shape.points, POINTS)
+    np.testing.assert_array_equal(shape.faces, FACES)
+    found = notes(shape)
+    assert found.keys() == {"other arrays of points", "other arrays of faces", "arrays"}
+    assert "the points are those of vertices, not of v;" in found["other arrays of points"][1]
+    assert "the faces are those of faces, not of F;" in found["other arrays of faces"][1]
+    assert found["arrays"][1].endswith("edges are not points or faces")
+    np.savez(tmp_path / "a.npz", v=POINTS, V=POINTS + 1)
+    shape = read_shape(tmp_path / "a.npz")
+    np.testing.assert_array_equal(shape.points, POINTS)
+    assert "the points are those of v, not of V;" in notes(shape)["other arrays of points"][1]
+
+
+def test_columns_of_arrays_that_are_left_out_are_noted(tmp_path):
+    six = np.hstack([POINTS, POINTS + 1])
+    np.save(tmp_path / "a.npy", six)
+    np.savez(tmp_path / "a.npz", points=six)
+    for name in ("a.npy", "a.npz"):
+        shape = read_shape(tmp_path / name)
+        assert is_cloud(shape)
+        count, action = notes(shape)["other columns"]
+        assert count == 3 and "the coordinates are the first three" in action
+
+
+def test_truth_values_are_no_coordinates(tmp_path):
+    np.save(tmp_path / "a.npy", POINTS > 0)
+    np.savez(tmp_path / "a.npz", points=POINTS > 0)
+    for name in ("a.npy", "a.npz"):
+        with pytest.raises(ShapeError, match="holds truth values"):
+            read_shape(tmp_path / name)
 
 
 def test_faces_as_columns_are_refused(tmp_path):
@@ -448,6 +534,16 @@ def test_obj_lines_and_free_forms_are_noted(tmp_path):
         "lines": 2,
         "free-form curves and surfaces": 2,
     }
+
+
+@pytest.mark.parametrize("gap", ["\\\n", "\\ \n", "\\\t \r\n", "\\ \n \\ \n"])
+@pytest.mark.parametrize("before", [0, 2**20 - 26, 2**20 - 25, 2**20 - 24, 2**20 - 23])
+def test_obj_lines_that_go_on(tmp_path, gap, before):
+    """Also where a block of text ends within the end of a line."""
+    text = "#" * before + "\nv 0 0 0\nv 1 0 0\nf 1 2 " + gap + "3\n# C:\\ \nv 0 1 0\n# C:\\\nv 0 0 1\n"
+    shape = read_shape(put(tmp_path, "a.obj", text))
+    np.testing.assert_array_equal(shape.points, [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    np.testing.assert_array_equal(shape.faces, [[0, 1, 2]])
 
 
 def test_obj_faces_of_older_programs(tmp_path):

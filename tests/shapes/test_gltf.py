@@ -325,7 +325,7 @@ def test_chunks_that_do_not_fit(tmp_path, chunks, make, reason):
         ("accessors", 0, {"bufferView": -1}, "number -1 of its bufferViews, but has 2"),
         ("accessors", 0, {"bufferView": 9}, "number 9 of its bufferViews, but has 2"),
         ("bufferViews", 0, {"buffer": -1}, "number -1 of its buffers, but has 1"),
-        ("bufferViews", 0, {"byteStride": 4}, "rows of an accessor take 12 bytes, but begin every 4"),
+        ("bufferViews", 0, {"byteStride": 4}, "rows of accessor 0 take 12 bytes, but begin every 4"),
         ("accessors", 0, {"type": "VEC4"}, "holds 'VEC4' where VEC3 is needed"),
         ("accessors", 1, {"type": "VEC3"}, "holds 'VEC3' where SCALAR is needed"),
         ("accessors", 1, {"componentType": 5126, "count": 4}, "indices are not whole numbers from 0"),
@@ -344,7 +344,7 @@ def test_chunks_that_do_not_fit(tmp_path, chunks, make, reason):
             {"translation": [0, "1", 0]},
             r"node 0 has the translation \[0, '1', 0\], but must have 3 numbers",
         ),
-        ("accessors", 0, {"componentType": 5}, "an accessor has the componentType 5, but must have one of 5120, 5121"),
+        ("accessors", 0, {"componentType": 5}, "accessor 0 has the componentType 5, but must have one of 5120, 5121"),
         ("accessors", 0, {"type": "MAT7"}, "holds 'MAT7' where VEC3 is needed"),
         ("accessors", 0, {"count": "5"}, "its entry accessors.0.count is '5', but must be a whole number"),
         ("accessors", 0, {"sparse": 1}, "its entry accessors.0.sparse is 1, but must be a table"),
@@ -549,3 +549,50 @@ def test_versions(tmp_path, file, asset, reason):
         return
     with pytest.raises(ShapeError, match=reason):
         read_shape(path)
+
+
+def skin_of_one_joint(file, joint, count=5):
+    """A mesh of one joint, whose rows refer to a joint."""
+    file.primitive(POINTS, FACES)["attributes"].update(
+        JOINTS_0=file.accessor(np.full((count, 4), joint, "|u1")),
+        WEIGHTS_0=file.accessor(np.tile(np.array([1, 0, 0, 0], "<f4"), (count, 1))),
+    )
+    file.tree |= {"skins": [{"joints": [1]}], "nodes": [{"mesh": 0, "skin": 0}, {}], "scenes": [{"nodes": [0, 1]}]}
+    return file
+
+
+def refused(path, said):
+    with pytest.raises(ShapeError) as caught:
+        read_shape(path)
+    assert said in str(caught.value)
+    assert "leads nowhere" not in str(caught.value)
+
+
+def test_joints_that_a_skin_has_not(tmp_path, file):
+    refused(skin_of_one_joint(file, 9).put(tmp_path), "a mesh refers to joint 9 of its skin 0, which has 1;")
+
+
+def test_a_skin_of_other_points(tmp_path, file):
+    refused(skin_of_one_joint(file, 0, count=3).put(tmp_path), "a skin has 3 rows for 5 points;")
+
+
+def test_a_morph_target_of_other_points(tmp_path, file):
+    file.primitive(POINTS, FACES, targets=[{"POSITION": file.accessor(POINTS[:3])}])
+    file.tree["meshes"][0]["weights"] = [1]
+    refused(file.put(tmp_path), "a morph target has 3 rows for 5 points;")
+
+
+def test_sparse_rows_that_an_accessor_has_not(tmp_path, file):
+    sparse = {
+        "count": 1,
+        "indices": {"bufferView": file.view(np.array([5], "<u2")), "componentType": 5123},
+        "values": {"bufferView": file.view(POINTS[:1])},
+    }
+    file.primitive(file.accessor(POINTS, sparse=sparse), FACES)
+    refused(file.put(tmp_path), "its sparse accessor 0 replaces row 5, but has 5 rows;")
+
+
+def test_no_accessors_at_all(tmp_path, file):
+    file.primitive(0)
+    file.tree.pop("accessors")
+    refused(file.put(tmp_path), "it refers to number 0 of its accessors, but has 0;")

@@ -1,9 +1,12 @@
 """Whatever a file holds, reading it gives a shape or one clear line: no noise, no huge allocation."""
 
 import base64
+import bz2
+import gzip
 import io
 import json
 import logging
+import lzma
 import os
 import pickle
 import subprocess
@@ -44,6 +47,13 @@ def put(folder, name, content):
     path = folder / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     return path
+
+
+def zipped(content):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a", content)
+    return stream.getvalue()
 
 
 @pytest.fixture(autouse=True)
@@ -147,6 +157,83 @@ def test_cut_off_within_a_line(tmp_path):
     facet = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
     refused(put(tmp_path, "d.stl", "solid\n" + 3 * facet + facet[:-40]), "cut off")
     refused(put(tmp_path, "e.stl", "solid\n" + 3 * facet + facet[:-9]), "cut off")
+
+
+def facets(*sizes):
+    """Text of facets with so many vertices."""
+    vertices = ["vertex 0 0 0\n", "vertex 1 0 0\n", "vertex 1 1 0\n", "vertex 0 1 0\n"]
+    bodies = ["".join(vertices[:size]) for size in sizes]
+    return "solid\n" + "".join(f"facet normal 0 0 1\nouter loop\n{body}endloop\nendfacet\n" for body in bodies)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "which", "found"),
+    [([4], 1, 4), ([3, 4, 4, 4], 2, 4), ([3, 4, 2], 2, 4), ([2, 4], 1, 2), ([3] * 5000 + [0, 3], 5001, 0)],
+)
+def test_facets_that_are_no_triangles(tmp_path, sizes, which, found):
+    refused(put(tmp_path, "a.stl", facets(*sizes)), f"its facet {which} has {found} vertices", "must have three")
+
+
+def test_links_that_lead_nowhere(tmp_path):
+    (tmp_path / "loop.ply").symlink_to(tmp_path / "loop.ply")
+    refused(tmp_path / "loop.ply", "is a link that leads to itself")
+    (tmp_path / "gone.ply").symlink_to(tmp_path / "none.ply")
+    refused(tmp_path / "gone.ply", "is a link to nothing")
+    put(tmp_path, "file.ply", "x")
+    refused(tmp_path / "file.ply" / "a.ply", "does not exist")
+
+
+HUGE = 10**23
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    {
+        "a.obj": f"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 {HUGE}\n",
+        "b.obj": f"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1/1 2/2 -{HUGE}/3\n",
+        "a.off": f"OFF\n{HUGE} 1 0\n0 0 0\n",
+        "b.off": f"OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 {HUGE}\n",
+        "c.off": f"OFF\n4 1 0\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 1 {'9' * 5000}\n",
+    }.items(),
+)
+def test_whole_numbers_that_are_too_large(tmp_path, name, content):
+    message = refused(put(tmp_path, name, content), "holds a number that is too large, of more than 64 bits")
+    assert "should hold whole numbers" not in message
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("x,y,z\n1,2,3\n" + '"1,000","2,000",3\n', '"1,000","2,000",3'),
+        ("1 2 3\n4 5 6\n7 8 1_0\n", "7 8 1_0"),
+        ("1 2 3\n" * 20_000 + "4 5 0x1\n", "4 5 0x1"),
+    ],
+)
+def test_a_line_that_holds_no_numbers_is_quoted(tmp_path, text, line):
+    refused(put(tmp_path, "a.csv", text), f"the line {line!r} should hold numbers")
+
+
+COMPRESSIONS = {"gzip": gzip.compress, "bzip2": bz2.compress, "xz": lzma.compress, "zip": zipped}
+
+
+@pytest.mark.parametrize("suffix", readable_suffixes())
+@pytest.mark.parametrize("kind", COMPRESSIONS)
+def test_compressed_files_are_told(tmp_path, suffix, kind):
+    if suffix not in writable_suffixes() or (suffix, kind) == (".npz", "zip"):
+        pytest.skip("there is none")
+    shape = MESH if suffix in MESH_FORMATS else MESH.as_cloud()
+    write_shape(tmp_path / f"whole{suffix}", shape)
+    content = COMPRESSIONS[kind]((tmp_path / f"whole{suffix}").read_bytes())
+    refused(put(tmp_path, "a" + suffix, content), f"it is compressed ({kind}); unpack it first")
+
+
+def test_a_format_of_ones_own_may_be_compressed(tmp_path, monkeypatch):
+    def read(path):
+        raise ValueError("its reader says why")
+
+    monkeypatch.setattr(registry, "_FORMATS", dict(registry._FORMATS))
+    register_format(".tri", read=read)
+    refused(put(tmp_path, "a.tri", gzip.compress(b"x")), "its reader says why")
 
 
 def ply_head(kind, points, faces, faces_type="int"):
@@ -350,7 +437,7 @@ def test_arrays_of_the_wrong_kind(tmp_path):
     refused(npy(points.ravel()), "(15,)")
     refused(npy(points[:, :2]), "(5, 2)")
     refused(npy(np.zeros((3, 3))), "3 usable points")
-    refused(npz(cloud=points, weight=points), "cloud, weight", "'points'")
+    refused(npz(cloud=points, weight=points), "cloud, weight", "named one of points, vertices")
     refused(npz(points=points, faces=points + 0.5), "whole numbers")
     refused(npz(points=points, faces=np.zeros((2, 2), int)), "faces has shape (2, 2)")
     refused(npz(points=points, faces=np.array(1)), "faces has shape ()")

@@ -8,6 +8,7 @@ import trimesh
 from stand_in import PartStandIn, hand_skeleton, sphere
 from test_people import anny_is_ready
 
+import homolog
 from homolog.core.errors import ArgumentError
 from homolog.datasets import ShapeFolder
 from homolog.geometry.surface import BarycentricPoints, Surface
@@ -243,3 +244,6 @@ def test_real_hands_and_heads(tmp_path, synthesize, kind, stem):
         assert 0.05 < np.ptp(shape.points[:, 1]) < 0.4
         # The cut is at the bottom, and what belongs to it stands above.
         assert shape.points[:, 1].mean() > 0.02
+    if kind is Hands:
+        match = homolog.match(*map(shapes.shape, shapes.names))
+        assert match.report["choice"][0]["name"] == "hands"

@@ -250,7 +250,7 @@ def test_landmarks_go_along(make, matched):
         ("a.csv", "y,z\n1,2\n3,4\n", "named y, z; an x is missing"),
         ("a.csv", "# skull\n1\n2\n", "the line '2' is one value"),
         ("a.csv", "name,x,y,z\na,,2,3\n", "should hold numbers"),
-        ("a.csv", 'i,name,x,y,z\n1, "n,1,2,3\n', "do not all hold numbers"),
+        ("a.csv", 'i,name,x,y,z\n1, "n,1,2,3\n', "should hold numbers"),
         ("a.vtk", "{}", "must have one of"),
         ("a.json", "{}", "no list of landmarks with 'id' and 'coordinates'"),
         ("a.json", "[]", "holds no landmarks"),
@@ -269,3 +269,10 @@ def test_faults_of_files(tmp_path, name, content, told):
     with pytest.raises(DataError, match=told) as raised:
         read_landmarks(tmp_path / name)
     assert "\n" not in str(raised.value) and name in str(raised.value)
+
+
+def test_a_quote_that_does_not_end_is_named(tmp_path):
+    path = tmp_path / "a.fcsv"
+    path.write_text('1,0,0,0,0,0,0,1,1,1,0,"' + "x" * 200_000 + "\n")
+    with pytest.raises(DataError, match=r"a\.fcsv .*is no row of a table \(.*\); correct or remove it$"):
+        read_landmarks(path)

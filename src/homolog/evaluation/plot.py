@@ -62,6 +62,7 @@ def plot_errors(path: str | Path, curves: Mapping[str, Mapping[float, float]], *
             places = sorted(errors)
             axes.plot(places, [errors[place] for place in places], marker="o", label=name)
         axes.set(xlabel=along, ylabel="mean error x100", ylim=(0, None))
+        axes.locator_params(axis="x", nbins=5)  # more would overlap
         axes.legend(fontsize="small")
 
 

@@ -168,7 +168,7 @@ class ChoiceSettings(Settings):
         known: misfit up to which the usual features know a pair: nothing else is looked at. People have 0.04 to 0.1 by
             the weights for people, animals 0.11 and more.
         known_best: misfit up to which those that know a pair best are taken without a look at any map. Animals have
-            0.04 to 0.12 by the weights for animals.
+            0.04 to 0.12 by the weights for animals, hands 0.04 to 0.05 by those for hands.
         plausible: misfit up to which maps by features are made; that of bones is some 0.4.
         cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
         flipped: weight of the share of triangles that it turns over.
@@ -231,8 +231,8 @@ class ProxySettings(Settings):
     """When a proxy is matched in place of a shape, and how it is made; ``PairOptions.proxy`` says whether it may be.
 
     Args:
-        most_outside: share of the area beyond the largest component from which on a mesh has a proxy. Of 380 meshes of
-            FAUST, SCAPE, SMAL, SHREC'16 and bones, all have none.
+        most_outside: share of the area beyond the largest component from which on a mesh has a proxy. Of 371 meshes of
+            FAUST, SCAPE, SMAL, SHREC'16, SHREC'19 and bones, none has one.
         most_broken: share of edges that do not join two faces from which on it has one.
         points: approximate number of points of the proxy.
         resolution: voxels along the longest side; at least 64.

@@ -7,6 +7,7 @@ become one point.
 
 from __future__ import annotations
 
+import errno
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,16 +18,27 @@ from typing import Any, get_args
 import numpy as np
 
 from homolog.core.arguments import check_choice, check_kind
-from homolog.core.errors import HomologError, ShapeError
-from homolog.core.files import expanded, sha256
+from homolog.core.errors import HomologError, MissingExtraError, ShapeError
+from homolog.core.files import expanded, read_bytes, sha256
 from homolog.core.reasons import reason_of
-from homolog.shapes.formats import formats, imports_of, readable_suffixes
+from homolog.shapes.formats import Format, formats, imports_of, readable_suffixes
 from homolog.shapes.formats.gltf import Pose
 from homolog.shapes.formats.parsing import Arrays, UnreadableError
 from homolog.shapes.shape import FEWEST_POINTS, Owned, Shape, counts_from_one
 
 VOLUMES: tuple[str, ...] = (".mhd", ".mha", ".nii", ".nii.gz", ".nrrd", ".nhdr")
 """The suffixes of volumes, which are no shapes as yet; ``homolog.volumes`` makes surfaces of them."""
+
+
+# What compressed files begin with.
+_COMPRESSIONS = {
+    b"\x1f\x8b": "gzip",
+    b"PK\3\4": "zip",
+    b"\xfd7zXZ\0": "xz",
+    **{b"BZh%d1AY&SY" % level: "bzip2" for level in range(1, 10)},
+    b"\x28\xb5\x2f\xfd": "zstd",
+    b"7z\xbc\xaf\x27\x1c": "7z",
+}
 
 
 def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
@@ -60,7 +72,7 @@ def read_shape(path: str | Path, *, pose: Pose = "posed") -> Shape:
     check_suffix(path)
     form = formats()[file.suffix.lower()]
     read = form.read_rest if pose == "rest" and form.read_rest is not None else form.read
-    with _in_one_line(path), warnings.catch_warnings(), imports_of(form):
+    with _in_one_line(path), _compression_told(file, form), warnings.catch_warnings(), imports_of(form):
         warnings.simplefilter("ignore")
         shape = _shape(read(file), file.name)
         _check_content(shape)
@@ -119,7 +131,7 @@ def files_of_shape(path: str | Path) -> tuple[Path, ...]:
     form = formats().get(file.suffix.lower())
     if form is None or form.files_beside is None:
         return (file,)
-    with _in_one_line(path):
+    with _in_one_line(path), _compression_told(file, form):
         return (file, *form.files_beside(file))
 
 
@@ -132,6 +144,21 @@ def _in_one_line(path: str | Path) -> Iterator[None]:
         raise
     except Exception as error:
         raise ShapeError(f"{path} could not be read as {Path(path).suffix[1:].upper()}: {_reason(error)}") from error
+
+
+@contextmanager
+def _compression_told(file: Path, form: Format) -> Iterator[None]:
+    """Say of a file that cannot be read that it is compressed, if it is, and its format is not."""
+    try:
+        yield
+    except MissingExtraError:
+        raise
+    except Exception:
+        head = read_bytes(file, first=max(map(len, _COMPRESSIONS)))
+        found = next((name for start, name in _COMPRESSIONS.items() if head.startswith(start)), None)
+        if found is None or form.compressed in (found, "in any way"):
+            raise
+        raise UnreadableError(f"it is compressed ({found}); unpack it first") from None
 
 
 def _checked(path: str | Path) -> Path:
@@ -148,8 +175,14 @@ def _checked(path: str | Path) -> Path:
 
 def _fault(file: Path) -> str:
     """What is wrong with a file before a look into it, if anything."""
-    if not file.exists():
-        return "does not exist; check the path"
+    try:
+        file.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return "is a link to nothing; check the path" if file.is_symlink() else "does not exist; check the path"
+    except OSError as error:
+        if error.errno == errno.ELOOP:
+            return "is a link that leads to itself; give the path of a file"
+        raise
     if file.is_dir():
         return "is a folder; give a file in it"
     if not file.is_file():

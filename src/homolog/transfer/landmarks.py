@@ -213,7 +213,7 @@ def _read_fcsv(path: Path) -> Landmarks:
             temporary.write_text("\n".join(kept) + "\n", encoding="utf-8", newline="\n")
 
     labels = _fcsv_label_column(lines)
-    cells = [next(csv.reader([lines[number]])) for number in rows]
+    cells = [row_cells(lines[number], ",") for number in rows]
     names = tuple((row[labels] if labels < len(row) else "") or row[0] for row in cells)
     tells_apart = len(set(names)) == len(names)
     return Landmarks(points, system, write, names if tells_apart else tuple(row[0] for row in cells))

@@ -30,7 +30,7 @@ registry.add(
     Format(".txt", tables.read, tables.write_blanks, clouds_only=True, in_folders="nothing"),
     Format(".csv", tables.read, tables.write_csv, clouds_only=True, in_folders="cloud"),
     Format(".npy", numpy_files.read_npy, numpy_files.write_npy, clouds_only=True, in_folders="cloud"),
-    Format(".npz", numpy_files.read_npz, numpy_files.write_npz, in_folders="cloud"),
+    Format(".npz", numpy_files.read_npz, numpy_files.write_npz, in_folders="cloud", compressed="zip"),
     Format(".pcd", pcd.read, pcd.write, clouds_only=True, extra="pcd", in_folders="cloud"),
 )
 

@@ -221,28 +221,37 @@ class Gltf:
         if types and accessor["type"] not in types:
             needed = " or ".join(types)
             raise UnreadableError(f"it holds {shown(accessor['type'])} where {needed} is needed; {CUT_OFF}")
-        dtype, width = np.dtype(_known(_COMPONENTS, accessor, "componentType")), _known(_WIDTHS, accessor, "type")
-        rows = self._rows(accessor, dtype, width, accessor["count"])
+        dtype, width = (
+            np.dtype(_known(_COMPONENTS, accessor, "componentType", number)),
+            _known(_WIDTHS, accessor, "type", number),
+        )
+        rows = self._rows(accessor, dtype, width, accessor["count"], number)
         if sparse := accessor.get("sparse"):
-            index_type = np.dtype(_known(_COMPONENTS, sparse["indices"], "componentType"))
-            which = _from_zero(self._rows(sparse["indices"], index_type, 1, sparse["count"])[:, 0])
+            index_type = np.dtype(_known(_COMPONENTS, sparse["indices"], "componentType", number))
+            which = _from_zero(self._rows(sparse["indices"], index_type, 1, sparse["count"], number)[:, 0])
+            if len(which) and which.max() >= len(rows):
+                raise UnreadableError(
+                    f"its sparse accessor {number} replaces row {which.max()}, but has {len(rows)} rows; {CUT_OFF}"
+                )
             rows = rows.copy()
-            rows[which] = self._rows(sparse["values"], dtype, width, sparse["count"])
+            rows[which] = self._rows(sparse["values"], dtype, width, sparse["count"], number)
         if accessor.get("normalized") and dtype.kind != "f":
             return np.maximum(rows / np.iinfo(dtype).max, -1.0)
         return rows
 
-    def _rows(self, entry: dict[str, Any], dtype: np.dtype[Any], width: int, count: int) -> np.ndarray:
-        """Rows of a buffer view; zeros without one."""
+    def _rows(self, entry: dict[str, Any], dtype: np.dtype[Any], width: int, count: int, number: int) -> np.ndarray:
+        """Rows of a buffer view, for an accessor of some number; zeros without one."""
         if "bufferView" not in entry:
             return np.zeros((count, width), dtype)
         content, start = self.view(entry["bufferView"]), entry.get("byteOffset", 0)
         row = dtype.itemsize * width
         stride = self.header["bufferViews"][entry["bufferView"]].get("byteStride", 0) or row
         if 0 < stride < row:
-            raise UnreadableError(f"the rows of an accessor take {row} bytes, but begin every {stride}; {CUT_OFF}")
+            raise UnreadableError(
+                f"the rows of accessor {number} take {row} bytes, but begin every {stride}; {CUT_OFF}"
+            )
         if start < 0 or stride < 0 or count < 0 or (count and start + (count - 1) * stride + row > len(content)):
-            raise UnreadableError(f"an accessor leaves its {len(content)} bytes; {CUT_OFF}")
+            raise UnreadableError(f"accessor {number} leaves its {len(content)} bytes; {CUT_OFF}")
         return np.ndarray((count, width), dtype, content, start, (stride, dtype.itemsize))
 
     def image(self, number: int) -> bytes | Path:
@@ -312,12 +321,12 @@ class Gltf:
                 raise self._compressed(_DRACO)
 
 
-def _known(kinds: dict[K, V], entry: dict[str, Any], name: str) -> V:
+def _known(kinds: dict[K, V], entry: dict[str, Any], name: str, number: int) -> V:
     """What stands for one of an accessor's kinds."""
     if entry[name] not in kinds:
         allowed = ", ".join(map(str, kinds))
         raise UnreadableError(
-            f"an accessor has the {name} {shown(entry[name])}, but must have one of {allowed}; {CUT_OFF}"
+            f"accessor {number} has the {name} {shown(entry[name])}, but must have one of {allowed}; {CUT_OFF}"
         )
     return kinds[entry[name]]
 
@@ -406,6 +415,7 @@ def _checked_header(content: bytes) -> dict[str, Any]:
         check_record(header, _Header)
     except ValueError as error:
         raise UnreadableError(f"{error}; {CUT_OFF}") from None
+    header.setdefault("accessors", [])
     header |= {name: _Entries(name, entry) for name, entry in header.items() if isinstance(entry, list)}
     required = header.get("extensionsRequired", [])
     unknown = [str(name) for name in required if not _HARMLESS.fullmatch(str(name)) and name not in _READ]
@@ -558,10 +568,17 @@ def _placed(
     points: np.ndarray = file.accessor(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
     for weight, target in zip(weights, primitive.get("targets", []), strict=False):
         if weight and "POSITION" in target:
-            points = points + weight * file.accessor(target["POSITION"], "VEC3")
+            points = points + weight * _as_many(file.accessor(target["POSITION"], "VEC3"), points, "a morph target")
     if "skin" not in file.nodes[node] or "JOINTS_0" not in primitive["attributes"]:
         return np.asarray(points @ world[:3, :3].T + world[:3, 3])
     return _posed(file, file.nodes[node]["skin"], primitive["attributes"], points) if pose == "posed" else points
+
+
+def _as_many(rows: np.ndarray, points: Float[np.ndarray, "n 3"], what: str) -> np.ndarray:
+    """Rows of numbers, of which there must be one for each point."""
+    if len(rows) != len(points):
+        raise UnreadableError(f"{what} has {len(rows)} rows for {len(points)} points; {CUT_OFF}")
+    return rows
 
 
 def _posed(
@@ -572,6 +589,10 @@ def _posed(
     carried = np.stack([file.world(joint) for joint in joints]) @ _inverse_binds(file, skin)
     posed, total = np.zeros_like(points), np.zeros((len(points), 1))
     for joint, share in influences(file, attributes):
+        _as_many(joint, points, "a skin"), _as_many(share, points, "a skin")
+        if len(joint) and joint.max() >= len(joints):
+            found = f"a mesh refers to joint {joint.max()} of its skin {skin}, which has {len(joints)}"
+            raise UnreadableError(f"{found}; {CUT_OFF}")
         matrices = carried[joint]
         posed += share[:, None] * (np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3])
         total += share[:, None]

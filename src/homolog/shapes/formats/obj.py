@@ -31,6 +31,8 @@ from homolog.shapes.shape import Shape
 _FREE_FORMS = ("curv", "curv2", "surf", "bzp", "bsp", "cdc", "cdp", "res")
 # Statements whose words are names, in which a # is no comment.
 _NAMES = ("usemtl", "mtllib", "newmtl", "map_", "g", "o")
+# The end of a line that goes on, which no comment does; some programs write blanks behind the backslash.
+_GOES_ON = re.compile(r"^(?![ \t]*#)(.*)\\[ \t]*\n", re.MULTILINE)
 
 
 class ObjMesh(NamedTuple):
@@ -70,11 +72,11 @@ def _notes(keys: Counter[str]) -> tuple[Finding, ...]:
 def obj_statements(path: Path) -> Iterator[tuple[str, str]]:
     """The statements of an OBJ or MTL file: keywords in lower case, and what follows them.
 
-    Lines that end with a backslash go on, and comments are left out; a ``#`` within names is part of them. ``fo``, as
-    older programs write it, is ``f``.
+    Lines that end with a backslash, and perhaps blanks, go on; comments do not, and are left out. A ``#`` within names
+    is part of them. ``fo``, as older programs write it, is ``f``.
     """
     for block in text_blocks(path):
-        for line in block.replace("\\\n", " ").splitlines():
+        for line in (_GOES_ON.sub(r"\1 ", block) if "\\" in block else block).splitlines():
             words = line.split(None, 1)
             if not words or words[0].startswith("#"):
                 continue

@@ -6,6 +6,7 @@ A reader of our own, because the one at hand refuses binary files with mixed pol
 from __future__ import annotations
 
 import os
+import re
 import struct
 from array import array
 from collections import deque
@@ -42,8 +43,8 @@ _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": 
 # How struct calls the types of counts.
 _COUNTERS = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "i8": "q", "u8": "Q"}
 _INDEX_NAMES = ("vertex_indices", "vertex_index")
-# What ends a header, bytes read at a time, and the most that follow the end in its line.
-_END, _BLOCK, _LONGEST_LINE = b"end_header", 2**16, 1000
+# The line that ends a header, bytes read at a time, and more than that line has.
+_END, _BLOCK, _LONGEST_LINE = re.compile(rb"[\r\n][ \t]{0,99}(?=end_header[ \t]{0,99}(?:[\r\n]|\Z))"), 2**16, 1000
 _COLOURS = ("red", "green", "blue")
 
 
@@ -134,9 +135,10 @@ def _opened(path: Path) -> _File:
         mark = mark_length(file.read(4))
         file.seek(mark)
         head = _head(file)
-        end = head.find(_END)
-        if not head.startswith(b"ply") or end < 0:
-            raise UnreadableError("it has no header from 'ply' to 'end_header'")
+        last = _END.search(head)
+        if not head.startswith(b"ply") or last is None:
+            raise UnreadableError("it has no header from 'ply' to a line 'end_header'")
+        end = last.end()
         # Lines end as the first one does; some old programs write a carriage return alone.
         line_end = b"\n" if b"\n" in head[:end] else b"\r"
         start = mark + (head.find(line_end, end) + 1 or len(head))
@@ -153,9 +155,10 @@ def _head(file: BinaryIO) -> bytes:
     """The bytes up to some behind the header, or all where there is none."""
     head = bytearray()
     while block := file.read(_BLOCK):
-        seen = max(len(head) - len(_END), 0)
+        seen = max(len(head) - 2 * _LONGEST_LINE, 0)
         head += block
-        if not head.startswith(b"ply") or 0 <= head.find(_END, seen) < len(head) - _LONGEST_LINE:
+        last = _END.search(head, seen)
+        if not head.startswith(b"ply") or (last is not None and last.end() < len(head) - _LONGEST_LINE):
             break
     return bytes(head)
 

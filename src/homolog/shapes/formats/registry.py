@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -36,6 +36,7 @@ class Format:
         write_colours: writes a shape and the colours of its points, if it can hold these.
         read_rest: reads skinned meshes at rest, where ``read`` poses them.
         files_beside: the other files that a file's shape is read from, in order.
+        compressed: how its files are compressed as a whole, such as ``"zip"``; None if they are not.
     """
 
     suffix: str
@@ -48,6 +49,7 @@ class Format:
     write_colours: Callable[[Path, Shape, Any], None] | None = None
     read_rest: Callable[[Path], Any] | None = None
     files_beside: Callable[[Path], tuple[Path, ...]] | None = None
+    compressed: Literal["zip", "in any way"] | None = None
 
 
 _FORMATS: dict[str, Format] = {}
@@ -100,7 +102,8 @@ def register_format(
         if not callable(function) and (name == "read" or function is not None):
             raise ArgumentError(f"{name} is {function!r}, but must be a function")
     kind: Literal["mesh", "cloud"] = "cloud" if clouds_only else "mesh"
-    add(Format(suffix.lower(), read, write, clouds_only=clouds_only, extra=extra, in_folders=kind))
+    form = Format(suffix.lower(), read, write, clouds_only=clouds_only, extra=extra, in_folders=kind)
+    add(replace(form, compressed="in any way"))  # of which nothing is known
 
 
 def add(*formats: Format) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -68,16 +69,35 @@ def _binary_corners(content: bytes, announced: int) -> tuple[Float[np.ndarray, "
 
 
 def _text_corners(path: Path) -> Float[np.ndarray, "c 3"]:
-    """The corners of all facets; each must be complete, but the line ``endsolid`` may be missing."""
+    """The corners of all facets; each must be complete and have three, but the line ``endsolid`` may be missing."""
     corners, begun, ended = GrowingArray(np.float64), 0, 0
     for batch in batches(text_lines(path, padded=True)):
         lines = [re.sub(r"^end\s+", "end", line.lower()) for line in batch]
-        corners.append(number_rows((line for line in lines if line.startswith("vertex")), (1, 2, 3)))
+        are_vertices = [line.startswith("vertex") for line in lines]
+        vertices_before = len(corners) // 3 + np.cumsum(are_vertices)[[line.startswith("endfacet") for line in lines]]
+        _check_facets(vertices_before, ended)
+        corners.append(number_rows(compress(lines, are_vertices), (1, 2, 3)))
         begun += sum(line.startswith("facet") for line in lines)
-        ended += sum(line.startswith("endfacet") for line in lines)
+        ended += len(vertices_before)
     if not len(corners) == 9 * begun == 9 * ended or not begun:
         raise UnreadableError(f"its last triangle is missing, or not complete; {CUT_OFF}")
     return corners.rows(3)
+
+
+def _check_facets(vertices_before: Int[np.ndarray, " m"], n_before: int) -> None:
+    """Refuse facets that are no triangles.
+
+    Args:
+        vertices_before: the vertices from the beginning of the file to the end of each of some facets.
+        n_before: the facets before these, all triangles.
+    """
+    surplus = vertices_before - 3 * np.arange(n_before + 1, n_before + 1 + len(vertices_before))
+    if surplus.any():
+        which = int(np.flatnonzero(surplus)[0])
+        raise UnreadableError(
+            f"its facet {n_before + which + 1} has {3 + surplus[which]} vertices, but a facet of STL must have three; "
+            "export it as triangles, or as OBJ or PLY"
+        )
 
 
 def _weld(corners: Float[np.ndarray, "c 3"]) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "m 3"]]:

@@ -50,8 +50,8 @@ def read(path: Path) -> Arrays:
     A first line that holds the number of points is passed over, and so is the line of words behind it in chemists' XYZ,
     and before it one that says what separates cells (``sep=;``). A first row of words, or a comment before the first
     row, names the columns: those of x, y and z are taken, in whatever case, with a unit in brackets, or as in
-    ``pos_x``. Without names, or where there are only three columns, the first three are; a column of names or row
-    numbers before them is left out.
+    ``pos_x``. Without names, or where there are only three columns, the first three are, with a note on other names; a
+    column of names or row numbers before them is left out.
 
     Raises:
         UnreadableError: if there are fewer than three columns, or more than three have names, and x, y and z are not
@@ -150,7 +150,7 @@ def read_table_lines(path: Path, *, other_axes: tuple[str, ...] = ()) -> TableLi
         return TableLines(rows, [1, 2, 3], delimiter, notes=(note, *_other_columns(cells[1:], "the next three")))
     columns = _xyz_columns(names)
     notes = _other_columns(cells, ", ".join(names[column] for column in columns) if names else "the first three")
-    return TableLines(rows, columns, delimiter, notes=notes)
+    return TableLines(rows, columns, delimiter, notes=(*notes, *_other_names(names, columns)))
 
 
 def _check_width(names: list[str], row: str, cells: list[str]) -> None:
@@ -181,6 +181,21 @@ def _other_columns(cells: list[str], taken: str) -> tuple[Finding, ...]:
     count = sum(map(bool, cells)) - 3
     why = f"the coordinates are {taken}; if they are not, name their columns x, y and z in a first row"
     return (left_out("other columns", count, why),) if count > 0 else ()
+
+
+def _other_names(names: list[str], columns: list[int]) -> tuple[Finding, ...]:
+    """A note on columns that are taken for x, y and z though they have other names, which numbers are not."""
+    if not names or _axes(names) is not None or all(names[column].isdecimal() for column in columns):
+        return ()
+    taken = shorten(", ".join(names[column] for column in columns), 100)
+    return (
+        Finding(
+            "columns of other names",
+            3,
+            "note",
+            f"{taken} are taken as x, y and z; if they are something else, convert them",
+        ),
+    )
 
 
 def _without_count(text: str, lines: list[str], path: Path, skip: int) -> tuple[list[str], bool]:

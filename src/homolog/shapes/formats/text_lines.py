@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
 from io import TextIOWrapper
@@ -21,6 +22,8 @@ T = TypeVar("T")
 
 # Characters read at a time, and lines made numbers at a time.
 _BLOCK, _LINES = 2**20, 2**14
+# The end of a line that goes on; some programs write blanks behind the backslash, at most as many as are looked at.
+_GOES_ON, _BLANKS = re.compile(r"\\[ \t]*\n\Z"), 100
 
 
 def encoding_of(head: bytes) -> str:
@@ -44,7 +47,7 @@ def mark_length(head: bytes) -> int:
 def text_blocks(path: Path, *, start: int = 0, padded: bool = False) -> Iterator[str]:
     """The text of a file in blocks of whole lines, which end with line feeds; UTF-16 and UTF-32 by their marks.
 
-    A line that ends with a backslash is in one block with the next one.
+    A line that ends with a backslash, and perhaps blanks, is in one block with the next one.
 
     Args:
         path: the file.
@@ -61,7 +64,7 @@ def text_blocks(path: Path, *, start: int = 0, padded: bool = False) -> Iterator
         text = TextIOWrapper(file, encoding, errors="replace")
         while block := text.read(_BLOCK):
             parts = [block, text.readline()]
-            while (parts[-2][-1:] + parts[-1]).endswith("\\\n"):  # also where a block ends between the two
+            while _GOES_ON.search((parts[-2][-_BLANKS:] + parts[-1])[-_BLANKS:]):  # also where a block ends within
                 parts.append(text.readline())
             whole = "".join(parts)
             if "\0" in whole and not (padded or encoding != "utf-8-sig"):
@@ -128,24 +131,42 @@ def number_rows(
 
 def _numbers(lines: list[str], columns: Sequence[int], dtype: type, delimiter: str | None = None) -> np.ndarray:
     try:
-        return np.loadtxt(
-            lines, dtype=dtype, delimiter=delimiter, usecols=columns, ndmin=2, comments=None, quotechar='"'
-        )
+        return _loaded(lines, columns, dtype, delimiter)
     except (ValueError, OverflowError):
         _blame_line(lines, columns, dtype, delimiter)
 
 
+def _loaded(lines: list[str], columns: Sequence[int], dtype: type, delimiter: str | None) -> np.ndarray:
+    return np.loadtxt(lines, dtype=dtype, delimiter=delimiter, usecols=columns, ndmin=2, comments=None, quotechar='"')
+
+
 def _blame_line(lines: list[str], columns: Sequence[int], dtype: type, delimiter: str | None) -> NoReturn:
+    """Name the first line that NumPy does not read, which alone decides: Python takes 1_000 for a number."""
     kind = "whole numbers" if dtype is np.int64 else "numbers"
-    for line in lines:
-        cells = line.split(delimiter)
-        if len(cells) <= max(columns):
-            raise UnreadableError(f"the line {shorten(line)!r} has {len(cells)} values, too few; {CUT_OFF}")
-        try:
-            [dtype(cells[column].strip('" ')) for column in columns]
-        except (ValueError, OverflowError):
-            raise UnreadableError(f"the line {shorten(line)!r} should hold {kind}; correct or remove it") from None
-    raise UnreadableError(f"its lines do not all hold {kind}")
+    faulty = (line for line in lines if not _is_read(line, columns, dtype, delimiter))
+    if line := next(faulty, None):
+        raise UnreadableError(_fault_of(line, columns, kind, delimiter)) from None
+    raise UnreadableError(f"its lines do not all hold {kind}; {CUT_OFF}") from None
+
+
+def _is_read(line: str, columns: Sequence[int], dtype: type, delimiter: str | None) -> bool:
+    try:
+        _loaded([line], columns, dtype, delimiter)
+    except (ValueError, OverflowError):
+        return False
+    return True
+
+
+def _fault_of(line: str, columns: Sequence[int], kind: str, delimiter: str | None) -> str:
+    """Why a line does not hold its numbers."""
+    cells = line.split(delimiter)
+    if len(cells) <= max(columns):
+        return f"the line {shorten(line)!r} has {len(cells)} values, too few; {CUT_OFF}"
+    if kind == "whole numbers" and all(re.fullmatch(r"[-+]?[0-9]+", cells[column].strip('" ')) for column in columns):
+        return (
+            f"the line {shorten(line)!r} holds a number that is too large, of more than 64 bits; correct or remove it"
+        )
+    return f"the line {shorten(line)!r} should hold {kind}; correct or remove it"
 
 
 def polygon_rows(lines: Iterable[str], column: int = 0) -> Polygons:
