@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -394,6 +395,14 @@ def test_a_method_by_entry_point(installed, blobs, expected):
     assert find_method("their-method").supports.needs_features is False
     with pytest.raises(ArgumentError, match=r"method is 'their-methd'.*did you mean 'their-method'"):
         find_method("their-methd")
+
+
+def test_an_installed_method_that_fails_is_one_line(installed, blobs, monkeypatch):
+    failing_method = replace(find_method("their-method"), function=failing)
+    monkeypatch.setattr("own_methods.METHOD", failing_method)
+    with pytest.raises(ArgumentError, match=r"^method 'their-method' failed on .* -> .*: KeyError: .*$") as caught:
+        homolog.match(blobs.source, blobs.target, method="their-method", device="cpu")
+    assert "\n" not in str(caught.value)
 
 
 def test_a_method_that_cannot_be_loaded_names_its_package(installed):
