@@ -26,7 +26,7 @@ CORE = {
     "core.threads": set(),
     "core.progress": set(),
     "core.reprs": set(),
-    "core.plugins": set(),
+    "core.plugins": {"core.errors"},
     "core.arguments": {"core.errors"},
     "core.memory": {"core.errors", "core.arguments"},
     "core.arrays": {"core.errors"},

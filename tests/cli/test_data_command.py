@@ -81,7 +81,7 @@ def test_check_says_each_fault_in_a_line(homolog, own):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["faust_r", "gone"], "put the dataset at gone; get it from the link FAUST"),
+        (["faust_r", "gone"], "there is no folder gone; put the dataset there; get it from the link FAUST"),
         (["faust", "gone"], "did you mean 'faust_"),
         (["gone.toml", "."], "gone.toml cannot be read"),
     ],

@@ -317,6 +317,12 @@ def test_people_are_matched_by_the_weights_for_people_by_default(homolog, tmp_pa
     assert "Matched by functional-map with the weights people in" in ended.err
 
 
+def test_weights_that_are_given_are_named_at_the_end(homolog, files, tmp_path):
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path, "--weights", "people")
+    assert f"Matched by {report(tmp_path)['method']} with the weights people in" in ended.err
+    assert "s (reading, matching and writing): source" in ended.err
+
+
 def test_what_no_weights_know_is_matched_without_any(homolog, files, tmp_path):
     ended = homolog("match", files.mesh, files.other, "-o", tmp_path)
     assert report(tmp_path)["method"] in ("axiomatic", "registration")

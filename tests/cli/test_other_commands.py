@@ -168,7 +168,7 @@ def without_faces(data):
 
 
 MISTAKES = {
-    "no folder": (lambda d, t: [t / "gone"], "no shapes"),
+    "no folder": (lambda d, t: [t / "gone"], "there is no folder"),
     "noise on meshes": (lambda d, t: [d, "--noise", "0.01"], "--noise is for clouds, but --modality is 'mesh'"),
     "weights": (lambda d, t: [d, "--weights", "gone.pth"], "there are no weights"),
     "empty split": (lambda d, t: [d, "--split", "train"], "no shapes in split 'train'"),

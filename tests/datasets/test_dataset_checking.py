@@ -126,7 +126,9 @@ def test_a_folder_of_one_s_own_needs_no_counts(own):
 
 def test_no_folder_and_an_empty_one(tmp_path):
     (finding,) = check_dataset(tmp_path / "gone", read_description("faust_r")).findings
-    assert finding.startswith(f"put the dataset at {tmp_path / 'gone'}; get it from the link FAUST")
+    assert finding.startswith(
+        f"there is no folder {tmp_path / 'gone'}; put the dataset there; get it from the link FAUST"
+    )
     (tmp_path / "empty").mkdir()
     assert check_dataset(tmp_path / "empty", DatasetDescription()).findings == [
         f"put the shapes at {tmp_path / 'empty' / 'off' / 'NAME.off'}"

@@ -129,9 +129,15 @@ def test_parts_lack_some_template_points(folder):
     assert ShapeFolder.open(folder).template_correspondence("a").tolist() == [4, -1, 6]
 
 
-@pytest.mark.parametrize("root", ["nowhere", "."])
-def test_no_shapes(tmp_path, root):
-    said = message(lambda: ShapeFolder.open(tmp_path / root))
+@pytest.mark.parametrize("opened", [ShapeFolder.open, ShapeFolder.without_truth])
+def test_no_folder(tmp_path, opened):
+    (tmp_path / "a.off").touch()
+    assert message(lambda: opened(tmp_path / "nix")) == f"there is no folder {tmp_path / 'nix'}"
+    assert message(lambda: opened(tmp_path / "a.off")) == f"{tmp_path / 'a.off'} is a file; give the folder"
+
+
+def test_no_shapes(tmp_path):
+    said = message(lambda: ShapeFolder.open(tmp_path))
     assert "no shapes; put them at" in said
     assert "NAME.off" in said
 

@@ -354,3 +354,31 @@ def test_what_evaluate_cannot_use_is_one_line(folder, call, said):
 def test_figures_may_be_numbers_of_any_kind(folder, figure):
     found = evaluate(None, folder, ALL, match=identity, metrics={"mine": lambda scored: figure})
     assert found.to_dict()["metrics"]["mine"] == float(figure)
+
+
+def failing(*given):
+    return 1 / 0
+
+
+def test_truth_whose_points_no_face_uses_is_a_fault_of_the_data(folder):
+    folder = with_unused_points(folder)
+    for file in (folder.root / "corres").iterdir():
+        file.write_text("1\n2\n")
+    with pytest.raises(DataError, match="no pair has a common point that could be matched"):
+        evaluate(None, folder, ALL, match=lambda source, target: np.full(target.n_points, -1))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ({"match": failing}, "match 'failing' failed on a -> b: ZeroDivisionError: division by zero"),
+        (
+            {"match": identity, "metrics": {"mine": failing}},
+            "the metric 'mine' failed on a -> b: ZeroDivisionError: div",
+        ),
+    ],
+)
+def test_functions_that_fail_are_named_with_the_pair(folder, words, said):
+    with pytest.raises(ArgumentError, match=said) as caught:
+        evaluate(None, folder, ALL, **words)
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)

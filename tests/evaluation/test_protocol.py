@@ -1,5 +1,6 @@
 """The protocol against a direct computation, with matchers that answer what they are told."""
 
+import json
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -252,12 +253,17 @@ def diameter(shape):
     return brute_force(shape, first, second).max()
 
 
-def test_no_match_at_all_is_said_and_is_no_score(family):
+def test_a_map_that_abstains_everywhere_counts_as_the_diameter(family):
     def nothing(source, target):
         return np.full(BASE_POINTS, -1)
 
-    with pytest.raises(DataError, match="no common point of any pair is matched"):
-        evaluate(Stub(nothing), family.folder, ALL)
+    found = evaluate(Stub(nothing), family.folder, ALL)
+    figures = found.to_dict()
+    assert figures["unmatched_points"] == len(found.errors)
+    assert figures["mean_geodesic_error_of_matched_points"] is figures["least_confident_fifth_error_share"] is None
+    for pair in found.pairs:
+        assert len(set(pair.errors)) == 1 and pair.errors[0] > 0.5
+    json.dumps(figures, allow_nan=False)
 
 
 def test_clouds_are_measured_on_the_mesh(family, shifted):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,6 +154,44 @@ def test_features_that_cannot_be_are_one_line(blobs, features, said):
     with pytest.raises(ArgumentError, match=said) as caught:
         Matcher(features, OWN, device="cpu").match(blobs.source, blobs.target)
     assert "\n" not in str(caught.value)
+
+
+def failing(given):
+    raise KeyError("out of\norder")
+
+
+def test_features_that_fail_name_themselves_and_the_shape(blobs):
+    name = blobs.source.name
+    with pytest.raises(ArgumentError, match=f"^{name}: features 'failing' failed: KeyError: ") as caught:
+        homolog.match(blobs.source, blobs.target, features=failing, device="cpu")
+    assert isinstance(caught.value.__cause__, KeyError) and "\n" not in str(caught.value)
+
+
+def test_features_of_a_wrong_shape_are_named_once(blobs):
+    said = rf"^{blobs.source.name}: features '<lambda>' have shape \(3, 3\), but must"
+    with pytest.raises(ArgumentError, match=said):
+        homolog.match(blobs.source, blobs.target, features=lambda shape: torch.eye(3), device="cpu")
+
+
+def test_a_module_that_takes_tensors_is_told_what_it_is_given(blobs):
+    with pytest.raises(
+        ArgumentError, match=r"features 'Linear' failed: TypeError: .*; a module is called with Operators"
+    ):
+        homolog.match(blobs.source, blobs.target, features=torch.nn.Linear(3, 4), device="cpu")
+
+
+@pytest.mark.parametrize("supports", [None, Supports(needs_features=False)])
+def test_a_method_that_fails_names_itself_and_the_pair(blobs, supports):
+    def theirs(pair):
+        return 1 / 0
+
+    theirs.supports = supports or Supports(needs_features=False, refinement=False)
+    said = (
+        f"^method 'theirs' failed on {blobs.source.name} -> {blobs.target.name}: ZeroDivisionError: division by zero$"
+    )
+    with pytest.raises(ArgumentError, match=said) as caught:
+        homolog.match(blobs.source, blobs.target, method=theirs, device="cpu")
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
 
 @pytest.mark.parametrize(
@@ -356,6 +395,14 @@ def test_a_method_by_entry_point(installed, blobs, expected):
     assert find_method("their-method").supports.needs_features is False
     with pytest.raises(ArgumentError, match=r"method is 'their-methd'.*did you mean 'their-method'"):
         find_method("their-methd")
+
+
+def test_an_installed_method_that_fails_is_one_line(installed, blobs, monkeypatch):
+    failing_method = replace(find_method("their-method"), function=failing)
+    monkeypatch.setattr("own_methods.METHOD", failing_method)
+    with pytest.raises(ArgumentError, match=r"^method 'their-method' failed on .* -> .*: KeyError: .*$") as caught:
+        homolog.match(blobs.source, blobs.target, method="their-method", device="cpu")
+    assert "\n" not in str(caught.value)
 
 
 def test_a_method_that_cannot_be_loaded_names_its_package(installed):

@@ -81,8 +81,15 @@ MISTAKES = {
     "quantity": (lambda: Loss("mine", 1.0, {"c_xz"}, mapped), r"the loss mine requires is 'c_xz'.*did you mean"),
     "parameter": (lambda: Loss("mine", 1.0, {"c_xy"}, mapped), "does not take what it requires, c_xy: missing"),
     "too many": (lambda: Loss("mine", 1.0, {"c_xy", "c_yx", "rank"}, mapped), "does not take what it requires"),
-    "negative": (lambda: Loss("mine", -1.0, {"c_xy", "c_yx"}, mapped), "mine is -1.0, but must be a number of at"),
-    "nan": (lambda: Loss("mine", float("nan"), {"c_xy", "c_yx"}, mapped), "mine is nan, but must be a number of at"),
+    "negative": (
+        lambda: Loss("mine", -1.0, {"c_xy", "c_yx"}, mapped),
+        "weight of mine is -1.0, but must be a number of at",
+    ),
+    "nan": (
+        lambda: Loss("mine", float("nan"), {"c_xy", "c_yx"}, mapped),
+        "weight of mine is nan, but must be a number of at",
+    ),
+    "no function": (lambda: Loss("mine", 1.0, {"c_xy"}, 3), "function of mine is 3, but must be a function of the"),
     "name": (lambda: Loss("total", 1.0, {"c_xy", "c_yx"}, mapped), "name is 'total'"),
     "words": (lambda: Loss("my loss", 1.0, {"c_xy", "c_yx"}, mapped), "name is 'my loss'"),
     "twice": (lambda: losses_of(FEW, [Loss.of("infonce", 1.0, mapped)]), "there are 2 losses 'infonce'; give yours"),
@@ -106,6 +113,14 @@ def test_what_is_no_scalar_is_refused(pair, value, said):
     mine = Loss("mine", 1.0, set(), lambda: value)
     with pytest.raises(ArgumentError, match=f"the loss mine {said}, but must return a scalar tensor"):
         pair_losses(*pair, settings=FEW, losses=[mine])
+
+
+def test_a_loss_that_fails_is_named_with_the_pair(pair):
+    mine = Loss("mine", 1.0, set(), lambda: 1 / 0)
+    said = "the loss mine failed on .+ -> .+: ZeroDivisionError: division by zero"
+    with pytest.raises(ArgumentError, match=said) as caught:
+        pair_losses(*pair, settings=FEW, losses=[mine])
+    assert isinstance(caught.value.__cause__, ZeroDivisionError)
 
 
 # --- what it is computed from

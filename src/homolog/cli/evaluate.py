@@ -395,7 +395,8 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
         without = found[f"mean_{kind}_error_of_matched_points"]
-        count = f"{found['unmatched_points']}, counted as the diameter ({without:.2f} without them)"
+        others = "no other points" if without is None else f"{without:.2f} without them"
+        count = f"{found['unmatched_points']}, counted as the diameter ({others})"
         table.add_row("points without a match", count)
     table.add_row("method", found["method"])
     if evaluation.choices:

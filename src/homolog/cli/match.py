@@ -328,7 +328,7 @@ def _summary(matches: list[Match], timings: Timings, paths: list[Path], *, verbo
     sides = "; ".join(f"{side} {_in_words(match.matched(side))}" for side in get_args(Side))
     if match.report["adaptation"]:
         say(_of_adaptation(match.report["adaptation"]))
-    say(f"Matched by {match.method}{_with_weights(match)} in {seconds:.1f} s (from reading to writing): {sides}.")
+    say(f"Matched by {match.method}{_with_weights(match)} in {seconds:.1f} s (reading, matching and writing): {sides}.")
     for path in paths:
         typer.echo(path)
 
@@ -341,9 +341,11 @@ def _of_adaptation(told: dict[str, Any]) -> str:
 
 
 def _with_weights(match: Match) -> str:
-    """The weights that were chosen, where there was a choice."""
-    chosen = next((candidate["name"] for candidate in match.report["choice"]), match.method)
-    return "" if chosen == match.method else f" with the weights {chosen}"
+    """The weights whose features were compared, whether they were chosen or given; none where the method needs none."""
+    chosen = next((candidate["name"] for candidate in match.report["choice"]), None)
+    features = match.report["features"]
+    name = features["name"] if chosen is None and features is not None else chosen
+    return "" if name in (None, match.method) else f" with the weights {name}"
 
 
 def _in_words(matched: dict[str, int | float]) -> str:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+
+from homolog.core.errors import ArgumentError, HomologError
 
 _log = logging.getLogger(__name__)
 
@@ -37,4 +41,33 @@ def described(point: EntryPoint) -> str:
 
 def fault(error: Exception) -> str:
     """An error of another package on one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+    return f"{type(error).__name__}: {' '.join(str(error).split())}".rstrip(": ")
+
+
+@contextmanager
+def blamed_on(who: str, where: str = "", *, hint: str = "") -> Iterator[None]:
+    """Around a call of a function of a user's: what it raises becomes one line that names it; the cause is kept.
+
+    Errors of Homolog's own pass, as they say themselves what is wrong.
+
+    Args:
+        who: what is called.
+        where: the shape or the pair that it is called with.
+        hint: what else to know.
+
+    Raises:
+        ArgumentError: from what was raised.
+
+    Examples:
+        >>> with blamed_on("method 'mine'", "a -> b"):
+        ...     1 / 0
+        Traceback (most recent call last):
+        homolog.core.errors.ArgumentError: method 'mine' failed on a -> b: ZeroDivisionError: division by zero
+    """
+    try:
+        yield
+    except HomologError:
+        raise
+    except Exception as error:
+        place, more = (f" on {where}" if where else ""), (f"; {hint}" if hint else "")
+        raise ArgumentError(f"{who} failed{place}: {fault(error)}{more}") from error

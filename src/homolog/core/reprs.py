@@ -14,6 +14,12 @@ def function_name(function: Any) -> str:
     return str(getattr(function, "__name__", type(function).__name__))
 
 
+def named_function(name: str, function: Any) -> str:
+    """A name that a function goes by, and what it is called itself where that differs."""
+    called = function_name(function)
+    return repr(name) if called == name else f"{name!r} of {called}"
+
+
 def short_repr(self: Any) -> str:
     """A dataclass on one line, with arrays as their type and shape; to be set as its ``__repr__``."""
     shown = (f"{field.name}={_shown(getattr(self, field.name))}" for field in fields(self) if field.repr)

@@ -72,7 +72,8 @@ class _Check:
 
     def run(self) -> None:
         if not self.root.is_dir():
-            self._say(f"put the dataset at {self.root}; get it from {self.description.source or 'its owner'}")
+            origin = self.description.source or "its owner"
+            self._say(f"there is no folder {self.root}; put the dataset there; get it from {origin}")
             return
         self._names()
         self._lists()

@@ -106,6 +106,8 @@ class ShapeFolder:
             raise DataError(f"{root} holds volumes; make surfaces of them with homolog volume surface, and give these")
         if up is not None:
             check_choice("up", up, get_args(Up))
+        if not root.is_dir():
+            raise DataError(f"{root} is a file; give the folder" if root.exists() else f"there is no folder {root}")
         names, full = names_at(root, description.shapes), names_at(root, description.full)
         for found, pattern in ((names, description.shapes), (full, description.full)):
             if pattern and not found:

@@ -144,14 +144,14 @@ class Evaluation:
         """Figures for JSON; geodesic errors are multiplied by 100, as tables in the field show them."""
         errors, matched, kind = self.errors, self.matched, self.error_kind
         confidences = np.concatenate([pair.confidences for pair in self.pairs])
-        share = least_confident_share(errors[matched], confidences[matched])
+        share = least_confident_share(errors[matched], confidences[matched]) if matched.any() else np.nan
         names = sorted({name for pair in self.pairs for name in pair.metrics})
         metrics = {name: float(np.mean([pair.metrics[name] for pair in self.pairs])) for name in names}
         missing, clutter = self.missing, self.clutter
         return {
             f"mean_{kind}_error": self.shown(errors.mean()),
             f"median_{kind}_error": self.shown(np.median(errors)),
-            f"mean_{kind}_error_of_matched_points": self.shown(errors[matched].mean()),
+            f"mean_{kind}_error_of_matched_points": self.shown(errors[matched].mean()) if matched.any() else None,
             "unit": "sqrt(area) / 100" if self.euclidean_unit is None else self.euclidean_unit,
             **(self._curve(errors) if self.euclidean_unit is None else {}),
             # JSON has no NaN, which stands for no error at all.

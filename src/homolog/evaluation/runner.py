@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from homolog.core.arguments import check_kind, given_or_default
 from homolog.core.errors import ArgumentError, DataError, bad_value
+from homolog.core.plugins import blamed_on
 from homolog.core.progress import Progress, ignore
 from homolog.core.reprs import function_name
 from homolog.datasets import Pair as PairOfNames
@@ -92,8 +93,9 @@ def evaluate(
 
     Raises:
         ArgumentError: if something given is of another kind, more pairs are to be drawn than there are, a map does not
-            fit its shapes, or a metric gives no finite number.
-        DataError: if the ground truth does not fit the shapes, or not one of its points is matched.
+            fit its shapes, a metric gives no finite number, or ``match`` or a metric
+            fails.
+        DataError: if the ground truth does not fit the shapes, or not one of its points can be matched.
 
     Examples:
         >>> import homolog
@@ -177,14 +179,23 @@ class _Run:
         matches = [source.match(pair) for pair in self.pairs]
         with self.timed("measure"):
             scored = list(self._scored(matches))
-        if not any(pair.matched.any() for pair in scored):
+        if not any(pair.matched.any() for pair in scored) and not self._can_be_matched():
             raise DataError(
-                f"{self.folder.root}: no common point of any pair is matched, so there is nothing to score; "
+                f"{self.folder.root}: no pair has a common point that could be matched, so there is nothing to score; "
                 "ground truth must name points that the faces use"
             )
         seconds = {**self.seconds, "total": sum(self.seconds.values())}
         unit = (self.folder.description.unit or "units of the files") if self.euclidean else None
         return Evaluation(tuple(scored), source.method, seconds, unit)
+
+    def _can_be_matched(self) -> bool:
+        """Whether repair keeps a point of any pair that is known to correspond."""
+        kept = cache(lambda name: repair(self.shapes[name]).clean_index >= 0)
+        return any(
+            (kept(source)[truth.source] & (pair_cloud is not None or kept(target)[truth.target])).any()
+            for (source, target), truth in zip(self.pairs, self.truths, strict=True)
+            for pair_cloud in [self.clouds.get(target)]
+        )
 
     def _exchange_finder(self) -> ExchangeFinder | None:
         """What tells what maps exchange; None where parts, or shapes without a template, are matched."""
@@ -365,7 +376,8 @@ class _Run:
 
 def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) -> float:
     """What a metric of one's own gives for a pair, as a number."""
-    found: Any = metric(scored)
+    with blamed_on(f"the metric {name!r}", " -> ".join(pair)):
+        found: Any = metric(scored)
     try:
         # To Python, True is a number; here it is mostly a comparison whose mean was forgotten.
         figure = math.nan if np.asarray(found).dtype == bool else float(found)
@@ -390,7 +402,7 @@ class _ByFunction:
             shape.as_cloud() if run.protocol.is_cloud(side) else shape
             for side, shape in ((side, run.given(pair, side)) for side in SIDES)
         )
-        with run.timed("match"):
+        with run.timed("match"), blamed_on(f"match {self.method!r}", " -> ".join(pair)):
             found = self.function(source, target)
         if isinstance(found, Match):
             sizes = {"source": source.n_points, "target": target.n_points}

@@ -8,6 +8,7 @@ from homolog.features.extractor import (
     NetworkFeatures,
     as_extractor,
     checked_features,
+    computed_features,
     on_device,
 )
 from homolog.features.info import FeatureInfo, NetworkInput
@@ -42,6 +43,7 @@ __all__ = [
     "as_extractor",
     "as_oriented",
     "checked_features",
+    "computed_features",
     "heat_decay",
     "load_weights",
     "on_device",

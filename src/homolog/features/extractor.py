@@ -13,7 +13,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from homolog.core.errors import ArgumentError
-from homolog.core.reprs import function_name
+from homolog.core.plugins import blamed_on
+from homolog.core.reprs import function_name, named_function
 from homolog.features.diffusion_net import DiffusionNet
 from homolog.features.info import FeatureInfo
 from homolog.features.orienter import Orienter
@@ -107,10 +108,12 @@ class FunctionFeatures:
         """Features of all points (n, d).
 
         Raises:
-            ArgumentError: if the function does not give one finite row per point.
+            ArgumentError: if the function fails, or does not give one finite row per point.
         """
-        name = f"{self.info.name!r} of {function_name(self.function)}"
-        return checked_features(name, self.function(operators), operators.points, operators.n_points)
+        name = named_function(self.info.name, self.function)
+        with blamed_on(f"features {name}", hint=_hint(self.function)):
+            values = self.function(operators)
+        return checked_features(name, values, operators.points, operators.n_points)
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,18 @@ class GivenFeatures:
         raise ArgumentError(
             f"features {self.info.name!r} are given with each pair, but none are; give features=(of_source, of_target)"
         )
+
+
+def computed_features(extractor: FeatureExtractor, operators: Operators | Basis) -> Float[Tensor, "n d"]:
+    """What an extractor gives; one of another's that fails is named.
+
+    Raises:
+        ArgumentError: if it fails, from what it raised.
+    """
+    if isinstance(extractor, NetworkFeatures):  # what fails there is no mistake of a user's
+        return extractor(operators)
+    with blamed_on(f"features {named_function(extractor.info.name, extractor)}", hint=_hint(extractor)):
+        return extractor(operators)
 
 
 def checked_features(name: str, values: Any, points: Float[Tensor, "m 3"], n_points: int) -> Float[Tensor, "n d"]:
@@ -163,6 +178,13 @@ def _array(values: Any) -> np.ndarray:
         values = [row.detach().cpu() if isinstance(row, Tensor) else row for row in values]
     array = np.array(values)
     return array.astype(float) if array.dtype.kind in "biuf" else array
+
+
+def _hint(function: Any) -> str:
+    """What to know of a module that fails, as most take a tensor."""
+    if not isinstance(function, nn.Module):
+        return ""
+    return "a module is called with Operators, not with a tensor; give lambda shape: module(shape.points), for example"
 
 
 def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureExtractor:

@@ -194,8 +194,8 @@ def joint_rotations(
 
     Returns:
         For each shape the rotation R, at which ``points @ R.T`` stand as the medoid does, and the misfit to the shape
-        that it was brought near: the root of the mean squared distances of closest points, there and back. The medoid
-        has the identity and 0.
+        that it was brought near: the root of the mean squared distances of closest points, of each shape's to the
+        other's. The medoid has the identity and 0.
 
     Raises:
         ArgumentError: without shapes.

@@ -71,7 +71,7 @@ def align_partial(pair: Pair) -> Pair:
     if found.points is basis.points:
         return pair
     operators = _placed(partial.operators, found.points, found.scale)
-    features = Preprocessor(extractor=extractor).features(operators)
+    features = Preprocessor(extractor=extractor).features(operators, shape=partial.name)
     alignment = best_similarity(given, found.points)
     aligned = pair.with_y(replace(partial, operators=operators, features=features))
     return replace(aligned, alignment=alignment)

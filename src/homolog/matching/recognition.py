@@ -94,7 +94,7 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
 
 
 def map_misfit(match: Match, settings: ChoiceSettings | None = None) -> float:
-    """How much a map contradicts itself: where it tears or turns over, and where there and back ends elsewhere.
+    """How much a map contradicts itself: where it tears or turns over, and its cycle error.
 
     A smooth map tears nowhere, and may be wrong all the same: where it is, triangles are turned over.
 

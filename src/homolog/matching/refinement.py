@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
+from homolog.core.method_names import own_methods
+from homolog.core.plugins import blamed_on
 from homolog.core.unchanged import left_unchanged
 from homolog.maps import zoomout, zoomout_partial
 from homolog.matching.result import checked_maps
@@ -14,10 +17,13 @@ def method_maps(pair: Pair) -> PointMaps:
     """The point maps that the pair's method finds, checked, as it may be anyone's.
 
     Raises:
-        ArgumentError: if they do not fit the pair, or the method changes what it is lent.
+        ArgumentError: if they do not fit the pair, or a method of another's fails, or changes what it is lent.
     """
+    who, where = f"method {pair.method.name!r}", f"{pair.source.name} -> {pair.target.name}"
     lent = {f"{name} of {one.name}": t for one in (pair.x, pair.y) for name, t in one.tensors().items()}
-    with left_unchanged(f"method {pair.method.name!r}", lent):
+    # What fails in a method of Homolog's own is no mistake of a user's.
+    blame = nullcontext() if pair.method.name in own_methods() else blamed_on(who, where)
+    with left_unchanged(who, lent), blame:
         maps = pair.method(pair)
     return checked_maps(pair, maps)
 

@@ -10,7 +10,7 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import scipy.io
-from annotated_types import Ge, Le
+from annotated_types import Ge, Gt, Le
 from jaxtyping import Int
 from typing_extensions import NotRequired, TypedDict
 
@@ -35,10 +35,11 @@ from homolog.core.reader_process import read_in_process
 from homolog.core.reasons import reason_of
 from homolog.core.records import read_record, record
 from homolog.core.versions import versions
+from homolog.features import NetworkInput
 from homolog.matching.colours import matched_colours
 from homolog.matching.quality import MapQuality
 from homolog.pairs import SIDES, PairOptions, Side
-from homolog.shapes import Shape, drawable, read_shape, write_shape
+from homolog.shapes import Finding, Modality, Shape, drawable, read_shape, write_shape
 
 if TYPE_CHECKING:
     from homolog.matching.result import Match
@@ -72,6 +73,8 @@ class _Turn:
     """A rotation of a shape, by which it was turned."""
 
     rotation: list[list[float]]
+    degrees: float = 0.0
+    scale: Annotated[float, Gt(0)] = 1.0
 
     def __post_init__(self) -> None:
         found = np.array(self.rotation) if {*map(len, self.rotation)} == {3} else np.zeros((0, 3))
@@ -84,15 +87,79 @@ class _Turn:
 class _Orientation(TypedDict, total=False):
     source: _Turn
     target: _Turn
+    misfit: float
+    runner_up: float | None
+    margin: float | None
+    ambiguous: bool
+
+
+class _Eigenpairs(TypedDict, total=False):
+    number: _Count
+    method: str
 
 
 class _Input(TypedDict, total=False):
+    """A shape as it was given: where it came from, and the report of its repair."""
+
     name: str
     file: str
     sha256: str
+    modality: Modality
     n_points: _Count
+    n_faces: _Count
+    n_clean_points: _Count
+    n_clean_faces: _Count
+    extent: Annotated[float, Ge(0)] | None
+    area: Annotated[float, Ge(0)] | None
+    n_components: _Count | None
+    n_boundary_loops: _Count | None
+    findings: list[Finding]
+    usable: bool
+    eigenpairs: _Eigenpairs
     points_left_out: _Count
     space: Literal["RAS", "LPS"] | None
+
+
+class _Timing(TypedDict):
+    """As ``homolog.core.progress.Timing``."""
+
+    name: str
+    seconds: Annotated[float, Ge(0)]
+    process_peak_mb: Annotated[float, Ge(0)]
+
+
+class _Adaptation(TypedDict, total=False):
+    """As ``homolog.pairs.PairAdaptation``."""
+
+    steps: _Count
+    map_misfit: float | None
+    adapted_map_misfit: float | None
+    kept: bool
+
+
+class _Candidate(TypedDict):
+    """As ``homolog.pairs.Candidate``."""
+
+    name: str
+    misfit: NotRequired[float | None]
+    map_misfit: NotRequired[float | None]
+
+
+class _Features(TypedDict, total=False):
+    """As ``homolog.features.FeatureInfo``, whose fields may become more."""
+
+    name: str
+    licence: str
+    input: NetworkInput
+    upright: bool
+    n_eigenpairs: _Count
+    laplacian: str
+    n_neighbours: _Count
+    map_eigenpairs: _Count
+    partial: bool
+    near_isometric: bool
+    temperature: Annotated[float, Gt(0)]
+    sha256: str
 
 
 class _Inputs(TypedDict, total=False):
@@ -115,15 +182,19 @@ class _Matched(TypedDict, total=False):
 
 @record
 class _Report(TypedDict):
-    """What is read of a report; it tells more to people and to other programs."""
+    """What a report may hold; others may add entries. Those that an older version did not write may be missing."""
 
     method: str
     warnings: NotRequired[list[str]]
     inputs: NotRequired[_Inputs]
     options: NotRequired[PairOptions]
-    choice: NotRequired[list[dict[str, Any]]]
-    adaptation: NotRequired[dict[str, Any] | None]
-    features: NotRequired[dict[str, Any] | None]
+    choice: NotRequired[list[_Candidate]]
+    adapt: NotRequired[_Count]
+    adaptation: NotRequired[_Adaptation | None]
+    features: NotRequired[_Features | None]
+    settings: NotRequired[dict[str, Any]]
+    timings: NotRequired[list[_Timing]]
+    versions: NotRequired[dict[str, str]]
     device: NotRequired[str]
     orientation: NotRequired[_Orientation | None]
     alignment: NotRequired[_Turn | None]

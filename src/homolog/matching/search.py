@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.features import FeatureExtractor, Orientation
+from homolog.features import FeatureExtractor, Orientation, computed_features
 from homolog.geometry import Basis, some_points
 from homolog.maps import (
     best_rotation,
@@ -236,7 +236,7 @@ class Samples:
         return replace(hypothesis, misfit=hypothesis.misfit + self._misfit(x.points, y.points, x_to_y, y_to_x))
 
     def distance(self, hypothesis: Hypothesis) -> float:
-        """The mean squared distance of closest points, there and back."""
+        """The mean squared distance of closest points, of each shape's points to the other's."""
         start = (hypothesis.target.T @ hypothesis.source).to(self.x.points)
         found = closest_point_rotations(self.x.points, self.y.points, starts=start[None], steps=0, last_steps=0)
         return found[0][1]
@@ -257,7 +257,7 @@ class Samples:
 
     def _features(self, basis: Basis) -> Float[Tensor, "n d"]:
         if self.extractor is not None:
-            return normalised(self.extractor(basis))
+            return normalised(computed_features(self.extractor, basis))
         # With a constant beside small positions, unit vectors are as similar as positions are near.
         return normalised(torch.nn.functional.pad(basis.points / 10, (0, 1), value=1.0))
 

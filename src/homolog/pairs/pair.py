@@ -275,7 +275,8 @@ class Pair:
         """The same with the features of another extractor."""
         preprocessor = Preprocessor(extractor=extractor, device=self.source.operators.points.device)
         source, target = (
-            replace(shape, features=preprocessor.features(shape.operators)) for shape in (self.source, self.target)
+            replace(shape, features=preprocessor.features(shape.operators, shape=shape.name))
+            for shape in (self.source, self.target)
         )
         return replace(self, source=source, target=target, extractor=extractor)
 

@@ -17,9 +17,9 @@ from homolog.core.arguments import check_choice, check_kind
 from homolog.core.choices import KeepClutter, Orient, Side, UseProxy
 from homolog.core.errors import ArgumentError, ShapeError, bad_value
 from homolog.core.progress import Timings
-from homolog.core.reprs import function_name
+from homolog.core.reprs import named_function
 from homolog.core.unchanged import left_unchanged
-from homolog.features import FeatureExtractor, Orientation, checked_features
+from homolog.features import FeatureExtractor, Orientation, checked_features, computed_features
 from homolog.geometry import (
     MASKED,
     Operators,
@@ -164,7 +164,7 @@ class PreprocessedShape:
         if torch.equal(rotation, self.rotation):
             return self
         operators = self.operators.turned(rotation @ self.rotation.T)
-        features = Preprocessor(extractor=extractor).features(operators)
+        features = Preprocessor(extractor=extractor).features(operators, shape=self.name)
         return replace(self, operators=operators, features=features, rotation=rotation)
 
     def as_given(self, extractor: FeatureExtractor | None) -> PreprocessedShape:
@@ -282,7 +282,7 @@ class Preprocessor:
             operators = operators.turned(rotation)
         with timings.measure(f"features of {label}"):
             if features is None:
-                found = self.features(operators)
+                found = self.features(operators, shape=label)
             else:
                 given = checked_features(repr(shape.name), features, operators.points, shape.n_points)
                 found = given[torch.from_numpy(repaired.kept).to(given.device)]
@@ -303,9 +303,8 @@ class Preprocessor:
         orientations = () if orient == "given" else self.orientations(upright, partial=partial)
         rotation = _best_rotation(orientations)
         turned = upright.turned(rotation)
-        return replace(
-            shape, operators=turned, features=self.features(turned), orientations=orientations, rotation=rotation
-        )
+        features = self.features(turned, shape=shape.name)
+        return replace(shape, operators=turned, features=features, orientations=orientations, rotation=rotation)
 
     def operators(self, shape: Shape, *, as_cloud: bool = False, scale: float | None = None) -> Operators:
         """The operators of a clean shape, on the device."""
@@ -327,19 +326,26 @@ class Preprocessor:
         return tuple(found) if given is None else (given,)
 
     @torch.no_grad()
-    def features(self, operators: Operators) -> Float[Tensor, "n d"] | None:
+    def features(self, operators: Operators, *, shape: str = "") -> Float[Tensor, "n d"] | None:
         """Features per point (n, d); zero on small components, of which operators know the position alone.
 
+        Args:
+            operators: of the shape.
+            shape: what messages call it.
+
         Raises:
-            ArgumentError: if the extractor does not give one finite row per point.
+            ArgumentError: if the extractor fails, or does not give one finite row per point.
         """
         check_kind("operators", operators, Operators)
         if self.extractor is None:
             return None
-        name = f"{self.extractor.info.name!r} of {function_name(self.extractor)}"
-        with left_unchanged(f"what computes the features {name}", operators.tensors()):
-            values = self.extractor(operators)
-        found = checked_features(name, values, operators.points, operators.n_points)
+        name = named_function(self.extractor.info.name, self.extractor)
+        try:
+            with left_unchanged(f"what computes the features {name}", operators.tensors()):
+                values = computed_features(self.extractor, operators)
+            found = checked_features(name, values, operators.points, operators.n_points)
+        except ArgumentError as error:
+            raise ArgumentError(f"{shape}: {error}" if shape else str(error)) from (error.__cause__ or error)
         return found * operators.in_main_component[:, None]
 
 

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from homolog.core.errors import ArgumentError, DataError, bad_choice, bad_value
-from homolog.core.plugins import offered
+from homolog.core.plugins import blamed_on, offered
 from homolog.maps import losses as formulas
 from homolog.maps import normalised
 from homolog.training.quantities import QUANTITIES, PairQuantities, QuantitySettings, TrainingShape
@@ -60,7 +60,9 @@ class Loss:
         if self.name == TOTAL or not self.name.isidentifier():
             raise bad_value("name", self.name, f"a word of letters, digits and _ other than {TOTAL}")
         if not (math.isfinite(self.weight) and self.weight >= 0):
-            raise bad_value(self.name, self.weight, "a number of at least 0")
+            raise bad_value(f"weight of {self.name}", self.weight, "a number of at least 0")
+        if not callable(self.function):
+            raise bad_value(f"function of {self.name}", self.function, "a function of the quantities that it requires")
         for quantity in sorted(self.requires - set(QUANTITIES)):
             raise bad_choice(f"what the loss {self.name} requires", quantity, QUANTITIES)
         try:
@@ -81,9 +83,11 @@ class Loss:
         """Its weight times its value for a pair.
 
         Raises:
-            ArgumentError: if the function returns something other than a scalar tensor.
+            ArgumentError: if the function fails, or returns something other than a scalar tensor.
         """
-        value = self.function(**pair.of(self.requires))
+        quantities = pair.of(self.requires)
+        with blamed_on(f"the loss {self.name}", pair.names):
+            value = self.function(**quantities)
         if not (isinstance(value, Tensor) and value.ndim == 0):
             found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
             raise ArgumentError(f"the loss {self.name} returned {found}, but must return a scalar tensor")

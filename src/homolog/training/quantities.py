@@ -169,6 +169,11 @@ class PairQuantities:
         return getattr(self, name)
 
     @property
+    def names(self) -> str:
+        """What messages call the pair."""
+        return f"{self._x.shape.name} -> {self._y.shape.name}"
+
+    @property
     def c_xy(self) -> Float[Tensor, "k_y k_x"]:
         """The functional map from x to y."""
         return self._functional_maps[0]
