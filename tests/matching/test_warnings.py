@@ -106,13 +106,16 @@ def test_loose_pieces_are_the_cause_where_they_are_many(pair, make):
         make.joined([blob, *(replace(make.sphere(1), points=make.sphere(1).points * 0.02 + 3 + i) for i in range(9))]),
     )
     for source, target, which in ((shell, blob, "source"), (blob, shell, "target"), (shell, shell, "both")):
-        (said,) = low_confidence_warnings(doubtful, pair=pair(source, target))
+        (said,) = low_confidence_warnings(doubtful, pair=pair(source, target, proxy="never"))
         assert "loose pieces; join them" in said and said.endswith(f"as_cloud='{which}'")
     for source in (blob, crumbs, shell.as_cloud()):
         (said,) = low_confidence_warnings(doubtful, pair=pair(source, blob))
         assert "are the shapes of one kind" in said
     sure = replace(doubtful, source_confidence=np.ones(blob.n_points), target_confidence=np.ones(blob.n_points))
-    assert low_confidence_warnings(sure, pair=pair(shell, blob)) == ()
+    assert low_confidence_warnings(sure, pair=pair(shell, blob, proxy="never")) == ()
+    # A proxy is one piece.
+    (said,) = low_confidence_warnings(doubtful, pair=pair(shell, blob))
+    assert "are the shapes of one kind" in said
 
 
 def test_points_that_are_nearly_equal_make_no_match_doubtful(make):

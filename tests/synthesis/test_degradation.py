@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
-from homolog.shapes import Shape, face_areas
-from homolog.synthesis import add_outliers, subsample
+from homolog.core.errors import ShapeError
+from homolog.geometry import surface_area
+from homolog.shapes import Shape, components, face_areas, repair
+from homolog.synthesis import add_outliers, add_shells, subsample
 
 
 def test_outliers_are_far_and_have_no_index(make):

@@ -18,6 +18,7 @@ from torch import Tensor
 from homolog.core.arguments import given_or_default
 from homolog.core.arrays import takes_arrays
 from homolog.core.errors import ArgumentError
+from homolog.core.reprs import short_repr
 from homolog.core.settings import Count, NotNegative, Settings, Share
 from homolog.geometry import some_points
 from homolog.maps.rigid import Similarity, closest_point_similarity
@@ -101,6 +102,8 @@ class SampledSurface:
     points: Float[Tensor, "n 3"]
     areas: Float[Tensor, " n"] | None = None
     normals: Float[Tensor, "n 3"] | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         count = len(self.points)
