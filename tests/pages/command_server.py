@@ -28,9 +28,9 @@ from stand_in import StandIn
 STEPS, SHAPES, VERTICES = 2, 6, 800
 
 
-def read_short_recipe(recipe):
+def read_short_recipe(recipe, changes=None):
     """A recipe; one that ships has few steps."""
-    whole = read_recipe(recipe)
+    whole = read_recipe(recipe, changes)
     if recipe not in builtin_recipes():
         return whole
     validation = replace(whole.validation, every=STEPS, score_every=0, shapes=2, pairs=1)

@@ -242,7 +242,7 @@ class ProxySettings(Settings):
             for no limit.
     """
 
-    most_outside: Share = 0.05
+    most_outside: Share = 0.25
     most_broken: Share = 0.2
     points: Annotated[int, Ge(100)] = 8000
     resolution: Annotated[int, Ge(64)] = 256
