@@ -35,6 +35,7 @@ import numpy as np
 import PIL.Image  # noqa: F401  # loaded here, so that no file is charged with it
 import pypcd4.pypcd4  # noqa: F401
 import scipy.io  # noqa: F401
+import torch
 
 import homolog
 from fuzz_mutations import mutate
@@ -344,6 +345,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--files", type=Path, nargs="*", help="files or folders to read as they are, not mutants")
     parser.add_argument("--seconds", type=float, default=20.0, help="after which a reader is ended")
     options: Any = parser.parse_args(arguments)
+    # Of a pool of threads, a fork inherits the locks but not the threads: its first parallel step would wait for ever.
+    torch.set_num_threads(1)
     campaign, began = Campaign(options.out, options.seconds), time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         if options.files:
