@@ -200,6 +200,16 @@ def test_nothing_goes_to_points_that_no_eigenfunction_reaches(blob) -> None:
         assert found.min() >= 5
 
 
+def test_where_the_first_eigenfunctions_reach_no_point_features_decide_the_first_round(blob) -> None:
+    # As with lone triangles: each of the first eigenfunctions may lie on one of them, and maps on others.
+    phi, features = blob.eigenvectors.clone(), normalised(blob.points)
+    phi[:, :20] = 0
+    same = torch.arange(len(phi))
+    y_to_x, x_to_y = zoomout(same.flip(0), same.flip(0), phi, phi, features, features)
+    assert torch.equal(y_to_x, same)
+    assert torch.equal(x_to_y, same)
+
+
 def test_fewer_eigenvectors_than_the_first_round_wants_are_used_as_they_are(blob) -> None:
     n = len(blob.points)
     phi, features, same = blob.eigenvectors[:, :12], normalised(blob.points), torch.arange(n)

@@ -322,7 +322,9 @@ def _fitted(
     if weights is not None:
         pulled_back, eigenvectors_y = (rows * weights.sqrt()[:, None] for rows in (pulled_back, eigenvectors_y))
     gram, right = (eigenvectors_y.T @ eigenvectors_y).double(), (eigenvectors_y.T @ pulled_back).double()
-    # An eigenvector that is zero on all samples must not make the system singular.
-    ridge = 1e-6 * gram.diagonal().mean() * torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
+    # Eigenvectors that are zero on all samples, be it all of them, must not make the system singular.
+    ridge = (1e-6 * gram.diagonal().mean()).clamp(min=torch.finfo(gram.dtype).tiny) * torch.eye(
+        len(gram), dtype=gram.dtype, device=gram.device
+    )
     solution: Tensor = torch.linalg.solve(gram + ridge, right).to(pulled_back.dtype)
     return solution
