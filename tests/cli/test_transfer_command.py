@@ -11,7 +11,20 @@ import trimesh
 from homolog.core.files import sha256
 from homolog.matching import Match
 from homolog.shapes import Shape, read_shape, write_shape
-from homolog.transfer import Skin, SurfaceProjector, bake_texture, png, read_appearance, read_skin, unwrap, write_glb
+from homolog.transfer import (
+    Animation,
+    BlendShapes,
+    Skin,
+    SurfaceProjector,
+    Track,
+    bake_texture,
+    png,
+    read_appearance,
+    read_blend_shapes,
+    read_skin,
+    unwrap,
+    write_glb,
+)
 from homolog.transfer.appearance import Texture
 
 pytest.importorskip("xatlas")
@@ -269,7 +282,88 @@ def test_the_target_keeps_its_look_where_the_skin_alone_is_transferred(homolog, 
     # Without the target's file its look is left out, and that is said.
     target.unlink()
     ended = homolog("transfer", tmp_path / "again", "--skin", "-o", tmp_path / "bare")
-    assert ended.code == 0 and "the target's own look and skin are left out" in ended.err
+    assert ended.code == 0 and "the target's own look, skin and blend shapes are left out" in ended.err
+
+
+@pytest.fixture
+def talking(make, matched_files, tmp_path):
+    """A match of a blob, whose file has a skin with a movement and blend shapes, with a larger copy."""
+    shape = make.blob(2)
+    weights = np.ones((shape.n_points, 1))
+    nod = Animation("nod", (Track("rotation", np.array([0.0, 1.0]), np.array([[0, 0, 0, 1.0], [0.6, 0, 0, 0.8]]), 0),))
+    skin = Skin(("head",), np.array([-1]), np.eye(4)[None], weights, (nod,))
+    offsets = np.stack([np.where(shape.points[:, 1:2] > 0.5, [0, 0.25, 0], 0.0), np.zeros_like(shape.points)])
+    talk = Animation("talk", (Track("weights", np.array([0.0, 2.0]), np.array([[0.0, 0.0], [1.0, 0.5]])),))
+    shapes = BlendShapes(("jawOpen", "eyeBlink_L"), offsets, np.zeros(2), (talk,))
+    write_glb(tmp_path / "head.glb", SurfaceProjector(shape), skin=skin, blend_shapes=shapes)
+    write_shape(tmp_path / "large.ply", Shape(2 * shape.points, shape.faces))
+    return matched_files(tmp_path / "head.glb", tmp_path / "large.ply")
+
+
+@pytest.fixture
+def matched_files(tmp_path):
+    """A match of two files with the same points, as a folder."""
+
+    def saved(source, target):
+        files = {"source": source, "target": target}
+        shapes = [read_shape(file) for file in files.values()]
+        points = np.arange(shapes[0].n_points)
+        inputs = {side: {"file": str(file), "sha256": sha256(file)} for side, file in files.items()}
+        Match(*shapes, points, points, method="nearest-features", report={"inputs": inputs}).save(tmp_path / "talking")
+        return tmp_path / "talking"
+
+    return saved
+
+
+def test_blend_shapes_and_animations(homolog, talking, tmp_path):
+    ended = homolog("transfer", talking, "-o", tmp_path / "out")
+    assert ended.code == 0
+    assert ended.err == "head.glb: blend shapes that move no point of the target: eyeBlink_L\n"
+    assert ended.out.split() == [str(tmp_path / "out" / name) for name in ("carried.glb", "transfer.json")]
+    report = json.loads((tmp_path / "out" / "transfer.json").read_text())
+    entry = report["files"]["carried.glb"]
+    assert entry["holds"] == ["blend-shapes", "skin"]
+    assert entry["blend_shapes"] == ["jawOpen", "eyeBlink_L"] and entry["animations"] == ["nod", "talk"]
+    carried = read_shape(tmp_path / "out" / "carried.glb")
+    shapes = read_blend_shapes(tmp_path / "out" / "carried.glb", carried)
+    assert shapes.names == ("jawOpen", "eyeBlink_L")
+    np.testing.assert_allclose(shapes.offsets[0], np.where(carried.points[:, 1:2] > 1.0, [0, 0.5, 0], 0.0), atol=5e-3)
+    assert not shapes.offsets[1].any() and shapes.animations[0].name == "talk"
+    assert read_skin(tmp_path / "out" / "carried.glb", carried).animations[0].name == "nod"
+
+
+def test_blend_shapes_alone_and_where_there_are_none(homolog, talking, tmp_path):
+    ended = homolog("transfer", talking, "--blend-shapes", "-o", tmp_path / "out")
+    carried = read_shape(tmp_path / "out" / "carried.glb")
+    assert ended.code == 0 and read_skin(tmp_path / "out" / "carried.glb", carried) is None
+    ended = homolog("transfer", talking, "--reverse", "--blend-shapes", "-o", tmp_path / "other")
+    assert ended.is_one_line_of_complaint() and "holds no blend-shapes; leave --blend-shapes out" in ended.err
+    assert not (tmp_path / "other").exists()
+
+
+def test_the_target_keeps_its_own_blend_shapes(homolog, talking, matched_files, tmp_path):
+    shape = read_shape(tmp_path / "large.ply")
+    write_shape(tmp_path / "red.ply", shape, colours=np.full((shape.n_points, 3), (200, 0, 0), np.uint8))
+    result = matched_files(tmp_path / "red.ply", tmp_path / "head.glb")
+    ended = homolog("transfer", result, "-o", tmp_path / "out")
+    assert (ended.code, ended.err) == (0, "")
+    carried = tmp_path / "out" / "carried.glb"
+    found, own = (read_blend_shapes(path, read_shape(path)) for path in (carried, tmp_path / "head.glb"))
+    assert found.names == own.names and found.animations[0].name == "talk"
+    np.testing.assert_allclose(found.offsets, own.offsets, atol=1e-6)
+
+
+def test_a_cloud_says_what_it_cannot_hold(homolog, talking, matched_files, tmp_path):
+    head = read_shape(tmp_path / "head.glb")
+    write_shape(tmp_path / "cloud.ply", head.as_cloud())
+    colours = np.full((head.n_points, 3), (200, 0, 0), np.uint8)
+    shapes = read_blend_shapes(tmp_path / "head.glb", head)
+    write_glb(tmp_path / "red.glb", SurfaceProjector(head), colours=colours, blend_shapes=shapes)
+    result = matched_files(tmp_path / "red.glb", tmp_path / "cloud.ply")
+    ended = homolog("transfer", result, "-o", tmp_path / "out")
+    assert ended.code == 0 and "cloud.ply has no faces: left out: blend shapes" in ended.err
+    ended = homolog("transfer", result, "--blend-shapes", "-o", tmp_path / "out")
+    assert ended.is_one_line_of_complaint() and "has no faces, but --blend-shapes needs them" in ended.err
 
 
 def test_the_texture_files_of_the_source_are_inputs(homolog, make, tmp_path):

@@ -9,8 +9,8 @@ import trimesh
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.shapes import Shape, read_shape
-from homolog.shapes.formats.gltf import Gltf
-from homolog.transfer import Skin, SurfaceProjector, Transfer, read_skin, write_glb
+from homolog.shapes.formats.gltf import Gltf, parts
+from homolog.transfer import Animation, Skin, SurfaceProjector, Track, Transfer, read_skin, write_glb
 
 
 def rigid(turn, position):
@@ -89,6 +89,91 @@ def test_every_point_moves_with_the_body(skinned, make, matched):
     with pytest.raises(DataError, match="dozen"):
         few = np.where(same < 8, same, -1)
         Transfer(matched(shape, shape, few, few)).skin(skin)
+
+
+def posed(path, time):
+    """The points of a file at a key of its animations: its nodes are set as the channels have them."""
+    file = Gltf(path)
+    for animation in file.header["animations"]:
+        for channel in animation["channels"]:
+            sampler = animation["samplers"][channel["sampler"]]
+            times, values = file.accessor(sampler["input"])[:, 0], file.accessor(sampler["output"])
+            place = channel["target"]
+            file.nodes[place["node"]][place["path"]] = [float(np.interp(time, times, column)) for column in values.T]
+    return np.concatenate([part.points for part in parts(file)])
+
+
+def test_animations_go_along(skinned, make, matched, tmp_path):
+    """To a copy that is turned and twice as large: it moves as the source does, turned and twice as far."""
+    shape, skin = skinned
+    times = np.array([0.0, 0.5, 1.25])
+    quaternions = np.random.default_rng(0).standard_normal((2, 3, 4))
+    quaternions /= np.linalg.norm(quaternions, axis=2, keepdims=True)
+    moves = (
+        Track("rotation", times, quaternions[0], 0),
+        Track("translation", times, np.array([[0, 0, 0], [0.3, 0.2, 0.1], [0, 1, 0]]), 0),
+        Track("rotation", times, quaternions[1], 2),
+        Track("translation", times, np.array([[0, 1, 0], [0, 1.2, 0], [0.1, 1, 0]]), 1),
+        Track("scale", times, np.array([[1, 1, 1], [1, 1.5, 1], [2, 2, 2]]), 4, steps=True),
+    )
+    skin = Skin(skin.names, skin.parents, skin.frames, skin.weights, (Animation("dance", moves),))
+    turn, same = make.rotation(9), np.arange(shape.n_points)
+    other = Shape(2.0 * shape.points @ turn.T + [1.0, 2.0, 3.0], shape.faces)
+    carried = Transfer(matched(shape, other, same, same)).skin(skin)
+    write_glb(tmp_path / "a.glb", SurfaceProjector(shape), skin=skin)
+    write_glb(tmp_path / "b.glb", SurfaceProjector(other), skin=carried)
+    for time in times:
+        expected = 2.0 * posed(tmp_path / "a.glb", time) @ turn.T + [1.0, 2.0, 3.0]
+        np.testing.assert_allclose(posed(tmp_path / "b.glb", time), expected, atol=5e-3)
+    assert np.ptp(posed(tmp_path / "a.glb", 0.5) - shape.points, axis=0).max() > 0.3
+    found = read_skin(tmp_path / "b.glb", read_shape(tmp_path / "b.glb"))
+    (animation,) = found.animations
+    assert animation.name == "dance"
+    assert [(track.path, track.joint, track.steps) for track in animation.tracks] == [
+        ("translation", 0, False),
+        ("rotation", 0, False),
+        ("translation", 1, False),
+        ("rotation", 2, False),
+        ("scale", 4, True),
+    ]
+
+
+def test_animations_of_nodes_around_the_joints(tmp_path):
+    """Nodes above the joints and between them are left out of the skeleton; the joints move as they did in all."""
+    path = by_hand(tmp_path)
+    content = json.loads(path.read_text())
+    values = {
+        (0, "rotation"): [[0, 0, 0, 1], [0.6, 0, 0, 0.8]],
+        (3, "translation"): [[5, 0, 0], [0, 9, 0]],
+        (3, "scale"): [[1, 1, 1], [2, 2, 2]],
+        (4, "rotation"): [[0, 0, 1, 0], [0, 0.6, 0, -0.8]],
+    }
+    keys = np.array([0.5, 2.0], "<f4")
+    numbers = [keys, *(np.array(rows, "<f4") for rows in values.values())]
+    body = b"".join(array.tobytes() for array in numbers)
+    content["buffers"].append({"byteLength": len(body), "uri": "data:;base64," + base64.b64encode(body).decode()})
+    samplers, channels, start = [], [], 0
+    for number, array in enumerate(numbers):
+        view = {"buffer": 1, "byteOffset": start, "byteLength": array.nbytes}
+        start += array.nbytes
+        content["bufferViews"].append(view)
+        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[array.size // 2]
+        accessor = {"bufferView": len(content["bufferViews"]) - 1, "componentType": 5126, "count": 2, "type": kind}
+        content["accessors"].append(accessor)
+        if number:
+            node, what = [*values][number - 1]
+            samplers.append({"input": 5, "output": 5 + number})
+            channels.append({"sampler": number - 1, "target": {"node": node, "path": what}})
+    content["animations"] = [{"channels": channels, "samplers": samplers}]
+    path.write_text(json.dumps(content))
+    shape = read_shape(path)
+    skin = read_skin(path, shape)
+    write_glb(tmp_path / "again.glb", SurfaceProjector(shape), skin=skin)
+    assert skin.animations[0].name == "animation 0"
+    for time in (0.5, 2.0):
+        # The first point has two joints, and they are bound anew where they lie.
+        np.testing.assert_allclose(posed(tmp_path / "again.glb", time)[1:], posed(path, time)[1:], atol=1e-5)
+    assert np.linalg.norm(posed(path, 2.0) - posed(path, 0.5)) > 0.1
 
 
 def by_hand(folder, **changes):

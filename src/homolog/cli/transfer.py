@@ -1,4 +1,4 @@
-"""``homolog transfer``: transfer textures, colours, labels, landmarks, skins and arrays along a match."""
+"""``homolog transfer``: transfer textures, colours, labels, landmarks, skins, blend shapes and arrays along a match."""
 
 from __future__ import annotations
 
@@ -33,7 +33,19 @@ def transfer(
     ] = False,
     skin: Annotated[
         bool,
-        typer.Option("--skin", help="The skeleton and skinning weights of a GLB or glTF.", rich_help_panel=_WHAT),
+        typer.Option(
+            "--skin",
+            help="The skeleton and skinning weights of a GLB or glTF, with its animations.",
+            rich_help_panel=_WHAT,
+        ),
+    ] = False,
+    blend_shapes: Annotated[
+        bool,
+        typer.Option(
+            "--blend-shapes",
+            help="The blend shapes (morph targets) of a GLB or glTF, with their animations.",
+            rich_help_panel=_WHAT,
+        ),
     ] = False,
     checker: Annotated[
         bool,
@@ -92,12 +104,12 @@ def transfer(
     ] = TEXTURE_SIZE,
     quiet: Quiet = False,
 ) -> None:
-    """Transfer textures, colours, skins, landmarks and arrays from the source of a match to its target.
+    """Transfer textures, colours, skins, blend shapes, landmarks and arrays from the source of a match to its target.
 
-    They follow a smooth map between the surfaces. Without options: the texture, colours and skin that the source's file
-    holds. Writes into DIR textured.obj, .mtl and .png (the target with an atlas of its own), coloured.ply, carried.glb
-    (texture or colours, and skin), arrays and landmarks under their files' names, and transfer.json. Textures need the
-    extra `transfer`.
+    They follow a smooth map between the surfaces. Without options: the texture, colours, skin and blend shapes that the
+    source's file holds. Writes into DIR textured.obj, .mtl and .png (the target with an atlas of its own),
+    coloured.ply, carried.glb (texture or colours, skin, blend shapes and animations), arrays and landmarks under their
+    files' names, and transfer.json. Textures need the extra `transfer`.
 
     Points without a counterpart get NaN, the label -1, or grey; landmarks are nan in tables, undefined in .mrk.json and
     left out in .fcsv; in a skin such points move with the nearest point that has a counterpart.
@@ -107,13 +119,15 @@ def transfer(
 
       homolog transfer result --checker
 
+      homolog transfer result --blend-shapes -o face
+
       homolog transfer result --labels organs.npy --array thickness.npy
 
       homolog transfer result --landmarks template.mrk.json -o subject
 
       homolog transfer result --reverse --texture --from scans/textured.obj
     """
-    given: dict[Kind, bool] = {"texture": texture, "colours": colours, "skin": skin}
+    given: dict[Kind, bool] = {"texture": texture, "colours": colours, "skin": skin, "blend-shapes": blend_shapes}
     kinds = [kind for kind, asked in given.items() if asked]
     files = [*(array or []), *(labels or []), *(landmarks or [])]
     transfers = homolog.transfer
@@ -144,7 +158,7 @@ def transfer(
         delivery.add_checkerboard()
     with progress_bar(quiet=quiet) as progress:
         progress(0, 1, "transfer")
-        written = delivery.write(output, {"result": str(result), "from": side, "versions": versions()})
+        written = delivery.write(output, {"result": str(result), "from": side, "versions": versions()}, progress)
     if not quiet:
         _tell(delivery, written)
 
@@ -154,7 +168,7 @@ def _target(match: homolog.Match, side: Side) -> Original | None:
     try:
         return homolog.transfer.read_original(match, side)
     except HomologError as error:
-        say(f"Note: the target's own look and skin are left out: {error}")
+        say(f"Note: the target's own look, skin and blend shapes are left out: {error}")
         return None
 
 

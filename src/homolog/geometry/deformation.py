@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 from homolog.geometry.laplacian import cloud_laplacian, mesh_laplacian
 from homolog.geometry.projection import SurfaceProjector
 from homolog.geometry.surface import Surface
+from homolog.shapes import Shape
 
 # Lengths are in spacings of the deformed shape's points.
 _STIFFNESS = 3.0
@@ -52,23 +53,16 @@ class WeightedPairs:
     n_certain: int = 0
 
 
-class DeformedTemplate:
-    """The source's surface, to be deformed onto the target's.
+class RestShape:
+    """A shape before it is deformed: its edges, with the strength of each, and means over its neighbourhoods.
 
-    Masses add up to one, so that lengths are shares of the source's unit.
+    Masses add up to one, so that lengths are shares of the shape's unit.
 
     Args:
-        source: the shape that is deformed.
-        target: the shape that it is deformed onto.
-        pairs: correspondences between the repaired shapes.
-        stiffness: in spacings of the source's points: what is smaller keeps its form, what is larger the pairs decide.
+        shape: a repaired mesh or cloud.
     """
 
-    def __init__(
-        self, source: SurfaceProjector, target: SurfaceProjector, pairs: WeightedPairs, *, stiffness: float = _STIFFNESS
-    ) -> None:
-        self.source, self.target, self.pairs, self.stiffness = source, target, pairs, stiffness
-        shape = source.shape
+    def __init__(self, shape: Shape) -> None:
         self.count = shape.n_points
         laplacian, mass = (
             cloud_laplacian(shape.points) if shape.faces is None else mesh_laplacian(shape.points, shape.faces)
@@ -83,6 +77,49 @@ class DeformedTemplate:
         self.stiffness_matrix = self.differences @ sparse.diags_array(self.strengths) @ self.differences.T
         self.rotation_smoother = self._smoother(_ROTATION_SMOOTHING)
         self.scale_smoother = self._smoother(_SCALE_SMOOTHING)
+
+    def local_similarities(
+        self, positions: Float[np.ndarray, "n 3"], known: Bool[np.ndarray, " e"], overall: float
+    ) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, " n"]]:
+        """How the neighbourhood of each point is rotated and scaled where the points lie at other positions.
+
+        Args:
+            positions: of all points.
+            known: which edges count.
+            overall: the scale of the whole where no edge counts.
+        """
+        now = (positions[self.ends[0]] - positions[self.ends[1]]) * known[:, None]
+        covariance = self.around @ (now[:, :, None] * self.rest[:, None, :]).reshape(-1, 9)
+        rotations = nearest_rotations(self.rotation_smoother.solve(covariance).reshape(-1, 3, 3))
+        sizes = np.einsum("nkl,nkl->n", rotations, covariance.reshape(-1, 3, 3))
+        rest_sizes = self.around @ (known * (self.rest**2).sum(axis=1))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            overall = sizes.sum() / rest_sizes.sum() if known.any() else overall
+            scales = self.scale_smoother.solve(sizes) / (overall * self.scale_smoother.solve(rest_sizes))
+        return rotations, np.asarray(overall * np.nan_to_num(scales, nan=1.0).clip(*_SCALES))
+
+    def _length(self, spacings: float) -> float:
+        return spacings / float(np.sqrt(self.count))
+
+    def _smoother(self, spacings: float) -> _Factors:
+        return _Factors(sparse.diags_array(self.mass) + self._length(spacings) ** 2 * self.stiffness_matrix)
+
+
+class DeformedTemplate(RestShape):
+    """The source's surface, to be deformed onto the target's.
+
+    Args:
+        source: the shape that is deformed.
+        target: the shape that it is deformed onto.
+        pairs: correspondences between the repaired shapes.
+        stiffness: in spacings of the source's points: what is smaller keeps its form, what is larger the pairs decide.
+    """
+
+    def __init__(
+        self, source: SurfaceProjector, target: SurfaceProjector, pairs: WeightedPairs, *, stiffness: float = _STIFFNESS
+    ) -> None:
+        super().__init__(source.shape)
+        self.source, self.target, self.pairs, self.stiffness = source, target, pairs, stiffness
 
     def solve(self) -> tuple[int, Float[np.ndarray, "n 3"]]:
         """Alternate between local rotations and positions.
@@ -119,12 +156,6 @@ class DeformedTemplate:
         """Which points occur in any pair."""
         return np.bincount(self.pairs.points, minlength=self.count) > 0
 
-    def _length(self, spacings: float) -> float:
-        return spacings / float(np.sqrt(self.count))
-
-    def _smoother(self, spacings: float) -> _Factors:
-        return _Factors(sparse.diags_array(self.mass) + self._length(spacings) ** 2 * self.stiffness_matrix)
-
     def _pulled(self, weights: Float[np.ndarray, " p"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
         """The total weight of each point's pairs, and the weighted sum of their positions."""
         columns = [np.bincount(self.pairs.points, weights * axis, self.count) for axis in self.pairs.positions.T]
@@ -132,15 +163,8 @@ class DeformedTemplate:
 
     def _edge_forces(self, positions: Float[np.ndarray, "n 3"], known: Bool[np.ndarray, " e"]) -> np.ndarray:
         """The right-hand side of the ARAP step: rest edges, rotated and scaled as the patches around their ends are."""
-        now = (positions[self.ends[0]] - positions[self.ends[1]]) * known[:, None]
-        covariance = self.around @ (now[:, :, None] * self.rest[:, None, :]).reshape(-1, 9)
-        rotations, sizes = _nearest_rotations(self.rotation_smoother.solve(covariance).reshape(-1, 3, 3), covariance)
-        rest_sizes = self.around @ (known * (self.rest**2).sum(axis=1))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            # Without any edge between paired points the shapes' own sizes give the global scale.
-            overall = sizes.sum() / rest_sizes.sum() if known.any() else self.target.unit / self.source.unit
-            scales = self.scale_smoother.solve(sizes) / (overall * self.scale_smoother.solve(rest_sizes))
-        scales = overall * np.nan_to_num(scales, nan=1.0).clip(*_SCALES)
+        # Without any edge between paired points the shapes' own sizes give the global scale.
+        rotations, scales = self.local_similarities(positions, known, self.target.unit / self.source.unit)
         of_edges = (rotations * scales[:, None, None])[self.ends].mean(axis=0)
         forces = self.strengths[:, None] * np.einsum("ekl,el->ek", of_edges, self.rest)
         return np.asarray(self.differences @ forces)
@@ -178,11 +202,13 @@ class _Factors:
         return np.asarray(self._factors.solve(np.ascontiguousarray(right)))
 
 
-def _nearest_rotations(
-    smooth: Float[np.ndarray, "n 3 3"], covariance: Float[np.ndarray, "n 9"]
-) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, " n"]]:
-    """The rotation nearest to each smoothed covariance (Kabsch, 1976), and the unsmoothed covariance along it."""
-    left, _, right = np.linalg.svd(smooth)
+def nearest_rotations(matrices: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3 3"]:
+    """The rotation nearest to each matrix (Kabsch, 1976).
+
+    Examples:
+        >>> nearest_rotations(np.diag([2.0, 3.0, 1.0])[None]).round(6).tolist()
+        [[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]]
+    """
+    left, _, right = np.linalg.svd(matrices)
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-    rotations = left @ right
-    return rotations, np.einsum("nkl,nkl->n", rotations, covariance.reshape(-1, 3, 3))
+    return np.asarray(left @ right)

@@ -1,9 +1,12 @@
-"""Transfer along a match: smooth maps between surfaces; arrays, labels, landmarks, colours, textures and skins."""
+"""Transfer along a match: smooth maps; arrays, labels, landmarks, colours, textures, skins, blend shapes."""
 
 from homolog.core.choices import TEXTURE_SIZE, System
 from homolog.geometry.projection import SurfacePoints, SurfaceProjector
+from homolog.transfer.animations import Animation, Track
 from homolog.transfer.appearance import NO_COLOUR, Appearance, Checkerboard, Texture, read_appearance
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
+from homolog.transfer.blend_shapes import BlendShapes, read_blend_shapes
+from homolog.transfer.deformation_transfer import DeformationTransfer
 from homolog.transfer.delivery import FAR_LANDMARK, OUTPUT_NAMES, Delivery, Kind, check_output_names
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels, read_original
@@ -21,9 +24,12 @@ __all__ = [
     "NO_COLOUR",
     "OUTPUT_NAMES",
     "TEXTURE_SIZE",
+    "Animation",
     "Appearance",
     "Atlas",
+    "BlendShapes",
     "Checkerboard",
+    "DeformationTransfer",
     "Delivery",
     "Kind",
     "Landmarks",
@@ -34,12 +40,14 @@ __all__ = [
     "SurfaceProjector",
     "System",
     "Texture",
+    "Track",
     "Transfer",
     "bake_texture",
     "check_output_names",
     "png",
     "read_appearance",
     "read_array",
+    "read_blend_shapes",
     "read_labels",
     "read_landmark_pairs",
     "read_landmarks",

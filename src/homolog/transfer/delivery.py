@@ -20,10 +20,13 @@ from homolog.core.files import (
     write_json,
     write_npy,
 )
+from homolog.core.messages import shorten
+from homolog.core.progress import Progress, ignore
 from homolog.geometry.projection import SurfaceProjector
 from homolog.shapes import drawable, write_shape
 from homolog.transfer.appearance import Appearance, Checkerboard, left_out, materials_warning
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
+from homolog.transfer.blend_shapes import BlendShapes
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels
 from homolog.transfer.landmarks import read_landmarks, repeated_names_warning, system_of
@@ -31,7 +34,7 @@ from homolog.transfer.obj import write_obj
 from homolog.transfer.skin import Skin
 from homolog.transfer.transfer import Transfer, no_counterpart_label
 
-Kind = Literal["texture", "colours", "skin"]
+Kind = Literal["texture", "colours", "skin", "blend-shapes"]
 """What a shape's file can hold beside points and faces."""
 
 _OBJ, _MTL, _PNG = "textured.obj", "textured.mtl", "textured.png"
@@ -76,6 +79,7 @@ class Delivery:
         self.transfer, self.axes, self.texture_size, self.target = transfer, axes, texture_size, target
         self.notes: list[str] = []
         """Messages for the user, a line each, complete after ``write``."""
+        self._progress: Progress = ignore
         self._inputs: list[Path] = []
         self._writers: list[_Writer] = []
 
@@ -123,7 +127,7 @@ class Delivery:
         self._writers.append(write)
 
     def add_contents(self, original: Original, kinds: Collection[Kind]) -> None:
-        """Add the texture, vertex colours and skin of the source's own file.
+        """Add the texture, vertex colours, skin and blend shapes of the source's own file, with its animations.
 
         Args:
             original: the source's file.
@@ -141,6 +145,7 @@ class Delivery:
             texture = self._texture(folder, original.appearance) if "texture" in kinds else None
             colours = self.transfer.colours(original.appearance) if "colours" in kinds else None
             skin = self.transfer.skin(original.skin) if "skin" in kinds and original.skin is not None else None
+            shapes = self._blend_shapes(original) if "blend-shapes" in kinds else None
             if texture is not None or colours is not None:
                 self._note_left_out(original)
             written = [_OBJ, _MTL, _PNG] if texture is not None else []
@@ -148,9 +153,12 @@ class Delivery:
                 write_shape(folder / _PLY, drawn, colours=colours)
                 written.append(_PLY)
             if drawn.faces is not None:
-                self._write_glb(folder / _GLB, texture, colours, skin)
+                self._write_glb(folder / _GLB, texture, colours, skin, shapes)
                 written.append(_GLB)
-            return {name: {"kind": "contents", "file": str(original.path), "holds": sorted(kinds)} for name in written}
+            entry = {"kind": "contents", "file": str(original.path), "holds": sorted(kinds)}
+            moving = {each.name: None for held in (skin, shapes) if held for each in held.animations}
+            names = {"blend_shapes": list(shapes.names)} if shapes else {}
+            return {name: entry | names | ({"animations": [*moving]} if moving else {}) for name in written}
 
         self._writers.append(write)
 
@@ -176,12 +184,13 @@ class Delivery:
 
         self._writers.append(write)
 
-    def write(self, folder: Path, report: dict[str, Any]) -> list[Path]:
+    def write(self, folder: Path, report: dict[str, Any], progress: Progress = ignore) -> list[Path]:
         """Transfer and write everything with a report; all files land together or none does.
 
         Args:
             folder: created if needed.
             report: further entries of ``transfer.json``.
+            progress: called before each blend shape.
 
         Returns:
             The files.
@@ -190,6 +199,7 @@ class Delivery:
             ArgumentError: if a file that was added would be overwritten.
             HomologError: as transferring and writing do.
         """
+        self._progress = progress
         names = (*OUTPUT_NAMES, *(path.name for path in self._inputs))
         refuse_overwriting_inputs([expanded(folder) / name for name in names], self._inputs)
         with all_or_nothing():
@@ -210,13 +220,16 @@ class Delivery:
         texture: tuple[Atlas, bytes] | None,
         colours: UInt8[np.ndarray, "n 3"] | None,
         skin: Skin | None,
+        shapes: BlendShapes | None,
     ) -> None:
-        """Write the target with what is transferred, and with its own look or skin where no other is."""
+        """Write the target with what is transferred, and with its own look, skin or shapes where no other is."""
         own = self.target
         if own is None or own.shape.faces is None:
-            write_glb(path, self.transfer.target, texture=texture, colours=colours, skin=skin)
+            given = self.transfer.target
+            write_glb(path, given, texture=texture, colours=colours, skin=skin, blend_shapes=shapes)
             return
         skin = own.skin if skin is None else skin
+        shapes = own.blend_shapes if shapes is None else shapes
         look = None
         if texture is None and colours is None:
             self._note_left_out(own)
@@ -226,7 +239,17 @@ class Delivery:
             )
         # The look counts the faces of the file.
         projector = SurfaceProjector(own.shape) if look is not None else self.transfer.target
-        write_glb(path, projector, texture=texture, colours=None if look is not None else colours, look=look, skin=skin)
+        colours = None if look is not None else colours
+        write_glb(path, projector, texture=texture, colours=colours, look=look, skin=skin, blend_shapes=shapes)
+
+    def _blend_shapes(self, original: Original) -> BlendShapes | None:
+        """The source's blend shapes on the target, of which those that move nothing are told of."""
+        assert original.blend_shapes is not None
+        shapes = self.transfer.blend_shapes(original.blend_shapes, self._progress)
+        if still := [name for name, rows in zip(shapes.names, shapes.offsets, strict=True) if not rows.any()]:
+            names = shorten(", ".join(still), 200)
+            self.notes.append(f"{original.path.name}: blend shapes that move no point of the target: {names}")
+        return shapes
 
     def _axes_of(self, side: Side) -> System:
         """The anatomical axes of a shape: those that were given, or that its file names."""
@@ -257,6 +280,9 @@ class Delivery:
             possible: set[Kind] = held
             if not mesh:
                 possible = {"colours"} if held & {"texture", "colours"} else set()
+                if lost := held - {"texture", "colours"}:
+                    what = " and ".join(sorted(lost)).replace("-", " ")
+                    self.notes.append(f"{self.transfer.target.given.name} has no faces: left out: {what}")
             if not possible:
                 missing = materials_warning(original.path)
                 raise DataError(
@@ -290,6 +316,7 @@ def _held(original: Original) -> set[Kind]:
         "texture": appearance.texture,
         "colours": appearance.point_colours,
         "skin": original.skin,
+        "blend-shapes": original.blend_shapes,
     }
     return {kind for kind, held in found.items() if held is not None}
 

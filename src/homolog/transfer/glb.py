@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,13 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import needs_extra
 from homolog.core.files import atomic_path
-from homolog.geometry import unit
+from homolog.geometry import Surface, unit
 from homolog.geometry.projection import SurfaceProjector
 from homolog.shapes import Shape, drawable
 from homolog.shapes.cleaning import clean
 from homolog.shapes.formats.gltf import GlbWriter
+from homolog.transfer.animations import Animation, Track
 from homolog.transfer.appearance import Texture
 from homolog.transfer.atlas import Atlas
+from homolog.transfer.blend_shapes import BlendShapes
 from homolog.transfer.gltf import linear
 from homolog.transfer.skin import Skin, strongest_influences
 
@@ -49,8 +53,9 @@ def write_glb(
     colours: UInt8[np.ndarray, "n 3"] | None = None,
     look: Texture | None = None,
     skin: Skin | None = None,
+    blend_shapes: BlendShapes | None = None,
 ) -> None:
-    """Write a mesh with normals, texture or vertex colours, and a skin as GLB; the whole file or none.
+    """Write a mesh with normals, texture or vertex colours, skin and blend shapes as GLB; the whole file or none.
 
     Points keep their indices, unless there is a texture or a look: then the points at seams are repeated.
 
@@ -61,9 +66,13 @@ def write_glb(
         colours: of its points; passed over where there is a texture, which programs would multiply with them.
         look: the images of the mesh's own file, in place of ``texture``; those of one texel become colours.
         skin: skeleton and skinning weights.
+        blend_shapes: of its points; they become morph targets, and their animations are written with the skin's.
     """
     glb = GlbWriter()
     shape = drawable(projector.given)
+    if blend_shapes is not None:
+        # Viewers add the shapes at their weights, and then show the mesh as it lies.
+        shape = replace(shape, points=shape.points - np.tensordot(blend_shapes.weights, blend_shapes.offsets, 1))
     assert shape.faces is not None
     if texture is not None:
         pieces = [_Piece(texture[0].point_of, texture[0].faces, texture[0].uv, texture[1])]
@@ -71,30 +80,87 @@ def write_glb(
         pieces = _pieces(projector.given, look)
     else:
         pieces = [_Piece(np.arange(shape.n_points), shape.faces)]
-    assert projector.surface is not None
-    normals = unit(projector.repaired.to_original(projector.surface.vertex_normals, fill=0.0))
-    normals[~normals.any(axis=1)] = 0.0, 1.0, 0.0  # glTF demands length one of all
+    normals = _normals(projector, shape.points)
+    movers = [] if blend_shapes is None else [*_movers(projector, shape.points, normals, blend_shapes)]
     primitives = list[dict[str, Any]]()
     for piece in pieces:
-        attributes = {"POSITION": glb.accessor(shape.points[piece.point_of].astype("<f4"), bounds=True)}
-        attributes["NORMAL"] = glb.accessor(normals[piece.point_of].astype("<f4"))
-        if piece.uv is not None:
-            attributes["TEXCOORD_0"] = glb.accessor(piece.uv.astype("<f4"))
-        elif colours is not None:
-            attributes["COLOR_0"] = _colours(glb, colours)
-        if skin is not None:
-            joints, weights = strongest_influences(skin.weights[piece.point_of])
-            attributes["JOINTS_0"] = glb.accessor(joints.astype("<u2"))
-            attributes["WEIGHTS_0"] = glb.accessor(weights.astype("<f4"))
+        attributes = _attributes(glb, piece, shape.points, normals, colours, skin)
         material = glb.add("materials", _material(glb, piece, clamped=look is None))
         indices = glb.accessor(piece.faces.ravel().astype("<u4"), indices=True)
-        primitives.append({"attributes": attributes, "indices": indices, "material": material})
-    node: dict[str, Any] = {"mesh": glb.add("meshes", {"primitives": primitives}), "name": path.stem}
+        primitive = {"attributes": attributes, "indices": indices, "material": material}
+        if movers:
+            targets = [{name: glb.sparse(rows[piece.point_of]) for name, rows in mover.items()} for mover in movers]
+            primitive["targets"] = targets
+        primitives.append(primitive)
+    mesh: dict[str, Any] = {"primitives": primitives}
+    if blend_shapes is not None:
+        mesh |= {"weights": blend_shapes.weights.tolist(), "extras": {"targetNames": list(blend_shapes.names)}}
+    node: dict[str, Any] = {"mesh": glb.add("meshes", mesh), "name": path.stem}
     roots = [] if skin is None else _skeleton(glb, skin, node)
-    glb.header["scenes"] = [{"nodes": [*roots, glb.add("nodes", node)]}]
-    glb.header["scene"] = 0
+    number = glb.add("nodes", node)
+    glb.header |= {"scenes": [{"nodes": [*roots, number]}], "scene": 0}
+    _add_animations(glb, [each for moved in (skin, blend_shapes) if moved for each in moved.animations], number)
     with atomic_path(path) as temporary:
         temporary.write_bytes(glb.content())
+
+
+def _attributes(
+    glb: GlbWriter,
+    piece: _Piece,
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    colours: UInt8[np.ndarray, "n 3"] | None,
+    skin: Skin | None,
+) -> dict[str, int]:
+    """Add what a piece has at its vertices; the numbers of the accessors by glTF's names."""
+    attributes = {"POSITION": glb.accessor(points[piece.point_of].astype("<f4"), bounds=True)}
+    attributes["NORMAL"] = glb.accessor(normals[piece.point_of].astype("<f4"))
+    if piece.uv is not None:
+        attributes["TEXCOORD_0"] = glb.accessor(piece.uv.astype("<f4"))
+    elif colours is not None:
+        attributes["COLOR_0"] = _colours(glb, colours)
+    if skin is not None:
+        joints, weights = strongest_influences(skin.weights[piece.point_of])
+        attributes["JOINTS_0"] = glb.accessor(joints.astype("<u2"))
+        attributes["WEIGHTS_0"] = glb.accessor(weights.astype("<f4"))
+    return attributes
+
+
+def _normals(projector: SurfaceProjector, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """The normals of a mesh whose points lie elsewhere."""
+    assert projector.shape.faces is not None
+    moved = Surface(points[projector.repaired.kept], projector.shape.faces)
+    normals = unit(projector.repaired.to_original(moved.vertex_normals, fill=0.0))
+    normals[~normals.any(axis=1)] = 0.0, 1.0, 0.0  # glTF demands length one of all
+    return normals
+
+
+def _movers(
+    projector: SurfaceProjector,
+    points: Float[np.ndarray, "n 3"],
+    normals: Float[np.ndarray, "n 3"],
+    shapes: BlendShapes,
+) -> Iterator[dict[str, Float[np.ndarray, "n 3"]]]:
+    """What each blend shape adds to positions and normals."""
+    for offsets in shapes.offsets:
+        yield {"POSITION": offsets, "NORMAL": _normals(projector, points + offsets) - normals}
+
+
+def _add_animations(glb: GlbWriter, animations: Sequence[Animation], node: int) -> None:
+    """Add animations of joints, which are the first nodes, and of a mesh's node; those of one name are one."""
+    tracks = dict[str, list[Track]]()
+    for animation in animations:
+        tracks.setdefault(animation.name, []).extend(animation.tracks)
+    for name, own in tracks.items():
+        channels, samplers = list[dict[str, Any]](), list[dict[str, Any]]()
+        for number, track in enumerate(own):
+            times = glb.accessor(track.times.astype("<f4")[:, None], bounds=True, vertices=False)
+            rows = track.values.reshape(-1, 1) if track.path == "weights" else track.values
+            values = glb.accessor(rows.astype("<f4"), vertices=False)
+            samplers.append({"input": times, "output": values, "interpolation": "STEP" if track.steps else "LINEAR"})
+            target = {"node": node if track.joint < 0 else track.joint, "path": track.path}
+            channels.append({"sampler": number, "target": target})
+        glb.add("animations", {"name": name, "channels": channels, "samplers": samplers})
 
 
 class _Piece(NamedTuple):

@@ -18,6 +18,7 @@ from homolog.matching import Match
 from homolog.pairs import Side
 from homolog.shapes import Shape, files_of_shape, read_shape
 from homolog.transfer.appearance import Appearance, files_of_look, read_appearance
+from homolog.transfer.blend_shapes import BlendShapes, read_blend_shapes
 from homolog.transfer.skin import Skin, read_skin
 
 
@@ -42,6 +43,11 @@ class Original:
     def skin(self) -> Skin | None:
         """Its skeleton and weights; see ``read_skin``."""
         return read_skin(self.path, self.shape)
+
+    @cached_property
+    def blend_shapes(self) -> BlendShapes | None:
+        """Its morph targets; see ``read_blend_shapes``."""
+        return read_blend_shapes(self.path, self.shape)
 
     @property
     def files(self) -> tuple[Path, ...]:

@@ -12,10 +12,12 @@ from scipy.spatial import cKDTree
 from homolog.core.errors import DataError
 from homolog.core.memory import expansion_fault
 from homolog.core.reasons import reason_of
+from homolog.geometry.deformation import nearest_rotations
 from homolog.maps import rigid_motion
 from homolog.shapes import Shape
 from homolog.shapes.formats.gltf import Gltf, influences, parts
 from homolog.shapes.formats.parsing import UnreadableError
+from homolog.transfer.animations import Animation, carried_animations, joint_animations
 from homolog.transfer.smooth_map import SurfaceMap
 
 INFLUENCES = 4
@@ -39,16 +41,20 @@ class Skin:
         parents: the parent of each joint, -1 for none (j,).
         frames: the rigid transform of each joint in the bind pose, in the shape's coordinates (j, 4, 4).
         weights: skinning weights (n, j); rows of zeros for points that no joint influences.
+        animations: of the joints.
     """
 
     names: tuple[str, ...]
     parents: Int[np.ndarray, " j"]
     frames: Float[np.ndarray, "j 4 4"]
     weights: Float[np.ndarray, "n j"]
+    animations: tuple[Animation, ...] = ()
 
 
 def read_skin(path: Path, shape: Shape) -> Skin | None:
-    """Read the first skin of a GLB or glTF file; None if it has none, or the file is of another format.
+    """Read the first skin of a GLB or glTF file, with animations of its joints.
+
+    None if the file has none, or is of another format.
 
     Args:
         path: the file.
@@ -63,7 +69,7 @@ def read_skin(path: Path, shape: Shape) -> Skin | None:
         file = Gltf(path)
         skinned = [number for number, node in enumerate(file.nodes) if "skin" in node and "mesh" in node]
         return _skin_of(file, file.nodes[skinned[0]]["skin"], skinned, shape) if skinned else None
-    except (UnreadableError, OSError, KeyError, IndexError, TypeError, ValueError) as error:
+    except (UnreadableError, OSError, KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise DataError(f"{path}: its skin cannot be read ({reason_of(error)}); export it again") from None
 
 
@@ -76,7 +82,9 @@ def _skin_of(file: Gltf, number: int, skinned: list[int], shape: Shape) -> Skin:
     # The shape is as its joints pose it in the file.
     frames = np.stack([file.world(joint) for joint in joints])
     names = tuple(str(file.nodes[joint].get("name", f"joint {joint}")) for joint in joints)
-    return Skin(names, _parents(file, joints), _unscaled(frames), _at_points(shape, vertices, weights))
+    parents, frames = _parents(file, joints), _unscaled(frames)
+    animations = joint_animations(file, joints, parents, frames)
+    return Skin(names, parents, frames, _at_points(shape, vertices, weights), animations)
 
 
 def _skinned_vertices(
@@ -108,10 +116,8 @@ def _parents(file: Gltf, joints: list[int]) -> Int[np.ndarray, " j"]:
 
 
 def _unscaled(frames: Float[np.ndarray, "j 4 4"]) -> Float[np.ndarray, "j 4 4"]:
-    left, _, right = np.linalg.svd(frames[:, :3, :3])
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     found = np.tile(np.eye(4), (len(frames), 1, 1))
-    found[:, :3, :3], found[:, :3, 3] = left @ right, frames[:, :3, 3]
+    found[:, :3, :3], found[:, :3, 3] = nearest_rotations(frames[:, :3, :3]), frames[:, :3, 3]
     return found
 
 
@@ -132,7 +138,8 @@ def transfer_skin(skin: Skin, to_source: SurfaceMap, to_target: SurfaceMap) -> S
 
     Each point keeps its ``INFLUENCES`` largest weights, normalised. A point without a counterpart gets the weights of
     the nearest point that has one, as programs draw a point without influences at the origin. A joint is moved by the
-    similarity transform that fits the correspondence of the surface nearest to it. New here.
+    similarity transform that fits the correspondence of the surface nearest to it, and moves as it did
+    (``carried_animations``). New here.
 
     Args:
         skin: the source's.
@@ -143,8 +150,10 @@ def transfer_skin(skin: Skin, to_source: SurfaceMap, to_target: SurfaceMap) -> S
         DataError: if hardly any point of the source has a counterpart.
     """
     weights = largest_influences(_filled(to_source.surface_points.interpolate(skin.weights), to_source.source.given))
-    frames = np.stack([_transfer_frame(frame, to_target) for frame in skin.frames])
-    return Skin(skin.names, skin.parents, frames, weights)
+    moved = [_transfer_frame(frame, to_target) for frame in skin.frames]
+    frames, scales = np.stack([frame for frame, _ in moved]), np.array([scale for _, scale in moved])
+    animations = carried_animations(skin.animations, skin.parents, skin.frames, frames, scales)
+    return Skin(skin.names, skin.parents, frames, weights, animations)
 
 
 def _filled(weights: Float[np.ndarray, "n j"], shape: Shape) -> Float[np.ndarray, "n j"]:
@@ -166,7 +175,8 @@ def largest_influences(weights: Float[np.ndarray, "n j"]) -> Float[np.ndarray, "
     return np.asarray(weights / np.where(total > 0, total, 1.0))
 
 
-def _transfer_frame(frame: Float[np.ndarray, "4 4"], to_target: SurfaceMap) -> Float[np.ndarray, "4 4"]:
+def _transfer_frame(frame: Float[np.ndarray, "4 4"], to_target: SurfaceMap) -> tuple[Float[np.ndarray, "4 4"], float]:
+    """The frame of a joint on the target, and the scale of its surroundings."""
     known = np.flatnonzero(to_target.surface_points.valid)
     if len(known) < _FEWEST_AROUND:
         raise DataError("fewer than a dozen of the source's points have a counterpart, too few to position joints by")
@@ -182,7 +192,7 @@ def _transfer_frame(frame: Float[np.ndarray, "4 4"], to_target: SurfaceMap) -> F
     found = np.eye(4)
     found[:3, :3] = rotation @ frame[:3, :3]
     found[:3, 3] = after + scale * (rotation @ (joint - before))
-    return found
+    return found, scale
 
 
 def strongest_influences(weights: Float[np.ndarray, "n j"]) -> tuple[Int[np.ndarray, "n 4"], Float[np.ndarray, "n 4"]]:

@@ -1,4 +1,4 @@
-"""Transfer of arrays, labels, landmarks, colours, textures and skins along one match."""
+"""Transfer of arrays, labels, landmarks, colours, textures, skins and blend shapes along one match."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from jaxtyping import Float, Int, Num, UInt8
 
 from homolog.core.choices import TEXTURE_SIZE
 from homolog.core.errors import ArgumentError
+from homolog.core.progress import Progress, ignore
 from homolog.geometry.projection import SurfaceProjector
 from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.transfer.appearance import Appearance, Checkerboard
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
+from homolog.transfer.blend_shapes import BlendShapes, transfer_blend_shapes
 from homolog.transfer.skin import Skin, transfer_skin
 from homolog.transfer.smooth_map import SurfaceMap, surface_map
 
@@ -112,6 +114,18 @@ class Transfer:
         if self.target.surface is None:
             raise ArgumentError(f"{self.target.given.name} has no faces, but a skin is for meshes")
         return transfer_skin(skin, self.to_source, self.to_target)
+
+    def blend_shapes(self, shapes: BlendShapes, progress: Progress = ignore) -> BlendShapes:
+        """Transfer the source's blend shapes to the target; see ``DeformationTransfer``.
+
+        Args:
+            shapes: the source's.
+            progress: called before each.
+
+        Raises:
+            ArgumentError: if the source or the target has no faces.
+        """
+        return transfer_blend_shapes(shapes, self.to_source, progress)
 
     def _rows(self, values: np.ndarray, name: str) -> np.ndarray:
         values, count = np.asarray(values), self.source.given.n_points

@@ -61,6 +61,8 @@ _NUMBER_BYTES = 40
 # To place a mesh takes as long as to read so many numbers.
 _PLACING = 100
 _MOST_JOINTS_PER_POINT = 16
+# Bytes of a vector with its index, and without.
+_SPARSE_ROW, _FULL_ROW = 16, 12
 
 
 class _Primitive(TypedDict, total=False):
@@ -483,6 +485,7 @@ class Part(NamedTuple):
         points: where its points lie in the scene; shape (0, 3) if an earlier primitive has brought them.
         first: the index of its first point among those of the shape.
         faces: triangles as indices from its first point.
+        placed: the transform from its own coordinates to the scene's, where no joints move it.
     """
 
     node: int
@@ -490,6 +493,7 @@ class Part(NamedTuple):
     points: Float[np.ndarray, "n 3"]
     first: int
     faces: Int[np.ndarray, "m 3"]
+    placed: Float[np.ndarray, "4 4"]
 
 
 def parts(file: Gltf, *, pose: Pose = "posed") -> Iterator[Part]:
@@ -507,7 +511,7 @@ def parts(file: Gltf, *, pose: Pose = "posed") -> Iterator[Part]:
         if "mesh" not in file.nodes[node]:
             continue
         mesh = file.header["meshes"][file.nodes[node]["mesh"]]
-        weights = file.nodes[node].get("weights", mesh.get("weights", []))
+        weights = default_weights(file, node)
         for placed in _placements(file, node):
             known = dict[str, int]()
             for primitive in mesh["primitives"]:
@@ -523,8 +527,29 @@ def parts(file: Gltf, *, pose: Pose = "posed") -> Iterator[Part]:
                 faces = _faces(file, primitive, mode, count)
                 # By the specification a transform that mirrors turns the triangles round as well.
                 mirrored = np.linalg.det(placed[:3, :3]) < 0 and "skin" not in file.nodes[node]
-                yield Part(node, primitive, points, known[key], faces[:, [0, 2, 1]] if mirrored else faces)
+                yield Part(node, primitive, points, known[key], faces[:, [0, 2, 1]] if mirrored else faces, placed)
                 n_points += len(points)
+
+
+def default_weights(file: Gltf, node: int) -> list[float]:
+    """The weights of the morph targets of a node's mesh, as the file shows them; none where it does not say."""
+    mesh = file.header["meshes"][file.nodes[node]["mesh"]]
+    found: list[float] = file.nodes[node].get("weights", mesh.get("weights", []))
+    return found
+
+
+def morph_offsets(file: Gltf, part: Part) -> Iterator[Float[np.ndarray, "n 3"]]:
+    """What each morph target adds to a part's points at the weight one, turned as its joints or its node turn them."""
+    node, attributes = file.nodes[part.node], part.primitive["attributes"]
+    for target in part.primitive.get("targets", []):
+        if "POSITION" not in target:
+            yield np.zeros_like(part.points)
+            continue
+        added = _as_many(file.accessor(target["POSITION"], "VEC3"), part.points, "a morph target").astype(np.float64)
+        if "skin" in node and "JOINTS_0" in attributes:
+            yield _posed(file, node["skin"], attributes, added, vectors=True)
+        else:
+            yield added @ part.placed[:3, :3].T
 
 
 def _mode(primitive: dict[str, Any]) -> int:
@@ -582,9 +607,9 @@ def _as_many(rows: np.ndarray, points: Float[np.ndarray, "n 3"], what: str) -> n
 
 
 def _posed(
-    file: Gltf, skin: int, attributes: dict[str, int], points: Float[np.ndarray, "n 3"]
+    file: Gltf, skin: int, attributes: dict[str, int], points: Float[np.ndarray, "n 3"], *, vectors: bool = False
 ) -> Float[np.ndarray, "n 3"]:
-    """Where joints carry the points of a skinned mesh: linear blend skinning."""
+    """Where joints carry the points of a skinned mesh, or vectors at them: linear blend skinning."""
     joints = file.header["skins"][skin]["joints"]
     carried = np.stack([file.world(joint) for joint in joints]) @ _inverse_binds(file, skin)
     posed, total = np.zeros_like(points), np.zeros((len(points), 1))
@@ -594,7 +619,8 @@ def _posed(
             found = f"a mesh refers to joint {joint.max()} of its skin {skin}, which has {len(joints)}"
             raise UnreadableError(f"{found}; {CUT_OFF}")
         matrices = carried[joint]
-        posed += share[:, None] * (np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + matrices[:, :3, 3])
+        shifts = 0.0 if vectors else matrices[:, :3, 3]
+        posed += share[:, None] * (np.einsum("nij,nj->ni", matrices[:, :3, :3], points) + shifts)
         total += share[:, None]
     return np.where(total > 0, posed / np.where(total > 0, total, 1.0), points)
 
@@ -768,6 +794,32 @@ class GlbWriter:
         if bounds:
             entry |= {"min": rows.min(axis=0).tolist(), "max": rows.max(axis=0).tolist()}
         return self.add("accessors", entry)
+
+    def sparse(self, rows: Float[np.ndarray, "n 3"]) -> int:
+        """Add vectors of vertices of which many may be zero; its number. Only the others are written."""
+        rows = rows.astype("<f4")
+        (which,) = np.nonzero(rows.any(axis=1))
+        if len(which) * _SPARSE_ROW >= len(rows) * _FULL_ROW:
+            return self.accessor(rows, bounds=True)
+        which = which if len(which) else np.zeros(1, dtype=np.int64)  # glTF demands one at least
+        return self.add(
+            "accessors",
+            {
+                "componentType": _CODES[rows.dtype],
+                "count": len(rows),
+                "type": _TYPES[3],
+                "min": rows.min(axis=0).tolist(),
+                "max": rows.max(axis=0).tolist(),
+                "sparse": {
+                    "count": len(which),
+                    "indices": {
+                        "bufferView": self.view(which.astype("<u4").tobytes()),
+                        "componentType": _CODES[np.dtype("<u4")],
+                    },
+                    "values": {"bufferView": self.view(rows[which].tobytes())},
+                },
+            },
+        )
 
     def view(self, content: bytes, target: int | None = None) -> int:
         """Add bytes to the buffer; the number of their view."""
