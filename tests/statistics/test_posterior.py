@@ -32,9 +32,7 @@ def test_it_is_dense_gaussian_conditioning(model):
     positions = model.mean[indices] + random.standard_normal((3, 3))
     found = posterior_model(model, Observations.of_points(indices, positions, 0.3))
     seen = (3 * indices[:, None] + np.arange(3)).ravel()
-    mean, covariance = conditioned(
-        model.mean.ravel(), covariance_of(model), seen, 0.09 * np.eye(9), positions.ravel()
-    )
+    mean, covariance = conditioned(model.mean.ravel(), covariance_of(model), seen, 0.09 * np.eye(9), positions.ravel())
     np.testing.assert_allclose(found.mean.ravel(), mean, atol=1e-10)
     np.testing.assert_allclose(covariance_of(found), covariance, atol=1e-10)
     flat = found.modes.reshape(len(found.modes), -1)

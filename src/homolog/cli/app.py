@@ -26,6 +26,7 @@ app = typer.Typer(
         transfer="homolog.cli.transfer:transfer",
         symmetry="homolog.cli.symmetry:symmetry",
         collection="homolog.cli.collection:collection",
+        complete="homolog.cli.complete:complete",
         train="homolog.cli.train:train",
         evaluate="homolog.cli.evaluate:evaluate",
         reproduce="homolog.cli.reproduce:reproduce",

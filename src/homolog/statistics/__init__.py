@@ -1,4 +1,4 @@
-"""Statistics of shapes in correspondence: Procrustes alignment, principal modes, quality of a model, posteriors, mirror planes."""
+"""Statistics of shapes in correspondence: alignment, principal modes and their quality, posteriors, mirror planes."""
 
 from homolog.statistics.alignment import Aligned, generalised_procrustes
 from homolog.statistics.curves import Curve, compactness, generalisation, specificity

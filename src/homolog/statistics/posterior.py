@@ -8,6 +8,7 @@ normal, the shapes that agree with what was seen are normally distributed again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -52,9 +53,7 @@ class Observations:
             )
 
     @classmethod
-    def of_points(
-        cls, indices: np.ndarray, positions: Float[np.ndarray, "p 3"], deviation: float
-    ) -> Observations:
+    def of_points(cls, indices: np.ndarray, positions: Float[np.ndarray, "p 3"], deviation: float) -> Observations:
         """Points of the model that were seen with one error in all directions.
 
         Args:
@@ -85,7 +84,7 @@ class Placement:
         return np.asarray(self.scale * points @ self.rotation.T + self.shift)
 
     def moved(self, turn: Float[np.ndarray, " 3"], shift: Float[np.ndarray, " 3"], growth: float) -> Placement:
-        """This one followed by a turn about its shift (a rotation vector), a growth (its logarithm), and a shift."""
+        """The placement followed by a turn (a rotation vector) about its shift, a growth (a logarithm) and a shift."""
         rotation = Rotation.from_rotvec(turn).as_matrix() @ self.rotation
         return Placement(rotation, self.shift + shift, self.scale * float(np.exp(growth)))
 
@@ -95,21 +94,37 @@ class PlacedPosterior:
     """The likeliest shape and placement of a model, and what is still open.
 
     Args:
+        model: before.
         placement: from the model's coordinates to those of what was seen.
         coefficients: of the shape, in standard deviations (k,).
-        points: the likeliest shape, placed (n, 3).
-        covariances: of each point, what is open of the placement counted in (n, 3, 3).
+        covariance: of shift, turn, growth if the size is open, and coefficients (q, q).
     """
 
+    model: ShapeModel
     placement: Placement
     coefficients: Float[np.ndarray, " k"]
-    points: Float[np.ndarray, "n 3"]
-    covariances: Float[np.ndarray, "n 3 3"]
+    covariance: Float[np.ndarray, "q q"]
 
-    @property
+    @cached_property
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """The likeliest shape, placed (n, 3)."""
+        return self.placement(self.model.shapes(self.coefficients[None])[0])
+
+    @cached_property
     def variances(self) -> Float[np.ndarray, " n"]:
-        """Of each point's distance from its likeliest position: the trace of its covariance (n,)."""
-        return np.asarray(np.trace(self.covariances, axis1=1, axis2=2))
+        """Of each point's distance from its likeliest position: the trace of its covariance matrix (n,).
+
+        What is open of the placement counts.
+        """
+        everywhere = SurfacePoints(np.arange(len(self.points))[:, None], np.ones((len(self.points), 1)))
+        return self.variances_at(everywhere)
+
+    def variances_at(self, places: SurfacePoints) -> Float[np.ndarray, " p"]:
+        """The same at any places of the model's surface (p,)."""
+        scale = len(self.covariance) > 6 + len(self.coefficients)
+        modes = _mode_columns(self.model, places)
+        columns = _placed_columns(self.placement, places.interpolate(self.points), modes, scale=scale)
+        return np.asarray(((columns @ self.covariance) * columns).sum(axis=(1, 2)))
 
 
 def posterior_model(model: ShapeModel, seen: Observations) -> ShapeModel:
@@ -187,10 +202,7 @@ def placed_posterior(
         placement, shape = placement.moved(step[3:6], step[:3], growth), shape + step[6 + scale :]
         if float(np.abs(design @ step).max()) <= _CONVERGED * size:
             break
-    everywhere = SurfacePoints(np.arange(len(model.mean))[:, None], np.ones((len(model.mean), 1)))
-    points = placement(model.shapes(shape[None])[0])
-    columns = _placed_columns(placement, points, _mode_columns(model, everywhere), scale=scale)
-    return PlacedPosterior(placement, shape, points, columns @ covariance @ columns.transpose(0, 2, 1))
+    return PlacedPosterior(model, placement, shape, covariance)
 
 
 def _mode_columns(model: ShapeModel, places: SurfacePoints) -> Float[np.ndarray, "p 3 k"]:
