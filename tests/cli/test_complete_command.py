@@ -31,6 +31,7 @@ def _stretched(blob, length, bend):
     return blob.points * [1, length, 1] + np.stack([bend * y**2, 0 * y, 0 * y], axis=1)
 
 
+@pytest.mark.slow
 def test_a_fragment_is_completed(homolog, family, tmp_path):
     shapes = [family / f"shape{number}.ply" for number in range(3)]
     made = homolog(

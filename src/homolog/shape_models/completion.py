@@ -23,7 +23,7 @@ from homolog.matching import Match, Matcher
 from homolog.pairs import PairOptions
 from homolog.shape_models.fitting import Fit, FitSettings, ModelFitter, Part
 from homolog.shape_models.stored_model import StoredModel
-from homolog.shapes import Shape, Up, farthest_points, repair, write_shape
+from homolog.shapes import Shape, Up, repair, write_shape
 from homolog.statistics import Observations, Placement, generalised_procrustes, placed_posterior, principal_modes
 from homolog.transfer import read_landmarks, system_of
 from homolog.viewing import heat_layer
@@ -36,6 +36,8 @@ COMPLETION_FILES = (COMPLETED, POINTS, LANDMARKS, REPORT)
 _MOST_POINTS = 20000
 # Another place that fits nearly as well makes a completion ambiguous: within this factor, or this difference.
 _NEARLY_AS_WELL = (1.25, 0.05)
+# A fragment with a larger misfit may have its faces the other way round.
+_DOUBTFUL = 1.5
 # Shapes of the collection that tell how far off completions are, spread over their list.
 _LEFT_OUT = 12
 # In independent points' squared standard deviations: fragments of the model's own shapes have about one.
@@ -185,9 +187,13 @@ def complete(
             starts = [_placement(match, scale=settings.scale)]
         except HomologError as error:
             warnings.append(f"the fragment could not be matched with the mean ({error}), so its place alone was tried")
-    part = Part(_samples(fragment, match, settings.samples), known.observations(deviation))
+    part = replace(_part(fragment, match, settings.samples), known=known.observations(deviation))
     with timings.measure("fit"):
         fits = fitter.fits(part, starts, search=orient != "given")
+        if part.normals is not None and fits[0].misfit > _DOUBTFUL:  # its faces may look inward, or either way
+            for normals in (-part.normals, None):
+                others = fitter.fits(replace(part, normals=normals), starts, search=orient != "given")
+                fits = min(fits, others, key=lambda each: each[0].misfit)
     with timings.measure("calibrate"):
         factor = _calibration(stored, fits[0], deviation)
     return _completion(fragment, stored, fits, deviation, factor, known, match, warnings)
@@ -297,12 +303,14 @@ def _placement(match: Match, *, scale: bool) -> Placement:
     return Placement(*(np.asarray(each) for each in rigid_motion(mean, there)))
 
 
-def _samples(fragment: Shape, match: Match | None, count: int) -> Float[np.ndarray, "p 3"]:
-    """Points of the fragment that are spread evenly, without those that were set apart."""
+def _part(fragment: Shape, match: Match | None, count: int) -> Part:
+    """Points of the fragment that are spread evenly, without those that were set apart, with normals of a mesh."""
     kept = repair(fragment).kept if match is None else np.flatnonzero(match.source_to_target >= 0)
-    points = fragment.points[kept]
-    points = points[some_points(len(points), _MOST_POINTS).numpy()]
-    return points[farthest_points(points, min(count, len(points)), seed=0)]
+    kept = kept[some_points(len(kept), _MOST_POINTS).numpy()]
+    projector, normals = SurfaceProjector(fragment), None
+    if projector.surface is not None:
+        normals = projector.repaired.to_original(projector.surface.vertex_normals, fill=0.0)[kept]
+    return Part(fragment.points[kept], normals).sampled(count)
 
 
 def write_completion(folder: str | Path, found: Completion, *, files: Sequence[str | Path] = ()) -> list[Path]:

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from homolog.core.settings import Count, Positive, Settings
-from homolog.geometry import unit
+from homolog.geometry import Surface, unit
 from homolog.geometry.projection import SurfacePoints
 from homolog.geometry.surface import closest_weights
 from homolog.maps import cube_rotations, rotation_angle
@@ -25,7 +25,9 @@ from homolog.statistics import Observations, PlacedPosterior, Placement, ShapeMo
 # Of the rigid search: points that tell where a start leads, places that the part's middle is put at, steps of closest
 # points, and how many of the best are looked at by a short fit of the first modes: rounds, modes.
 _FEW, _MIDDLES, _STEPS, _LOOKED_AT = 120, 12, 10, 24
-_SHORT_ROUNDS, _FIRST_MODES = 10, 10
+_SHORT_ROUNDS, _FIRST_MODES = 14, 8
+# Rounds of a fit before its shape may change.
+_RIGID_ROUNDS = 6
 # So many of these are fitted to the end.
 _FOLLOWED = 3
 _ON_MODEL = 1500
@@ -80,11 +82,19 @@ class Part:
 
     Args:
         points: samples of its surface (p, 3).
+        normals: at the samples, on the side that the model's faces are counter-clockwise from; None where they are not
+            known (p, 3).
         known: points of the model whose position on the part is given, such as landmarks.
     """
 
     points: Float[np.ndarray, "p 3"]
+    normals: Float[np.ndarray, "p 3"] | None = None
     known: Observations | None = None
+
+    def sampled(self, count: int) -> Part:
+        """Fewer samples, spread evenly."""
+        some = farthest_points(self.points, min(count, len(self.points)), seed=0)
+        return replace(self, points=self.points[some], normals=None if self.normals is None else self.normals[some])
 
 
 class ModelFitter:
@@ -106,6 +116,7 @@ class ModelFitter:
     ) -> None:
         self.model, self.faces, self.deviation = model, faces, deviation
         self.settings = settings or FitSettings()
+        self._size = float(np.sqrt(3 * model.mean.var(axis=0).mean()))
 
     def fits(self, part: Part, starts: Sequence[Placement] = (), *, search: bool = True) -> list[Fit]:
         """Fits from each start that lead to different places, the best first.
@@ -124,39 +135,43 @@ class ModelFitter:
 
     def likely_starts(self, part: Part) -> list[Placement]:
         """The rigid starts from which a short fit of the first modes comes nearest to the part."""
-        first = ShapeModel(self.model.mean, self.model.modes[:_FIRST_MODES], self.model.variances[:_FIRST_MODES])
+        first = self._first_modes(_FIRST_MODES)
         short = replace(self.settings, rounds=_SHORT_ROUNDS)
-        some = Part(part.points[farthest_points(part.points, min(_FEW, len(part.points)), seed=0)], part.known)
+        some = part.sampled(_FEW)
         fitter = ModelFitter(first, self.faces, self.deviation, short)
         tried = [(fitter.fit(some, start).misfit, start) for start in self.rigid_starts(part)]
         return [start for _, start in sorted(tried, key=lambda each: each[0])[:_FOLLOWED]]
 
+    def _first_modes(self, count: int) -> ShapeModel:
+        return ShapeModel(self.model.mean, self.model.modes[:count], self.model.variances[:count])
+
     def _alike(self, one: Placement, other: Placement) -> bool:
         """Whether two placements lead to the same fit."""
-        middle, size = self.model.mean.mean(axis=0), float(np.sqrt(3 * self.model.mean.var(axis=0).mean()))
-        apart = float(np.linalg.norm(one(middle) - other(middle)))
-        return float(rotation_angle(one.rotation @ other.rotation.T)) < _SAME_DEGREES and apart < _SAME_PLACE * size
+        middle = self.model.mean.mean(axis=0)
+        apart = float(np.linalg.norm(one(middle) - other(middle))) / self._size
+        return float(rotation_angle(one.rotation @ other.rotation.T)) < _SAME_DEGREES and apart < _SAME_PLACE
 
     def fit(self, part: Part, start: Placement) -> Fit:
         """The fit that rounds of closest points lead to from a placement."""
-        settings, coefficients, placement = self.settings, np.zeros(len(self.model.variances)), start
-        before = np.full(self.model.mean.shape, np.inf)
-        spread = np.inf
-        for _ in range(settings.rounds):
-            points = placement(self.model.shapes(coefficients[None])[0])
-            places, normals, away = self._below(points, part.points)
+        settings, coefficients, placement = self.settings, np.zeros(0), start
+        before, spread = np.full(self.model.mean.shape, np.inf), np.inf
+        for number in range(settings.rounds):
+            # The placement comes first, then ever more modes: all at once would bend the shape to a wrong place.
+            model = self._first_modes(0 if number < _RIGID_ROUNDS else 2 ** ((number - _RIGID_ROUNDS) // 2))
+            coefficients = np.pad(coefficients, (0, len(model.variances) - len(coefficients)))
+            points = placement(model.shapes(coefficients[None])[0])
+            places, normals, away = self._below(points, part)
             # What is far off at first may come near; what stays far off does not belong to the shape.
             spread = max(self.deviation, min(spread * 0.8, float(np.sqrt((away**2).mean()))))
             seen = self._seen(part, places, normals, away, spread)
-            found = placed_posterior(
-                self.model, seen, placement, coefficients=coefficients, scale=settings.scale, rounds=3
-            )
+            found = placed_posterior(model, seen, placement, coefficients=coefficients, scale=settings.scale, rounds=3)
             placement, coefficients = found.placement, found.coefficients
             moved = float(np.linalg.norm(found.points - before, axis=1).max())
             before = found.points
-            if spread == self.deviation and moved < 0.05 * self.deviation:
+            is_whole = len(model.variances) == len(self.model.variances)
+            if is_whole and spread == self.deviation and moved < 0.05 * self.deviation:
                 break
-        _, _, away = self._below(found.points, part.points)
+        away = self._below(found.points, replace(part, normals=None))[2]
         far = settings.far * self.deviation
         robust = (away**2 / (1 + (away / far) ** 2)).mean() / self.deviation**2
         misfit = float(robust + (coefficients**2).sum() / settings.independent)
@@ -188,9 +203,10 @@ class ModelFitter:
         return Observations(both, positions, np.concatenate([precisions, known.precisions]))
 
     def _below(
-        self, points: Float[np.ndarray, "n 3"], samples: Float[np.ndarray, "p 3"]
+        self, points: Float[np.ndarray, "n 3"], part: Part
     ) -> tuple[SurfacePoints, Float[np.ndarray, "p 3"] | None, Float[np.ndarray, " p"]]:
-        """The closest point of the placed model to each sample, its normal on a mesh, and the distance."""
+        """The closest point of the placed model that faces as each sample does, its normal on a mesh, the distance."""
+        samples = part.points
         if self.faces is None:
             away, nearest = KDTree(points).query(samples)
             corners = np.pad(nearest[:, None], ((0, 0), (0, 2)))
@@ -200,28 +216,36 @@ class ModelFitter:
         weights = closest_weights(corners[near.ravel()], np.repeat(samples, near.shape[1], axis=0))
         weights = weights.reshape(*near.shape, 3)
         offsets = np.linalg.norm(np.einsum("ptck,ptc->ptk", corners[near], weights) - samples[:, None], axis=2)
-        best = offsets.argmin(axis=1)
+        sides = np.diff(corners, axis=1)
+        normals = unit(np.cross(sides[:, 0], sides[:, 1]))
+        if part.normals is None:
+            best = offsets.argmin(axis=1)
+        else:  # where none of them faces as the sample does, the nearest one
+            turned = np.einsum("ptk,pk->pt", normals[near], part.normals) < 0
+            best = (offsets + turned * (1 + offsets.max())).argmin(axis=1)
         rows = np.arange(len(samples))
         nearest = near[rows, best]
-        sides = np.diff(corners[nearest], axis=1)
-        places = SurfacePoints(self.faces[nearest], weights[rows, best])
-        return places, unit(np.cross(sides[:, 0], sides[:, 1])), offsets[rows, best]
+        return SurfacePoints(self.faces[nearest], weights[rows, best]), normals[nearest], offsets[rows, best]
 
     def rigid_starts(self, part: Part) -> Iterator[Placement]:
         """Where closest points put the part on the mean as a rigid body, from all rotations and many places."""
-        mean = self.model.mean[farthest_points(self.model.mean, min(_ON_MODEL, len(self.model.mean)), seed=0)]
-        some = part.points[farthest_points(part.points, min(_FEW, len(part.points)), seed=0)]
-        middle, tree = some.mean(axis=0), KDTree(mean)
+        part = part.sampled(_FEW)
+        chosen = farthest_points(self.model.mean, min(_ON_MODEL, len(self.model.mean)), seed=0)
+        mean, normals = self.model.mean[chosen], None
+        if self.faces is not None and part.normals is not None:
+            # Counterparts must lie near and face alike: a right angle weighs as a length of the model's size.
+            normals = self._size * Surface(self.model.mean, self.faces).vertex_normals[chosen]
+        tree = KDTree(mean if normals is None else np.concatenate([mean, normals], axis=1))
+        some, across = part.points, None if normals is None else self._size * part.normals
         centres = mean[farthest_points(mean, min(_MIDDLES, len(mean)), seed=0)]
         centres = np.concatenate([mean.mean(axis=0, keepdims=True), centres])
-        rotations = np.repeat(cube_rotations().double().numpy(), len(centres), axis=0)
-        moved = (some - middle) @ rotations.transpose(0, 2, 1) + np.tile(centres, (24, 1))[:, None]
+        turns = np.repeat(cube_rotations().double().numpy(), len(centres), axis=0)
+        shifts = np.tile(centres, (24, 1)) - turns @ some.mean(axis=0)
         for _ in range(_STEPS):
-            moved, distances = _closer(moved, tree, mean)
+            turns, shifts, distances = _closer(some, across, turns, shifts, tree, mean)
         kept: list[Placement] = []
         for number in np.argsort(distances):
-            turn, shift = _rigid(moved[number][None], some[None])  # from the mean to the part
-            start = Placement(turn[0], shift[0])
+            start = Placement(turns[number].T, -shifts[number] @ turns[number])  # from the mean to the part
             if not any(self._alike(start, other) for other in kept):
                 kept.append(start)
                 yield start
@@ -230,14 +254,20 @@ class ModelFitter:
 
 
 def _closer(
-    moved: Float[np.ndarray, "s p 3"], tree: KDTree, targets: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "s p 3"], Float[np.ndarray, " s"]]:
+    some: Float[np.ndarray, "p 3"],
+    across: Float[np.ndarray, "p 3"] | None,
+    turns: Float[np.ndarray, "s 3 3"],
+    shifts: Float[np.ndarray, "s 3"],
+    tree: KDTree,
+    targets: Float[np.ndarray, "n 3"],
+) -> tuple[Float[np.ndarray, "s 3 3"], Float[np.ndarray, "s 3"], Float[np.ndarray, " s"]]:
     """A step of trimmed closest points for many starts at once, and their trimmed mean squared distances before."""
-    distances, nearest = tree.query(moved)
+    moved = some @ turns.transpose(0, 2, 1) + shifts[:, None]
+    asked = moved if across is None else np.concatenate([moved, across @ turns.transpose(0, 2, 1)], axis=2)
+    distances, nearest = tree.query(asked)
     kept = distances <= np.quantile(distances, 0.9, axis=1, keepdims=True)
-    turn, shift = _rigid(moved, targets[nearest], kept.astype(float))
-    squares = (kept * distances**2).sum(axis=1) / kept.sum(axis=1)
-    return moved @ turn.transpose(0, 2, 1) + shift[:, None], squares
+    turn, shift = _rigid(np.tile(some, (len(turns), 1, 1)), targets[nearest], kept.astype(float))
+    return turn, shift, (kept * distances**2).sum(axis=1) / kept.sum(axis=1)
 
 
 def _rigid(
