@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from homolog.core.errors import ArgumentError, DataError
+from homolog.matching import Match
 from homolog.shape_models import (
     Figures,
     FitSettings,
@@ -20,6 +21,7 @@ from homolog.shape_models import (
     write_completion,
     write_outputs,
 )
+from homolog.shape_models.completion import _placement
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.shapes.formats.ply import read_ply_property
 
@@ -123,6 +125,17 @@ def test_as_given(stored, upright):
     near = np.linalg.norm(given.shape.points[:, None] - upright.points, axis=2).min(axis=0)
     assert near.max() < 0.1 and given.misfit_elsewhere is None
     assert given.fit.misfit < 2 and given.warnings == ()
+
+
+@pytest.mark.parametrize("scale", [False, True])
+def test_a_match_gives_a_start(case, make, scale):
+    """Where the mean is the whole shape, its points lie there exactly."""
+    whole, used, fragment = case
+    before = Shape((whole - 2) @ make.rotation(8), make.blob(2).faces)
+    there = np.full(len(whole), -1)
+    there[used] = np.arange(len(used))
+    start = _placement(Match(fragment, before, used, there), scale=scale)
+    np.testing.assert_allclose(start(before.points), whole, atol=1e-6)
 
 
 def test_what_is_written_reads_back(stored, upright, tmp_path):

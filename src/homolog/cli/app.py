@@ -24,6 +24,7 @@ app = typer.Typer(
         view="homolog.cli.view:view",
         serve="homolog.cli.serve:serve",
         transfer="homolog.cli.transfer:transfer",
+        export="homolog.cli.export:export",
         symmetry="homolog.cli.symmetry:symmetry",
         collection="homolog.cli.collection:collection",
         complete="homolog.cli.complete:complete",

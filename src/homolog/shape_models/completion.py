@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 
 from homolog.core.arguments import check_kind
@@ -298,8 +299,8 @@ def _placement(match: Match, *, scale: bool) -> Placement:
     (seen,) = np.nonzero(match.source_to_target >= 0)
     mean, there = match.target.points[match.source_to_target[seen]], match.source.points[seen]
     if scale:
-        found = best_similarity(mean, there)
-        return Placement(np.asarray(found.rotation), np.asarray(found.shift), float(found.scale))
+        found = best_similarity(torch.from_numpy(mean), torch.from_numpy(there))
+        return Placement(found.rotation.numpy(), found.shift.numpy(), found.scale)
     return Placement(*(np.asarray(each) for each in rigid_motion(mean, there)))
 
 

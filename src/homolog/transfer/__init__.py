@@ -5,6 +5,15 @@ from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.transfer.appearance import NO_COLOUR, Appearance, Checkerboard, Texture, read_appearance
 from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.delivery import FAR_LANDMARK, OUTPUT_NAMES, Delivery, Kind, check_output_names
+from homolog.transfer.export import (
+    PARTICLES,
+    PointDistances,
+    field_of_match,
+    point_distances,
+    write_distance_table,
+    write_distances,
+    write_particles,
+)
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels, read_original
 from homolog.transfer.landmark_pairs import read_landmark_pairs
@@ -20,6 +29,7 @@ __all__ = [
     "LANDMARK_SUFFIXES",
     "NO_COLOUR",
     "OUTPUT_NAMES",
+    "PARTICLES",
     "TEXTURE_SIZE",
     "Appearance",
     "Atlas",
@@ -28,6 +38,7 @@ __all__ = [
     "Kind",
     "Landmarks",
     "Original",
+    "PointDistances",
     "Skin",
     "SurfaceMap",
     "SurfacePoints",
@@ -37,7 +48,9 @@ __all__ = [
     "Transfer",
     "bake_texture",
     "check_output_names",
+    "field_of_match",
     "png",
+    "point_distances",
     "read_appearance",
     "read_array",
     "read_labels",
@@ -49,6 +62,9 @@ __all__ = [
     "system_of",
     "untangled",
     "unwrap",
+    "write_distance_table",
+    "write_distances",
     "write_glb",
     "write_obj",
+    "write_particles",
 ]
