@@ -177,9 +177,19 @@ def test_figures_of_quality_go_round(build, blobs, tmp_path, partial):
         assert Match.load(tmp_path / str(number)).quality == each.quality is not None
 
 
+@pytest.mark.parametrize("suffix", [".mat", ".npz"])
+def test_one_map_under_the_name_that_another_program_reads(given, tmp_path, suffix):
+    (path,) = given.save(tmp_path / f"map{suffix}", name="p2p", base=1)
+    stored = np.load(path) if suffix == ".npz" else scipy.io.loadmat(path)
+    assert [name for name in stored if not name.startswith("__")] == ["p2p"]
+    np.testing.assert_array_equal(np.ravel(stored["p2p"]), given.target_to_source + 1)
+    with pytest.raises(ArgumentError, match=r"a word that a \.mat or \.npz calls its map"):
+        given.save(tmp_path / "map.vts", name="p2p")
+
+
 @pytest.mark.parametrize("words", [{"base": 1}, {"base": 0}, {"direction": "source_to_target"}])
 def test_a_folder_has_neither_base_nor_direction(given, tmp_path, words):
-    with pytest.raises(ArgumentError, match=r"base and direction are for files .*result is a folder"):
+    with pytest.raises(ArgumentError, match=r"base, direction and name are for files .*result is a folder"):
         given.save(tmp_path / "result", **words)
     assert not list(tmp_path.iterdir())
 
@@ -187,15 +197,15 @@ def test_a_folder_has_neither_base_nor_direction(given, tmp_path, words):
 @pytest.mark.usefixtures("matlab_here")
 @pytest.mark.parametrize("direction", ["target_to_source", "source_to_target"])
 @pytest.mark.parametrize("base", [None, 0, 1])
-@pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
+@pytest.mark.parametrize("suffix", [".txt", ".vts", ".map", ".mat", ".npz"])
 def test_files_go_round_in_both_bases(given, tmp_path, suffix, base, direction):
     path = tmp_path / f"map{suffix}"
     assert given.save(path, base=base, direction=direction) == [path]
     expected = getattr(given, direction)
     np.testing.assert_array_equal(read_point_map(path, base=base, direction=direction), expected)
-    first = {".txt": 0, ".npz": 0, ".vts": 1, ".mat": 1}[suffix] if base is None else base
+    first = {".txt": 0, ".npz": 0, ".vts": 1, ".map": 1, ".mat": 1}[suffix] if base is None else base
     # As other programs read them.
-    if suffix in (".txt", ".vts"):
+    if suffix in (".txt", ".vts", ".map"):
         stored = np.array([int(line) for line in path.read_text().split()])
     elif suffix == ".mat":
         stored = scipy.io.loadmat(path)[direction]
@@ -215,7 +225,7 @@ def test_files_go_round_in_both_bases(given, tmp_path, suffix, base, direction):
     [
         (
             {"path": "map.csv"},
-            "the suffix '.csv', but a point map must have one of .npz, .mat, .txt, .vts; without",
+            "the suffix '.csv', but a point map must have one of .npz, .mat, .txt, .vts, .map; without",
         ),
         ({"path": "map.txt", "base": 2}, "base is 2, but must be the first index, 0 or 1"),
         ({"path": "map.txt", "direction": "forth"}, "direction is 'forth', but must be one of"),
@@ -431,9 +441,9 @@ def test_numbers_below_none_are_no_indices(tmp_path, text):
         read_point_map(tmp_path / "map.txt")
 
 
-@pytest.mark.parametrize("name", ["o.map", "o.npy", "result.v2"])
+@pytest.mark.parametrize("name", ["o.tsv", "o.npy", "result.v2"])
 def test_a_suffix_that_is_not_known_is_told_with_those_that_are(given, tmp_path, name):
-    said = rf"{name} has the suffix '\.\w+', but a point map must have one of .npz, .mat, .txt, .vts; without a suff"
+    said = rf"{name} has the suffix '\.\w+', but a point map must have one of .npz, .mat, .txt, .vts, .map; without"
     with pytest.raises(ArgumentError, match=said):
         given.save(tmp_path / name)
 

@@ -567,7 +567,7 @@ def test_writing_that_stops_leaves_all_as_it_was(shapes, found, tmp_path, monkey
         raise error
 
     if broken == "source.ply":
-        ply = replace(formats()[".ply"], write=half, write_colours=half)
+        ply = replace(formats()[".ply"], write=half, write_values=half)
         monkeypatch.setattr("homolog.shapes.writing.formats", lambda: {".ply": ply})
     else:
         monkeypatch.setattr("homolog.matching.result_files.np.savez_compressed", half)

@@ -51,7 +51,7 @@ class Command(TyperCommand):
             return super().invoke(ctx)
 
 
-OUTPUTS = ("output", "page", "picture", "json", "csv", "plot")
+OUTPUTS = ("output", "page", "picture", "json", "csv", "plot", "field", "distances", "table", "point_map", "particles")
 """The parameters of commands that name what is written; all others that name files, name what is read."""
 
 

@@ -11,11 +11,19 @@ from homolog.matching.quality import MEASURES, MapQuality, Quality
 from homolog.matching.recognition import map_misfit
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_point_map, checked_maps
-from homolog.matching.result_files import RESULT_FILES, given_files, matched_name, read_point_map, write_folder
+from homolog.matching.result_files import (
+    MAP_SUFFIXES,
+    RESULT_FILES,
+    given_files,
+    matched_name,
+    read_point_map,
+    write_folder,
+)
 from homolog.matching.search import Hypothesis, orient, orientations
 from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, part_warnings, unit_warnings
 
 __all__ = [
+    "MAP_SUFFIXES",
     "MEASURES",
     "RESULT_FILES",
     "Alignment",

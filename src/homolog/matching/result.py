@@ -237,7 +237,14 @@ class Match:
         found_map: np.ndarray = torch.linalg.lstsq(phi_target, carried).solution.numpy()
         return found_map
 
-    def save(self, path: str | Path, *, base: int | None = None, direction: str = "target_to_source") -> list[Path]:
+    def save(
+        self,
+        path: str | Path,
+        *,
+        base: int | None = None,
+        direction: str = "target_to_source",
+        name: str | None = None,
+    ) -> list[Path]:
         """Write the match: a result folder, or one file.
 
         A path without a suffix is a folder, with ``correspondence.npz``, ``source.ply`` and ``target.ply`` (coloured
@@ -250,6 +257,7 @@ class Match:
         ``.mat``  both maps and confidences, for MATLAB                                  1
         ``.txt``  one map: a line per point with the index of its counterpart            0
         ``.vts``  one map, likewise                                                      1
+        ``.map``  one map, likewise                                                      1
         ========  =====================================================================  ============
 
         A point without a counterpart has the index before the first one: -1, or 0 where indices count from 1.
@@ -257,22 +265,24 @@ class Match:
         Args:
             path: where to.
             base: the first index of a file, 0 or 1; by default that of the table.
-            direction: which map ``.txt`` and ``.vts`` hold: ``"target_to_source"``, for each target point its source
+            name: for ``.mat`` and ``.npz``: hold one map alone, of ``direction``, under this name, as other programs
+                read it: ``p2p`` or ``T12``.
+            direction: which map a file of one map holds: ``"target_to_source"``, for each target point its source
                 point, as the field's tables score it, or ``"source_to_target"``.
 
         Returns:
             The files that were written.
 
         Raises:
-            ArgumentError: if there is no such format, the path cannot be written to, or ``base`` or ``direction`` is
-                given for a folder, which always holds both maps with indices from 0.
+            ArgumentError: if there is no such format, the path cannot be written to, or one of the options is given for
+                a folder, which always holds both maps with indices from 0.
         """
         if expanded(path).suffix and not expanded(path).is_dir():
-            return [result_files.write_maps(path, self, base=base, direction=direction)]
-        if base is not None or direction != "target_to_source":
+            return [result_files.write_maps(path, self, base=base, direction=direction, name=name)]
+        if base is not None or name is not None or direction != "target_to_source":
             raise ArgumentError(
-                f"base and direction are for files of point maps, but {path} is a folder; leave them out, or give a "
-                "file's name, such as map.vts"
+                f"base, direction and name are for files of point maps, but {path} is a folder; leave them out, or "
+                "give a file's name, such as map.vts"
             )
         return result_files.write_folder(path, self)
 

@@ -55,8 +55,8 @@ _UNTIED = (
 _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_confidence")
 _DIRECTIONS = ("target_to_source", "source_to_target")
 # The first index of each format, as other programs write it.
-_BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1}
-MAP_SUFFIXES = (*_BASES, ".map")
+_BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1, ".map": 1}
+MAP_SUFFIXES = (*_BASES,)
 """The suffixes of files that point maps are read from."""
 _MATLAB = Path(__file__).with_name("mat_process.py")
 # No shape has so many points, and below it floating-point numbers are exact.
@@ -337,23 +337,35 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def write_maps(path: str | Path, match: Match, *, base: int | None = None, direction: str = _DIRECTIONS[0]) -> Path:
+def write_maps(
+    path: str | Path,
+    match: Match,
+    *,
+    base: int | None = None,
+    direction: str = _DIRECTIONS[0],
+    name: str | None = None,
+) -> Path:
     """Write the point maps as one file, by its suffix; see ``Match.save``. Written whole or not at all.
 
     Raises:
-        ArgumentError: if there is no such format, base or direction.
+        ArgumentError: if there is no such format, base or direction, or a name for a format without names.
     """
     suffix = _checked_suffix(path)
+    if name is not None and (suffix not in (".mat", ".npz") or not name.isidentifier()):
+        raise ArgumentError(f"name is {name!r}, but must be a word that a .mat or .npz calls its map; {path} is named")
     _check_options(base, direction)
     base = _BASES[suffix] if base is None else base
     arrays = {name: getattr(match, name) for name in _ARRAYS}
     shifted = {name: values + base if name in _DIRECTIONS else values for name, values in arrays.items()}
+    if name is not None:
+        shifted = {name: shifted[direction]}
     # NumPy adds a suffix to a name that has none, but not to a file.
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         if suffix == ".npz":
             np.savez_compressed(file, allow_pickle=False, **shifted)
         elif suffix == ".mat":
-            scipy.io.savemat(file, {**shifted, "first_index": base}, do_compression=True, oned_as="column")
+            told = {} if name is not None else {"first_index": base}
+            scipy.io.savemat(file, {**shifted, **told}, do_compression=True, oned_as="column")
         else:
             np.savetxt(file, shifted[direction], fmt="%d")
     return expanded(path)
@@ -475,9 +487,8 @@ def _whole_numbers(path: str | Path, given: Any) -> Int[np.ndarray, " n"]:
 
 def _checked_suffix(path: str | Path, *, reading: bool = False) -> str:
     suffix = PurePath(path).suffix.lower()
-    known = MAP_SUFFIXES if reading else (*_BASES,)
-    if suffix not in known:
+    if suffix not in MAP_SUFFIXES:
         folder = "" if reading else "; without a suffix it is a result folder"
         found = f"the suffix {suffix!r}" if suffix else "no suffix"
-        raise ArgumentError(f"{path} has {found}, but a point map must have one of {', '.join(known)}{folder}")
+        raise ArgumentError(f"{path} has {found}, but a point map must have one of {', '.join(MAP_SUFFIXES)}{folder}")
     return suffix

@@ -3,6 +3,8 @@
 from homolog.shape_models.batch import register_all, settings_record
 from homolog.shape_models.build import BuiltModel, build
 from homolog.shape_models.choice import choice_for_all
+from homolog.shape_models.completion import COMPLETION_FILES, Completion, complete, write_completion
+from homolog.shape_models.fitting import Fit, FitSettings, ModelFitter, Part
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.landmarks import TemplateLandmarks
 from homolog.shape_models.outputs import check_extra, write_outputs
@@ -10,18 +12,26 @@ from homolog.shape_models.overview import MOST_SHOWN
 from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShapes
 from homolog.shape_models.registration import Figures, Registered, Template, check_template
 from homolog.shape_models.settings import ShapeModelSettings
+from homolog.shape_models.stored_model import StoredModel
 from homolog.shape_models.subjects import Subject, subjects_of
 
 __all__ = [
+    "COMPLETION_FILES",
     "MOST_SHOWN",
     "BuiltModel",
+    "Completion",
     "Figures",
+    "Fit",
+    "FitSettings",
+    "ModelFitter",
     "ModelSettings",
     "Outcome",
+    "Part",
     "Registered",
     "RegisteredShapes",
     "ShapeModelFolder",
     "ShapeModelSettings",
+    "StoredModel",
     "Subject",
     "Template",
     "TemplateLandmarks",
@@ -29,8 +39,10 @@ __all__ = [
     "check_extra",
     "check_template",
     "choice_for_all",
+    "complete",
     "register_all",
     "settings_record",
     "subjects_of",
+    "write_completion",
     "write_outputs",
 ]

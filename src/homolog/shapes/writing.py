@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ArgumentError, ShapeError
@@ -19,7 +19,13 @@ from homolog.shapes.shape import Shape
 Colours = UInt8[np.ndarray, "n 3"]
 
 
-def write_shape(path: str | Path, shape: Shape, *, colours: Colours | None = None) -> None:
+def write_shape(
+    path: str | Path,
+    shape: Shape,
+    *,
+    colours: Colours | None = None,
+    numbers: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+) -> None:
     """Write a shape; the suffix says in which format.
 
     Coordinates keep double precision, except in STL and GLB, which hold single precision. The file appears
@@ -32,6 +38,7 @@ def write_shape(path: str | Path, shape: Shape, *, colours: Colours | None = Non
         shape: what to write. Formats of points alone take no mesh: write ``shape.as_cloud()``. STL takes no
             cloud.
         colours: red, green and blue of each point, 0 to 255, shape (n, 3); PLY only.
+        numbers: of each point, by the name of the property that holds them, each (n,); PLY only.
 
     Raises:
         ShapeError: if the format cannot hold the shape.
@@ -59,16 +66,30 @@ def write_shape(path: str | Path, shape: Shape, *, colours: Colours | None = Non
         raise ShapeError(f"{path} cannot hold the faces of {shape.name}; choose .ply, or write shape.as_cloud()")
     if form.meshes_only and shape.faces is None:
         raise ShapeError(f"{path} cannot hold {shape.name}, a point cloud; choose .ply")
-    write = form.write if colours is None else partial(_coloured_writer(path, form, shape, colours), colours=colours)
+    write = form.write
+    if colours is not None or numbers:
+        write = partial(_writer_of_values(path, form, shape, colours, numbers or {}), colours=colours, numbers=numbers)
     with atomic_path(path) as temporary, imports_of(form):
         write(temporary, shape)
 
 
-def _coloured_writer(path: str | Path, form: Format, shape: Shape, colours: Colours) -> Callable[..., None]:
-    """What writes a shape with these colours."""
-    if form.write_colours is None:
-        raise ArgumentError(f"{path} cannot hold colours; choose the suffix .ply")
-    if np.shape(colours) != (shape.n_points, 3) or np.asarray(colours).dtype != np.uint8:
+def _writer_of_values(
+    path: str | Path,
+    form: Format,
+    shape: Shape,
+    colours: Colours | None,
+    numbers: Mapping[str, Float[np.ndarray, " n"]],
+) -> Callable[..., None]:
+    """What writes a shape with these colours and numbers."""
+    if form.write_values is None:
+        raise ArgumentError(f"{path} cannot hold {'numbers' if colours is None else 'colours'}; choose the suffix .ply")
+    if colours is not None and (np.shape(colours) != (shape.n_points, 3) or np.asarray(colours).dtype != np.uint8):
         found = f"{np.asarray(colours).dtype} of shape {np.shape(colours)}"
         raise ArgumentError(f"colours are {found}, but must be uint8 of shape ({shape.n_points}, 3)")
-    return form.write_colours
+    for name, values in numbers.items():
+        if not name.isidentifier() or np.shape(values) != (shape.n_points,):
+            raise ArgumentError(
+                f"numbers {name!r} have shape {np.shape(values)}, but must be a word and one number for each of the "
+                f"{shape.n_points} points"
+            )
+    return form.write_values

@@ -1,8 +1,15 @@
-"""Statistics of shapes in correspondence: Procrustes alignment, principal modes, quality of a model, mirror planes."""
+"""Statistics of shapes in correspondence: alignment, principal modes and their quality, posteriors, mirror planes."""
 
 from homolog.statistics.alignment import Aligned, generalised_procrustes
 from homolog.statistics.curves import Curve, compactness, generalisation, specificity
 from homolog.statistics.model import ShapeModel, principal_modes
+from homolog.statistics.posterior import (
+    Observations,
+    PlacedPosterior,
+    Placement,
+    placed_posterior,
+    posterior_model,
+)
 from homolog.statistics.symmetry import (
     FEWEST_PAIRS,
     MirrorPlane,
@@ -17,6 +24,9 @@ __all__ = [
     "Aligned",
     "Curve",
     "MirrorPlane",
+    "Observations",
+    "PlacedPosterior",
+    "Placement",
     "ShapeModel",
     "SymmetricComponents",
     "best_mirror_plane",
@@ -24,6 +34,8 @@ __all__ = [
     "generalisation",
     "generalised_procrustes",
     "mirror_normal",
+    "placed_posterior",
+    "posterior_model",
     "principal_modes",
     "specificity",
     "symmetric_components",

@@ -8,6 +8,15 @@ from homolog.transfer.atlas import Atlas, bake_texture, unwrap
 from homolog.transfer.blend_shapes import BlendShapes, read_blend_shapes
 from homolog.transfer.deformation_transfer import DeformationTransfer
 from homolog.transfer.delivery import FAR_LANDMARK, OUTPUT_NAMES, Delivery, Kind, check_output_names
+from homolog.transfer.export import (
+    PARTICLES,
+    PointDistances,
+    field_of_match,
+    point_distances,
+    write_distance_table,
+    write_distances,
+    write_particles,
+)
 from homolog.transfer.glb import png, write_glb
 from homolog.transfer.inputs import Original, read_array, read_labels, read_original
 from homolog.transfer.landmark_pairs import read_landmark_pairs
@@ -23,6 +32,7 @@ __all__ = [
     "LANDMARK_SUFFIXES",
     "NO_COLOUR",
     "OUTPUT_NAMES",
+    "PARTICLES",
     "TEXTURE_SIZE",
     "Animation",
     "Appearance",
@@ -34,6 +44,7 @@ __all__ = [
     "Kind",
     "Landmarks",
     "Original",
+    "PointDistances",
     "Skin",
     "SurfaceMap",
     "SurfacePoints",
@@ -44,7 +55,9 @@ __all__ = [
     "Transfer",
     "bake_texture",
     "check_output_names",
+    "field_of_match",
     "png",
+    "point_distances",
     "read_appearance",
     "read_array",
     "read_blend_shapes",
@@ -57,6 +70,9 @@ __all__ = [
     "system_of",
     "untangled",
     "unwrap",
+    "write_distance_table",
+    "write_distances",
     "write_glb",
     "write_obj",
+    "write_particles",
 ]

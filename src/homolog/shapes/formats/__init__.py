@@ -18,7 +18,7 @@ from homolog.shapes.formats.registry import (
 registry.add(
     Format(".off", off.read, off.write),
     Format(".obj", obj.read, obj.write),
-    Format(".ply", ply.read, ply.write, write_colours=ply.write),
+    Format(".ply", ply.read, ply.write, write_values=ply.write),
     Format(".stl", stl.read, stl.write, meshes_only=True),
     Format(".glb", gltf.read, gltf.write_glb, read_rest=gltf.read_rest, files_beside=gltf.buffer_files),
     Format(".gltf", gltf.read, read_rest=gltf.read_rest, files_beside=gltf.buffer_files),

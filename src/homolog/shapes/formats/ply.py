@@ -10,6 +10,7 @@ import re
 import struct
 from array import array
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
@@ -326,16 +327,24 @@ class _Rows:
         return sizes, within.view(self._order + prop.type).astype(np.int64)
 
 
-def write(path: Path, shape: Shape, colours: UInt8[np.ndarray, "n 3"] | None = None) -> None:
-    """Write a binary PLY file in double precision, with colours of the points if there are any."""
-    names = ["x", "y", "z"] if colours is None else ["x", "y", "z", *_COLOURS]
-    types = ["double"] * 3 + ["uchar"] * (len(names) - 3)
+def write(
+    path: Path,
+    shape: Shape,
+    colours: UInt8[np.ndarray, "n 3"] | None = None,
+    numbers: Mapping[str, Float[np.ndarray, " n"]] | None = None,
+) -> None:
+    """Write a binary PLY file in double precision, with colours and numbers of the points if there are any."""
+    numbers = numbers or {}
+    columns = {"x": "double", "y": "double", "z": "double", **dict.fromkeys(numbers, "double")}
+    columns |= {} if colours is None else dict.fromkeys(_COLOURS, "uchar")
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {shape.n_points}"]
-    head += [f"property {type_} {name}" for type_, name in zip(types, names, strict=True)]
+    head += [f"property {type_} {name}" for name, type_ in columns.items()]
     if shape.faces is not None:
         head += [f"element face {shape.n_faces}", "property list uchar int vertex_indices"]
-    points = np.zeros(shape.n_points, [("xyz", "<f8", 3), ("rgb", "u1", len(names) - 3)])
+    n_colours = 0 if colours is None else len(_COLOURS)
+    points = np.zeros(shape.n_points, [("xyz", "<f8", 3), ("numbers", "<f8", len(numbers)), ("rgb", "u1", n_colours)])
     points["xyz"] = shape.points
+    points["numbers"] = np.reshape([*numbers.values()], (len(numbers), shape.n_points)).T
     points["rgb"] = 0 if colours is None else colours
     faces = np.zeros(shape.n_faces, [("size", "u1"), ("corners", "<i4", 3)])
     faces["size"], faces["corners"] = 3, 0 if shape.faces is None else shape.faces

@@ -33,7 +33,7 @@ class Format:
         extra: the extra of Homolog that brings what reading and writing import.
         in_folders: what a file with this suffix is in a folder of shapes: a mesh, a cloud, or nothing, where such files
             mostly hold something else.
-        write_colours: writes a shape and the colours of its points, if it can hold these.
+        write_values: writes a shape with colours and numbers of its points, if it can hold these.
         read_rest: reads skinned meshes at rest, where ``read`` poses them.
         files_beside: the other files that a file's shape is read from, in order.
         compressed: how its files are compressed as a whole, such as ``"zip"``; None if they are not.
@@ -46,7 +46,7 @@ class Format:
     meshes_only: bool = False
     extra: str | None = None
     in_folders: Literal["mesh", "cloud", "nothing"] = "mesh"
-    write_colours: Callable[[Path, Shape, Any], None] | None = None
+    write_values: Callable[..., None] | None = None
     read_rest: Callable[[Path], Any] | None = None
     files_beside: Callable[[Path], tuple[Path, ...]] | None = None
     compressed: Literal["zip", "in any way"] | None = None
