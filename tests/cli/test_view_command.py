@@ -33,7 +33,7 @@ def truth(files, tmp_path):
 
 def layers_of(page):
     scene = re.search(r'id="scene">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
-    return {layer["name"]: layer for layer in json.loads(scene.group(1))["layers"]}
+    return {layer["name"]: layer for layer in json.loads(scene.group(1))["maps"][0]["layers"]}
 
 
 def test_page(homolog, result, tmp_path):

@@ -81,14 +81,14 @@ def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
         events.append((kind, data))
         if kind in ("done", "failed"):
             break
-    assert events[-1] == ("done", {"archive": "one to other.zip", "warnings": events[-1][1]["warnings"]})
+    assert events[-1] == ("done", {"archive": "one to other.zip", "maps": 1, "warnings": events[-1][1]["warnings"]})
     steps = [data for kind, data in events if kind == "step"]
     assert [step["done"] for step in steps] == list(range(len(steps)))
     (total,) = {step["total"] for step in steps}
     assert len(steps) <= total <= len(steps) + 2  # without weights, no features are computed
     assert steps[0]["step"] == "read source" and steps[-1]["step"] == "write"
     status, headers, page = user.ask("GET", f"{path}/view.html")
-    assert status == 200 and headers["Content-Security-Policy"].startswith("sandbox allow-scripts;")
+    assert status == 200 and headers["Content-Security-Policy"].startswith("sandbox allow-scripts allow-downloads;")
     assert "<title>one.off → other.ply</title>" in page.decode()
     status, _, packed = user.ask("GET", f"{path}/result.zip")
     with zipfile.ZipFile(BytesIO(packed)) as archive:
