@@ -87,7 +87,7 @@ def test_a_result_is_shown_with_its_alternatives(homolog, truth, files, tmp_path
 
 
 def test_the_command_on_the_page_matches_by_its_landmarks(homolog, files, tmp_path, monkeypatch):
-    """Whatever was said of the pair, with a landmark file as the page saves it; the new page then shows the landmarks."""
+    """Whatever was said of the pair, with files as the page saves them; the new page then shows the landmarks."""
     monkeypatch.chdir(tmp_path)
     said = ("--method", "registration", "--orient", "given", "--clutter", "keep", "--proxy", "never")
     assert homolog("match", files.mesh, files.other, "-o", "first", *said, "--html", "first.html").code == 0

@@ -1,11 +1,15 @@
-"""What a page holds: its elements, and the arrays of its scene."""
+"""What a page holds: its elements, and the arrays of its scene; and where it draws what, in a browser."""
 
 import base64
 import json
 import zlib
 from html.parser import HTMLParser
+from io import BytesIO
 
 import numpy as np
+import pytest
+
+SIDES = ("source", "target")
 
 
 class Parts(HTMLParser):
@@ -42,3 +46,33 @@ def arrays_of(parts):
         told |= {"method": first["method"], "layers": first["layers"]}
         told["bodies"] = [body | first["sides"][side] for side, body in enumerate(told["bodies"])]
     return told, read
+
+
+def on_page(page, scene, side, points):
+    """Where on the page points are seen, and how deep, by the camera's own matrices."""
+    camera = page.evaluate("side => homolog.camera(side)", SIDES.index(side))
+    view, clip = (np.reshape(camera[name], (4, 4)).T for name in ("view", "clip"))
+    homogeneous = np.concatenate([scene.bodies[side].points[points], np.ones((len(points), 1))], axis=1)
+    x, y, depth, w = clip @ view @ homogeneous.T
+    part = camera["part"]
+    return part["left"] + (x / w + 1) / 2 * part["width"], (1 - y / w) / 2 * part["height"], depth / w
+
+
+def foremost(page, scene, side):
+    """The point nearest to the camera, and where it is seen."""
+    everything = np.arange(len(scene.bodies[side].points))
+    x, y, depth = on_page(page, scene, side, everything)
+    point = int(depth.argmin())
+    return point, float(x[point]), float(y[point])
+
+
+def comes(page, condition):
+    """Whether a condition comes to hold within a minute, as the page draws."""
+    return any(condition() or page.wait_for_timeout(100) for _ in range(600))
+
+
+def colour_at(page, x, y):
+    """What is drawn at a place of the page."""
+    image = pytest.importorskip("PIL.Image")
+    shot = page.screenshot(clip={"x": round(x) - 1, "y": round(y) - 1, "width": 3, "height": 3})
+    return image.open(BytesIO(shot)).convert("RGB").getpixel((1, 1))
