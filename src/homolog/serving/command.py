@@ -103,7 +103,7 @@ def _landmarks_of(given: Any) -> LandmarkPairs | None:
     if given is None:
         return None
     whole = isinstance(given, dict) and given.keys() == {*SIDES} and all(map(_are_indices, given.values()))
-    if not whole:
+    if not whole or len({len(indices) for indices in given.values()}) > 1:
         raise ArgumentError("landmarks must be two lists, source and target, of as many indices of points")
     return LandmarkPairs(**given)
 

@@ -285,12 +285,13 @@ async function start() {
 
 await start();
 
-// For programs that look at the page: the camera, by columns, for a part of the canvas, which points are here, what is marked,
-// landmarks by the points of their ends, and picking.
+// For programs that look at the page: the camera, by columns, for a part of the canvas, which points are here and where, what is
+// marked, landmarks by the points of their ends, and picking.
 window.homolog = {
   camera: (side) => { fit(); return { view: [...viewMatrix()], clip: [...clipMatrix(parts()[side])], part: parts()[side] }; },
   marked: () => marked && { side: SIDES[marked.side], point: indices(marked)[0], counterpart: indices(marked)[1] },
   shown: (side) => scene.bodies[side].index,
+  points: (side) => [...scene.bodies[side].points],
   landmarks: () => landmarks.map(({ ends }) => ends.map(({ index }) => index)),
   hitSurface, hitPoints,
 };
