@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 
 from homolog.cli import browsing
+from homolog.matching import Match
+from homolog.shapes import read_shape
 
 
 @pytest.fixture
@@ -31,9 +34,13 @@ def truth(files, tmp_path):
     return paths
 
 
-def layers_of(page):
+def scene_of(page):
     scene = re.search(r'id="scene">(.*?)</script>', page.read_text(encoding="utf-8"), re.DOTALL)
-    return {layer["name"]: layer for layer in json.loads(scene.group(1))["layers"]}
+    return json.loads(scene.group(1))
+
+
+def layers_of(page, number=0):
+    return {layer["name"]: layer for layer in scene_of(page)["maps"][number]["layers"]}
 
 
 def test_page(homolog, result, tmp_path):
@@ -55,6 +62,55 @@ def test_match_writes_the_same_page(homolog, result, files, tmp_path):
     )
     assert ended.is_one_line_of_complaint()
     assert not (tmp_path / "no").exists()
+
+
+def test_a_result_is_shown_with_its_alternatives(homolog, truth, files, tmp_path):
+    """As the page that the match itself wrote; and with the error of each."""
+    of_match, of_view, result = tmp_path / "match.html", tmp_path / "view.html", tmp_path / "result"
+    method = ("--method", "registration", "--orient", "auto")
+    assert (
+        homolog("match", files.mesh, files.other, "-o", result, *method, "--alternatives", 2, "--html", of_match).code
+        == 0
+    )
+    assert homolog("view", result, "--html", of_view).code == 0
+    assert of_view.read_bytes() == of_match.read_bytes()
+    first, second = scene_of(of_view)["maps"]
+    assert first["name"] == "1: the likeliest" and re.match(r"2: .*turned by \d+°$", second["name"])
+    misfit = json.loads((result / "alternative-2" / "report.json").read_text())["orientation"]["misfit"]
+    assert second["note"].startswith(f"Misfit {misfit:.3f}, ") and second["note"].endswith("folder alternative-2.")
+    assert homolog("view", result, "--html", of_view, "--truth", *truth).code == 0
+    ramps = [layers_of(of_view, number)["Error"]["ramp"]["high"] for number in (0, 1)]
+    assert ramps[1] > ramps[0]
+    (result / "alternative-2" / "report.json").unlink()
+    ended = homolog("view", result, "--html", of_view)
+    assert ended.is_one_line_of_complaint() and "alternative-2 has no report.json" in ended.err
+
+
+def test_the_command_on_the_page_matches_by_its_landmarks(homolog, files, tmp_path, monkeypatch):
+    """Whatever was said of the pair, with files as the page saves them; the new page then shows the landmarks."""
+    monkeypatch.chdir(tmp_path)
+    said = ("--method", "registration", "--orient", "given", "--clutter", "keep", "--proxy", "never")
+    assert homolog("match", files.mesh, files.other, "-o", "first", *said, "--html", "first.html").code == 0
+    guide = scene_of(tmp_path / "first.html")["guide"]
+    assert guide["known"] == []
+    at, wanted = [5, 60], np.argsort(files.order)[[5, 60]].tolist()
+    for name, file, points in zip(guide["files"], (files.mesh, files.other), (at, wanted), strict=True):
+        labelled = enumerate(read_shape(file).points[points].tolist(), 1)
+        controls = [
+            {"label": str(number), "position": place, "positionStatus": "defined"} for number, place in labelled
+        ]
+        (tmp_path / name).write_text(
+            json.dumps({"markups": [{"type": "Fiducial", "coordinateSystem": "LPS", "controlPoints": controls}]})
+        )
+    program, *words = shlex.split(guide["command"])
+    assert program == "homolog" and homolog(*words).code == 0
+    assert Match.load("guided").source_to_target[at].tolist() == wanted
+    options = [json.loads((tmp_path / name / "report.json").read_text())["options"] for name in ("first", "guided")]
+    assert options[0] == {**options[1], "landmarks": None}
+    known = scene_of(tmp_path / "guided.html")["guide"]["known"]
+    assert [[end["index"] for end in each["ends"]] for each in known] == [
+        list(pair) for pair in zip(at, wanted, strict=True)
+    ]
 
 
 def test_page_with_all_layers(homolog, result, truth, files, tmp_path):

@@ -29,7 +29,9 @@ def test_it_serves_the_page(user):
     for path in ("/", "/?a=b"):
         status, headers, body = user.ask("GET", path)
         assert (status, body.decode(), headers["Content-Type"]) == (200, PAGE, "text/html; charset=utf-8")
-        assert headers["Content-Security-Policy"].startswith("sandbox allow-scripts; default-src 'none';")
+        assert headers["Content-Security-Policy"].startswith(
+            "sandbox allow-scripts allow-downloads; default-src 'none';"
+        )
         assert headers["Cross-Origin-Resource-Policy"] == "same-origin" and headers["Cache-Control"] == "no-store"
         assert "Access-Control-Allow-Origin" not in headers
     for path in ("/favicon.ico", "/../etc/passwd", "/%2e"):

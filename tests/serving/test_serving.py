@@ -18,11 +18,12 @@ import pytest
 from serving_tools import TRIANGLE, Listener, gone, pids, program, until
 
 from homolog.core.errors import ArgumentError, ShapeError
-from homolog.matching import RESULT_FILES, Match
+from homolog.matching import RESULT_FILES, Match, load_alternatives
 from homolog.serving import Limits, MatchCommand
 from homolog.serving.command import MatchRequest, public_error, read_message
 from homolog.serving.names import safe_file_name
 from homolog.shapes import read_shape
+from homolog.transfer import read_landmark_pairs
 
 pytest.importorskip("uvicorn", reason="uvicorn is missing; pip install 'homolog[serve]'")
 
@@ -81,14 +82,14 @@ def test_two_files_become_a_map(serve, client, blobs, tmp_path, monkeypatch):
         events.append((kind, data))
         if kind in ("done", "failed"):
             break
-    assert events[-1] == ("done", {"archive": "one to other.zip", "warnings": events[-1][1]["warnings"]})
+    assert events[-1] == ("done", {"archive": "one to other.zip", "maps": 1, "warnings": events[-1][1]["warnings"]})
     steps = [data for kind, data in events if kind == "step"]
     assert [step["done"] for step in steps] == list(range(len(steps)))
     (total,) = {step["total"] for step in steps}
     assert len(steps) <= total <= len(steps) + 2  # without weights, no features are computed
     assert steps[0]["step"] == "read source" and steps[-1]["step"] == "write"
     status, headers, page = user.ask("GET", f"{path}/view.html")
-    assert status == 200 and headers["Content-Security-Policy"].startswith("sandbox allow-scripts;")
+    assert status == 200 and headers["Content-Security-Policy"].startswith("sandbox allow-scripts allow-downloads;")
     assert "<title>one.off → other.ply</title>" in page.decode()
     status, _, packed = user.ask("GET", f"{path}/result.zip")
     with zipfile.ZipFile(BytesIO(packed)) as archive:
@@ -118,8 +119,62 @@ def test_a_request_becomes_options():
     assert {"--no-cache", "--method=auto", "--source-up=z", "--target-up=y", "--partial=target"} <= {*line}
 
 
+def test_landmarks_of_a_request_become_files(tmp_path):
+    given = {"alternatives": "3", "landmarks": {"source": [5, 0], "target": [7, 161]}}
+    request, names = MatchRequest.of(given), {"source": "a.off", "target": "b.off"}
+    line = MatchCommand().line(names, request)
+    files = line[line.index("--landmarks") + 1 :][:2]
+    assert files == [str(Path("landmarks", f"{side}.txt")) for side in names] and "--alternatives=3" in line
+    request.write_landmarks(tmp_path)
+    pairs = read_landmark_pairs(*(tmp_path / file for file in files))
+    assert pairs.source == (5, 0) and pairs.target == (7, 161)
+    plain = MatchRequest.of({})
+    plain.write_landmarks(tmp_path / "none")
+    assert not (tmp_path / "none").exists() and "--landmarks" not in MatchCommand().line(names, plain)
+
+
 @pytest.mark.parametrize(
-    "body", ["", "[]", "{", '{"weights": "x"}', '{"partial": "both"}', '{"source_up": ["y"]}', "[" * 4000]
+    "landmarks",
+    [
+        *([], {}, "x", 5, {"source": [1]}, {"source": [1], "target": [2], "more": [3]}, {"source": [], "target": []}),
+        *({"source": [1, 2], "target": [3]}, {"source": [-1], "target": [3]}, {"source": [True], "target": [3]}),
+        *({"source": [[0, 0, 0]], "target": [[0, 0, 0]]}, {"source": [1.5], "target": [3]}, {"source": 1, "target": 3}),
+        *({"source": [10**30], "target": [3]}, {"source": [*range(51)], "target": [*range(51)]}),
+    ],
+)
+def test_landmarks_that_are_none_are_refused(landmarks):
+    with pytest.raises(ArgumentError) as raised:
+        MatchRequest.of({"landmarks": landmarks})
+    assert len(str(raised.value)) < 120 and "landmarks" in str(raised.value)
+
+
+@pytest.mark.process
+def test_a_match_by_landmarks_with_alternatives(serve, client, blobs, tmp_path):
+    """Each map can be had by itself; the result has them all."""
+    user = client(serve(MatchCommand(("--method=registration",))))
+    order = read_shape(blobs[0]).points[:, 0].argsort()
+    at, wanted = [3, 77], np.argsort(order)[[3, 77]].tolist()
+    path, listener = user.match(*uploads(blobs), alternatives="2", landmarks={"source": at, "target": wanted})
+    kind, data = listener.until("failed", "done")
+    assert (kind, data["maps"]) == ("done", 2)
+    for name in ("result", "result-2"):
+        with zipfile.ZipFile(BytesIO(user.ask("GET", f"{path}/{name}.zip")[2])) as archive:
+            archive.extractall(tmp_path / name)
+    assert user.ask("GET", f"{path}/result-3.zip")[0] == 404
+    first = Match.load(tmp_path / "result" / "homolog-result")
+    (second,) = load_alternatives(tmp_path / "result" / "homolog-result", first)
+    alone = Match.load(tmp_path / "result-2" / "homolog-result")
+    np.testing.assert_array_equal(second.source_to_target, alone.source_to_target)
+    assert (first.source_to_target != second.source_to_target).any()
+    assert first.source_to_target[at].tolist() == second.source_to_target[at].tolist() == wanted
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        *("", "[]", "{", '{"weights": "x"}', '{"partial": "both"}', '{"source_up": ["y"]}', "[" * 4000),
+        *('{"alternatives": 2}', '{"alternatives": "9"}', '{"landmarks": {"source": [1], "target": ["x"]}}'),
+    ],
 )
 def test_other_requests_are_refused(serve, client, stuck, body):
     status, _, said = client(serve(stuck)).ask("POST", "/jobs", body)

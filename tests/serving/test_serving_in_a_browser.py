@@ -99,6 +99,70 @@ def test_two_users_and_a_hostile_one(serve, user, blobs, demo_folder, demo, tmp_
         assert all(url.startswith((server.address, f"blob:{server.address}", "data:")) for url in one.requests)
 
 
+def click_foremost(page, number):
+    """Click the point of a shape that is nearest to the camera, in the page of the match; its number."""
+    inside = next(frame for frame in page.frames if frame.url.endswith("view.html"))
+    camera = inside.evaluate("side => homolog.camera(side)", number)
+    points = np.reshape(inside.evaluate("side => homolog.points(side)", number), (-1, 3))
+    view, clip = (np.reshape(camera[name], (4, 4)).T for name in ("view", "clip"))
+    x, y, depth, w = clip @ view @ np.concatenate([points, np.ones((len(points), 1))], axis=1).T
+    point, part = int((depth / w).argmin()), camera["part"]
+    at = part["left"] + (x / w + 1)[point] / 2 * part["width"], (1 - y / w)[point] / 2 * part["height"]
+    page.frame_locator("#map").locator("#canvas").click(position={"x": float(at[0]), "y": float(at[1])})
+    return point
+
+
+def test_landmarks_match_again_and_maps_are_chosen(serve, user, blobs, tmp_path):
+    """The new match meets what was clicked, and shows it; cancelling, or a failure, leads back to the one before."""
+    server = serve(MatchCommand(("--method=registration",)))
+    page, one = user(server)
+    page.select_option("#alternatives", "2")
+    choose(page, "source", *blobs)
+    seen(page)
+    frame = page.frame_locator("#map")
+    frame.locator("#set").click()
+    clicked = [click_foremost(page, number) for number in (0, 1)]
+    assert not frame.locator("#run").is_visible()
+    with page.expect_download() as waited:  # the sandboxed page may save
+        frame.locator("#save-0").click()
+    assert waited.value.suggested_filename == "one-landmarks.mrk.json"
+    frame.locator("#again").click()
+    page.click("#cancel")
+    page.wait_for_selector("body.result")
+    assert frame.locator("#landmarks li").count() == 1 and page.is_hidden("#complaint-of-result")
+    frame.locator("#again").click()
+    page.wait_for_selector("#steps li")
+    seen(page)
+    got, result = download(page, tmp_path)
+    assert got == "one to other.zip" and result.source_to_target[clicked[0]] == clicked[1]
+    assert frame.locator("#landmarks li").inner_text().split("\n")[:2] == ["1", f"{clicked[0]} → {clicked[1]}"]
+    frame.locator("#map").select_option(index=1)
+    page.wait_for_selector("#download:has-text('Download alternative 2')")
+    (tmp_path / "other").mkdir()
+    got, other = download(page, tmp_path / "other")
+    assert got == "one to other (alternative 2).zip"
+    assert (other.source_to_target != result.source_to_target).any()
+    until(lambda: not any(server.folder.iterdir()))
+    server.end()
+    frame.locator("#again").click()
+    page.wait_for_selector("#complaint-of-result:not([hidden])")
+    assert page.is_visible("#map") and frame.locator("#landmarks li").count() == 1
+    assert all("/jobs" not in url for url in one.requests if not url.startswith(server.address))
+
+
+def test_no_one_else_asks_the_page_for_a_match(serve, user, stuck, blobs):
+    """Messages count that come from the page of the match, while it is shown."""
+    page, one = user(serve(stuck))
+    choose(page, "source", *blobs)
+    page.wait_for_selector("#steps li")
+    page.click("#cancel")  # now it has two files, and might match them
+    asked = [url for url in one.requests if url.endswith("/jobs")]
+    page.evaluate("document.body.classList.add('result')")
+    page.evaluate("window.postMessage({homolog: 'match again', landmarks: {source: [1], target: [2]}}, '*')")
+    page.evaluate("() => new Promise((done) => setTimeout(done, 200))")
+    assert [url for url in one.requests if url.endswith("/jobs")] == asked and len(asked) == 1
+
+
 def test_the_zone_of_the_bad_file_is_marked(serve, user):
     """Though both files are called alike, and otherwise on the server than here."""
     bad = '{"step": "read target", "side": "target", "done": 1, "total": 9}\n{"error": "target/_a_.off is empty"}'

@@ -7,6 +7,7 @@ import pytest
 
 from homolog.matching import Match
 from homolog.shapes import Shape
+from homolog.viewing import page_of, scene_of_all
 
 
 @pytest.fixture
@@ -28,3 +29,19 @@ def known(make):
 def known_clouds(known):
     """The same without faces."""
     return replace(known, source=known.source.as_cloud(), target=known.target.as_cloud())
+
+
+@pytest.fixture
+def opened(tab, tmp_path):
+    """``opened(*results)`` is a tab with the page of a result and its alternatives, from disk with the network off."""
+
+    def load(*results, **size):
+        file = tmp_path / "page.html"
+        file.write_text(page_of(scene_of_all(results)), encoding="utf-8")
+        one = tab(**size)
+        one.page.context.set_offline(True)
+        one.page.goto(file.as_uri())
+        one.page.wait_for_selector("body[data-ready]")
+        return one
+
+    return load

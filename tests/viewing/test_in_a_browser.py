@@ -6,50 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from viewing_tools import SIDES, colour_at, comes, foremost, on_page
 
 from homolog.serving import PageServer
 from homolog.viewing import page_of, scene_of
 
 pytestmark = pytest.mark.browser
-SIDES = ("source", "target")
 
 
 def counterpart(result, side, point):
     return int((result.source_to_target if side == "source" else result.target_to_source)[point])
-
-
-@pytest.fixture
-def opened(tab, tmp_path):
-    """``opened(result)`` is a tab with the result's page, loaded from disk with the network off."""
-
-    def load(result, **size):
-        file = tmp_path / "page.html"
-        file.write_text(page_of(scene_of(result)), encoding="utf-8")
-        one = tab(**size)
-        one.page.context.set_offline(True)
-        one.page.goto(file.as_uri())
-        one.page.wait_for_selector("body[data-ready]")
-        return one
-
-    return load
-
-
-def on_page(page, scene, side, points):
-    """Where on the page points are seen, and how deep, by the camera's own matrices."""
-    camera = page.evaluate("side => homolog.camera(side)", SIDES.index(side))
-    view, clip = (np.reshape(camera[name], (4, 4)).T for name in ("view", "clip"))
-    homogeneous = np.concatenate([scene.bodies[side].points[points], np.ones((len(points), 1))], axis=1)
-    x, y, depth, w = clip @ view @ homogeneous.T
-    part = camera["part"]
-    return part["left"] + (x / w + 1) / 2 * part["width"], (1 - y / w) / 2 * part["height"], depth / w
-
-
-def foremost(page, scene, side):
-    """The point nearest to the camera, and where it is seen."""
-    everything = np.arange(len(scene.bodies[side].points))
-    x, y, depth = on_page(page, scene, side, everything)
-    point = int(depth.argmin())
-    return point, float(x[point]), float(y[point])
 
 
 def check_clicks(one, result):
@@ -100,23 +66,9 @@ def test_a_mark_is_seen_on_both_shapes(opened, known):
     assert comes(one.page, lambda: all(magenta(one.page, *place) for place in there))
 
 
-def comes(page, condition):
-    """Whether a condition comes to hold within a minute, as the page draws."""
-    return any(condition() or page.wait_for_timeout(100) for _ in range(600))
-
-
 def magenta(page, x, y):
     red, green, blue = colour_at(page, x, y)
     return red > 150 and green < 60 and 60 < blue < 200
-
-
-def colour_at(page, x, y):
-    """What is drawn at a place of the page."""
-    image = pytest.importorskip("PIL.Image")
-    from io import BytesIO
-
-    shot = page.screenshot(clip={"x": round(x) - 1, "y": round(y) - 1, "width": 3, "height": 3})
-    return image.open(BytesIO(shot)).convert("RGB").getpixel((1, 1))
 
 
 def test_colours_and_sliders_of_the_page(opened, known):

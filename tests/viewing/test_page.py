@@ -1,51 +1,18 @@
 """The self-contained page: what it holds, and that it asks for nothing."""
 
 import base64
-import json
 import re
 import zlib
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from viewing_tools import Parts, arrays_of
 
 from homolog.matching import Match
 from homolog.shapes import Shape
 from homolog.viewing import page_of, scene_of
 from homolog.viewing.page import PackedArrays
-
-
-class Parts(HTMLParser):
-    """Every element with its attributes, and the text of scripts by their ids."""
-
-    def __init__(self, page):
-        super().__init__()
-        self.elements, self.scripts, self.title, self._inside = [], {}, "", None
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag, attributes):
-        self.elements.append((tag, dict(attributes)))
-        self._inside = dict(attributes).get("id", tag) if tag in ("script", "title") else None
-
-    def handle_endtag(self, tag):
-        self._inside = None
-
-    def handle_data(self, data):
-        if self._inside == "title":
-            self.title += data
-        elif self._inside:
-            self.scripts[self._inside] = self.scripts.get(self._inside, "") + data
-
-
-def arrays_of(parts):
-    block = zlib.decompress(base64.b64decode(parts.scripts["arrays"]))
-
-    def read(place):
-        return np.frombuffer(block, dtype=place["kind"], count=place["length"], offset=place["begin"])
-
-    return json.loads(parts.scripts["scene"]), read
 
 
 def test_it_holds_the_scene(known):

@@ -39,7 +39,7 @@ from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.cli.wording import in_options
 from homolog.core.choices import AsCloud, Side, System, Up
 from homolog.core.errors import ArgumentError
-from homolog.core.files import expanded, refuse_overwriting_inputs, remove
+from homolog.core.files import refuse_overwriting_inputs, remove
 from homolog.core.method_names import AUTO
 from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Listener, Timings
@@ -188,7 +188,8 @@ def match(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
-    for folder in (output, *(output / f"alternative-{number}" for number in range(2, alternatives + 1))):
+    others = (homolog.matching.alternative_folder(output, number) for number in range(2, alternatives + 1))
+    for folder in (output, *others):
         check_folder(folder, names=homolog.matching.RESULT_FILES)
     check_page_file(page)
     check_picture_file(picture, lines, picture_width)
@@ -221,7 +222,7 @@ def match(
             for match, own in zip(matcher.alternatives(pair, alternatives, timings=each), each, strict=False)
         ]
         paths = write_results(output, matches, each)
-    paths += _shown(matches[0], page, picture, width=picture_width, lines=lines)
+    paths += _shown(matches, page, picture, width=picture_width, lines=lines)
     if len(matches) < alternatives and not quiet:
         say(f"Note: {len(matches)} of {alternatives} ways round were found.")
     if not quiet:
@@ -249,14 +250,14 @@ def remove_alternatives(output: Path) -> None:
     """Remove the alternatives that an earlier match left in the folder: they belong to other maps."""
     for file in _alternatives(output):
         remove(file)
-    for folder in expanded(output).glob("alternative-*"):
-        if folder.is_dir() and not any(folder.iterdir()):
+    for folder in homolog.matching.alternative_folders(output):
+        if not any(folder.iterdir()):
             folder.rmdir()
 
 
 def _alternatives(output: Path) -> list[Path]:
     """The files of alternatives that an earlier match left in the folder."""
-    folders = expanded(output).glob("alternative-*")
+    folders = homolog.matching.alternative_folders(output)
     return [folder / name for folder in folders for name in homolog.matching.RESULT_FILES]
 
 
@@ -264,17 +265,17 @@ def write_results(output: Path, matches: list[Match], timings: list[Timings]) ->
     """Write the best match into a folder, and the others into folders in it, in place of those that are there."""
     paths = homolog.matching.write_folder(output, matches[0], timings=timings[0])
     remove_alternatives(output)
-    for number, match in enumerate(matches[1:], 2):
-        folder = output / f"alternative-{number}"
+    for number, match in enumerate(matches[1:], homolog.matching.FIRST_ALTERNATIVE):
+        folder = homolog.matching.alternative_folder(output, number)
         paths += homolog.matching.write_folder(folder, match, timings=timings[number - 1])
     return paths
 
 
-def _shown(match: Match, page: Path | None, picture: Path | None, *, width: int, lines: int) -> list[Path]:
-    """Write a page and a picture of a match, where they are wanted."""
+def _shown(matches: list[Match], page: Path | None, picture: Path | None, *, width: int, lines: int) -> list[Path]:
+    """Write a page of all maps and a picture of the best, where they are wanted."""
     if page is None and picture is None:
         return []
-    scene = homolog.viewing.scene_of(match)
+    scene = homolog.viewing.scene_of_all(matches)
     if page is not None:
         homolog.viewing.write_page(page, scene)
     if picture is not None:

@@ -75,9 +75,10 @@ def view(
     """Show a match in the browser: both shapes side by side, the same colours on corresponding points.
 
     Click a point to mark its counterpart. Colours show the correspondence, the confidence, with --truth the error, and
-    with --weights the features. Sliders set the least confidence and the number of points. Of more than 100,000 points
-    as many are shown. Prints the address and serves until Ctrl-C; --html writes the same page to a file. --picture
-    needs the extra `picture`.
+    with --weights the features. Sliders set the least confidence and the number of points. A menu offers the maps that
+    --alternatives of homolog match wrote. Landmarks can be set by clicks, and saved for --landmarks. Of more than
+    100,000 points as many are shown. Prints the address and serves until Ctrl-C; --html writes the same page to a
+    file. --picture needs the extra `picture`.
 
     Examples:
       homolog view result
@@ -94,9 +95,9 @@ def view(
     """
     check_page_file(page)
     check_picture_file(picture, lines, picture_width)
-    found = _match(result, shape)
-    refuse_overwriting_inputs(filter(None, (page, picture)), homolog.matching.given_files(found))
-    scene = homolog.viewing.scene_of(found, _layers(found, truth, weights, quiet=quiet))
+    matches = _matches(result, shape)
+    refuse_overwriting_inputs(filter(None, (page, picture)), homolog.matching.given_files(matches[0]))
+    scene = homolog.viewing.scene_of_all(matches, _layers(matches, truth, weights, quiet=quiet))
     if picture is not None:
         homolog.viewing.write_picture(picture, scene, width=picture_width, lines=lines)
         typer.echo(picture)
@@ -107,29 +108,35 @@ def view(
         typer.echo(page)
 
 
-def _match(result: Path, shape: str | None) -> Match:
-    """The match of a result folder, or of a shape of a collection."""
+def _matches(result: Path, shape: str | None) -> list[Match]:
+    """The match of a result folder and its alternatives, or that of a shape of a collection."""
     folders = homolog.shape_models.ShapeModelFolder
     if shape is not None:
-        return folders.existing(result).match(shape)
+        return [folders.existing(result).match(shape)]
     if folders.is_one(result):
         raise ArgumentError(f"{result} is a collection; say which of its shapes is to be shown, by --shape NAME")
-    return homolog.Match.load(result)
+    match = homolog.Match.load(result)
+    return [match, *homolog.matching.load_alternatives(result, match)]
 
 
-def _layers(result: Match, truth: tuple[Path, Path] | None, weights: str | None, *, quiet: bool) -> list[Layer]:
-    """What can be coloured by besides what is in the result."""
+def _layers(
+    matches: list[Match], truth: tuple[Path, Path] | None, weights: str | None, *, quiet: bool
+) -> list[list[Layer]]:
+    """What each match can be coloured by besides what is in the result."""
     from homolog.cli.match import counted
 
-    viewing, layers = homolog.viewing, []
+    viewing, first = homolog.viewing, matches[0]
+    layers: list[list[Layer]] = [[] for _ in matches]
     if truth is not None:
-        known = homolog.datasets.read_truth(truth, (result.source, result.target))
-        layers.append(viewing.error_layer(*viewing.map_errors(result, known)))
+        known = homolog.datasets.read_truth(truth, (first.source, first.target))
+        for match, own in zip(matches, layers, strict=True):
+            own.append(viewing.error_layer(*viewing.map_errors(match, known)))
     if weights is not None:
         with progress_bar(quiet=quiet) as progress:
             timings = Timings(listener=counted(progress, _STEPS))
             matcher = build_matcher(weights, "auto", "auto", no_cache=False)
-            layers.append(viewing.feature_layer(*viewing.pair_features(result, matcher, timings=timings)))
+            features = viewing.feature_layer(*viewing.pair_features(first, matcher, timings=timings))
+            layers = [[*own, features] for own in layers]
     return layers
 
 

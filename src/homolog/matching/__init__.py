@@ -1,6 +1,12 @@
 """From two shapes to a match: the road (``Matcher``), its stages, and the result (``Match``)."""
 
 from homolog.matching.alignment import Alignment, align_partial, best_alignment
+from homolog.matching.alternatives import (
+    FIRST_ALTERNATIVE,
+    alternative_folder,
+    alternative_folders,
+    load_alternatives,
+)
 from homolog.matching.choice import features_of_weights, needs_features
 from homolog.matching.colours import matched_colours, position_colours
 from homolog.matching.feature_choice import FeatureChoice
@@ -23,6 +29,7 @@ from homolog.matching.search import Hypothesis, orient, orientations
 from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, part_warnings, unit_warnings
 
 __all__ = [
+    "FIRST_ALTERNATIVE",
     "MAP_SUFFIXES",
     "MEASURES",
     "RESULT_FILES",
@@ -34,11 +41,14 @@ __all__ = [
     "Matcher",
     "Quality",
     "align_partial",
+    "alternative_folder",
+    "alternative_folders",
     "best_alignment",
     "check_point_map",
     "checked_maps",
     "features_of_weights",
     "given_files",
+    "load_alternatives",
     "low_confidence_warnings",
     "map_misfit",
     "match",

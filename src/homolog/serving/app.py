@@ -18,7 +18,7 @@ from starlette.routing import Route
 from homolog.core.errors import HomologError
 from homolog.pairs import SIDES, Side
 from homolog.serving.command import PAGE, MatchRequest
-from homolog.serving.execution import ARCHIVE
+from homolog.serving.execution import ALTERNATIVE_ARCHIVE, ARCHIVE
 from homolog.serving.guard import MATCH_PAGE_POLICY, HostNames
 from homolog.serving.job import Job
 from homolog.serving.jobs import Jobs
@@ -57,6 +57,7 @@ def make_app(jobs: Jobs, page: Page, names: HostNames) -> Starlette:
             Route("/jobs/{key}/events", endpoints.events),
             Route(f"/jobs/{{key}}/{PAGE}", endpoints.view),
             Route(f"/jobs/{{key}}/{ARCHIVE}", endpoints.archive),
+            Route(f"/jobs/{{key}}/{ALTERNATIVE_ARCHIVE.format('{number:int}')}", endpoints.alternative),
             Route("/jobs/{key}/{side}", endpoints.receive, methods=["PUT"]),
         ],
         middleware=[Middleware(Guard, names=names)],
@@ -103,6 +104,12 @@ class _Endpoints:
 
     async def archive(self, request: Request) -> Response:
         return FileResponse(self._done(request).folder / ARCHIVE, filename=ARCHIVE)
+
+    async def alternative(self, request: Request) -> Response:
+        path = self._done(request).folder / ALTERNATIVE_ARCHIVE.format(request.path_params["number"])
+        if not path.is_file():
+            raise RefusedError(404, "this match has no such map")
+        return FileResponse(path, filename=path.name)
 
     async def cancel(self, request: Request) -> Response:
         with suppress(RefusedError):  # it may have ended already

@@ -7,12 +7,12 @@ import os
 import re
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from homolog.core.errors import ArgumentError, bad_choice
-from homolog.pairs import Side
+from homolog.pairs import SIDES, LandmarkPairs, Side
 from homolog.shapes import Up
 
 PAGE = "view.html"
@@ -26,7 +26,12 @@ _TERMINAL_VARIABLES = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 _TEMPORARY_VARIABLES = ("TMPDIR", "TEMP", "TMP")
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
+# No shape has so many.
+_MOST_POINTS = 2**31
+
 PartialSide = Literal["none", "source", "target"]
+Alternatives = Literal["1", "2", "3"]
+_LANDMARKS = "landmarks"
 
 
 @dataclass(frozen=True)
@@ -37,11 +42,15 @@ class MatchRequest:
         source_up: the axis that points up in the source.
         target_up: likewise.
         partial: the one that is partial, if one is.
+        alternatives: how many maps of other ways round are wanted, the likeliest among them.
+        landmarks: points that are known to correspond, by their indices.
     """
 
     source_up: Up = "y"
     target_up: Up = "y"
     partial: PartialSide = "none"
+    alternatives: Alternatives = "1"
+    landmarks: LandmarkPairs | None = None
 
     @classmethod
     def of(cls, given: Any) -> MatchRequest:
@@ -50,17 +59,57 @@ class MatchRequest:
         Raises:
             ArgumentError: if it is anything else.
         """
-        allowed = {"source_up": get_args(Up), "target_up": get_args(Up), "partial": get_args(PartialSide)}
-        if not isinstance(given, dict) or not given.keys() <= allowed.keys():
-            raise ArgumentError(f"a match is asked for by {', '.join(allowed)} alone")
-        for name, value in given.items():
+        allowed = {
+            "source_up": get_args(Up),
+            "target_up": get_args(Up),
+            "partial": get_args(PartialSide),
+            "alternatives": get_args(Alternatives),
+        }
+        if not isinstance(given, dict) or not given.keys() <= {*allowed, _LANDMARKS}:
+            raise ArgumentError(f"a match is asked for by {', '.join([*allowed, _LANDMARKS])} alone")
+        words = {name: value for name, value in given.items() if name in allowed}
+        for name, value in words.items():
             if value not in allowed[name]:
                 raise bad_choice(name, str(value)[:40], allowed[name])
-        return cls(**given)
+        return cls(**words, landmarks=_landmarks_of(given.get(_LANDMARKS)))
 
     def options(self) -> list[str]:
         """The options of the command."""
-        return [f"--{name.replace('_', '-')}={value}" for name, value in asdict(self).items() if value != "none"]
+        words = {"source_up": self.source_up, "target_up": self.target_up, "partial": self.partial}
+        options = [f"--{name.replace('_', '-')}={value}" for name, value in words.items() if value != "none"]
+        options += [f"--alternatives={self.alternatives}"] * (self.alternatives != "1")
+        return options + (["--landmarks", *map(_landmark_file, SIDES)] if self.landmarks else [])
+
+    def write_landmarks(self, folder: Path) -> None:
+        """Write the files that the options name into the folder that the command runs in; none without landmarks."""
+        if self.landmarks is None:
+            return
+        for side in SIDES:
+            file = folder / _landmark_file(side)
+            file.parent.mkdir(exist_ok=True)
+            file.write_text("".join(f"{place}\n" for place in self.landmarks.on(side)), encoding="ascii")
+
+
+def _landmark_file(side: Side) -> str:
+    return str(Path(_LANDMARKS, f"{side}.txt"))
+
+
+def _landmarks_of(given: Any) -> LandmarkPairs | None:
+    """Landmarks from the JSON that a page sent.
+
+    Raises:
+        ArgumentError: if they are no indices, or too many.
+    """
+    if given is None:
+        return None
+    whole = isinstance(given, dict) and given.keys() == {*SIDES} and all(map(_are_indices, given.values()))
+    if not whole or len({len(indices) for indices in given.values()}) > 1:
+        raise ArgumentError("landmarks must be two lists, source and target, of as many indices of points")
+    return LandmarkPairs(**given)
+
+
+def _are_indices(given: Any) -> bool:
+    return isinstance(given, list) and all(type(index) is int and 0 <= index < _MOST_POINTS for index in given)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import zipfile
 from collections import deque
 from pathlib import Path
 
-from homolog.matching import RESULT_FILES
+from homolog.matching import FIRST_ALTERNATIVE, RESULT_FILES, alternative_folder
 from homolog.pairs import SIDES, Side
 from homolog.serving.command import PAGE, MatchCommand, public_error, read_message
 from homolog.serving.job import Job
@@ -19,6 +19,9 @@ _log = logging.getLogger(__name__)
 
 ARCHIVE = "result.zip"
 """The whole result, in a match's folder once it is done."""
+
+ALTERNATIVE_ARCHIVE = "result-{}.zip"
+"""One of the maps of other ways round, by its number."""
 
 UNKNOWN_ERROR = "the match failed, for a reason that is not known; tell whoever runs this page"
 
@@ -64,8 +67,23 @@ async def run_match(job: Job, command: MatchCommand, limits: Limits) -> None:
         raise RefusedError(422, killed if code < 0 else UNKNOWN_ERROR)
 
 
-def pack_result(folder: Path) -> None:
-    """Pack the result of a match, and its page, into an archive in its folder."""
-    with zipfile.ZipFile(folder / ARCHIVE, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in (*RESULT_FILES, PAGE):
-            archive.write(folder / "result" / name, f"homolog-result/{name}")
+def pack_result(folder: Path) -> int:
+    """Pack the result of a match, and its page, into an archive in its folder; its alternatives into one more each.
+
+    Returns:
+        How many maps there are.
+    """
+    result, others = folder / "result", list[Path]()
+    while (other := alternative_folder(result, FIRST_ALTERNATIVE + len(others))).is_dir():
+        others.append(other)
+    of_others = [other / name for other in others for name in RESULT_FILES]
+    _pack(folder / ARCHIVE, result, [*(result / name for name in (*RESULT_FILES, PAGE)), *of_others])
+    for number, other in enumerate(others, FIRST_ALTERNATIVE):
+        _pack(folder / ALTERNATIVE_ARCHIVE.format(number), other, [other / name for name in RESULT_FILES])
+    return 1 + len(others)
+
+
+def _pack(target: Path, root: Path, files: list[Path]) -> None:
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in files:
+            archive.write(file, str(Path("homolog-result") / file.relative_to(root)))

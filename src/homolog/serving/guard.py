@@ -27,10 +27,11 @@ SECURITY_HEADERS = {
 """Of every answer, unless it has its own."""
 
 MATCH_PAGE_POLICY = (
-    "sandbox allow-scripts; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "frame-ancestors 'self'"
 )
-"""The content security policy of a match's page: it runs its own script in an origin of its own, and loads nothing."""
+"""The content security policy of a match's page: it runs its own script in an origin of its own, loads
+nothing, and may save files."""
 
 _HOST_NAME = re.compile(r"[a-z0-9_-]+(\.[a-z0-9_-]+)*")
 _STANDARD_PORTS = {"http": ":80", "https": ":443"}

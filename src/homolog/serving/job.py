@@ -52,6 +52,7 @@ class Job:
         self._changed = anyio.Event()
         for name in (*SIDES, "result", "temporary"):
             (folder / name).mkdir(parents=True)
+        request.write_landmarks(folder)
 
     @property
     def done(self) -> bool:

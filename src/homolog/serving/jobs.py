@@ -123,10 +123,10 @@ class Jobs:
         await job.upload.wait()
         async with self._turn(job):
             await run_match(job, self._command, self._limits)
-            await to_thread.run_sync(pack_result, job.folder)
+            maps = await to_thread.run_sync(pack_result, job.folder)
         report = stored_record(job.folder / "result" / "report.json", _Report) or {"warnings": []}
         stems = [PurePath(job.upload.names[side]).stem for side in SIDES]
-        job.publish("done", archive=f"{' to '.join(stems)}.zip", warnings=report["warnings"])
+        job.publish("done", archive=f"{' to '.join(stems)}.zip", maps=maps, warnings=report["warnings"])
 
     @asynccontextmanager
     async def _turn(self, job: Job) -> AsyncIterator[None]:

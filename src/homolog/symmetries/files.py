@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +123,7 @@ def scene_of_symmetry(found: Symmetry) -> Scene:
     report = {**found.match.report, "warnings": list(found.warnings)}
     shape, partner, trust = found.shape, found.partner, found.confidence
     match = Match(shape, shape, partner, partner, trust, trust, found.match.method, report=report)
-    return scene_of(match, heat_layers(found))
+    return replace(scene_of(match, heat_layers(found)), guide=None)  # no landmarks guide it
 
 
 def _rows(found: Symmetry) -> Iterator[Sequence[Any]]:

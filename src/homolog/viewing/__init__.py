@@ -3,6 +3,7 @@
 from homolog.pairs import SIDES
 from homolog.viewing.colours import Ramp, principal_colours
 from homolog.viewing.contact_sheet import MOST_TILES, Tile, contact_sheet
+from homolog.viewing.guiding import Guide, guide_of
 from homolog.viewing.layers import Layer, confidence_layer, error_layer, feature_layer, heat_layer, matched_layer
 from homolog.viewing.measuring import map_errors, pair_features
 from homolog.viewing.modes_page import ModesScene, modes_page_of
@@ -11,11 +12,13 @@ from homolog.viewing.page import check_page, page_of, page_style, write_page
 from homolog.viewing.picture import check_picture, picture_of, write_picture
 from homolog.viewing.png import write_png
 from homolog.viewing.scene import Body, Scene, scene_of
+from homolog.viewing.ways import exchanges_sides, scene_of_all
 
 __all__ = [
     "MOST_TILES",
     "SIDES",
     "Body",
+    "Guide",
     "Layer",
     "ModesScene",
     "Ramp",
@@ -26,7 +29,9 @@ __all__ = [
     "confidence_layer",
     "contact_sheet",
     "error_layer",
+    "exchanges_sides",
     "feature_layer",
+    "guide_of",
     "heat_layer",
     "map_errors",
     "matched_layer",
@@ -39,6 +44,7 @@ __all__ = [
     "plot",
     "principal_colours",
     "scene_of",
+    "scene_of_all",
     "write_page",
     "write_picture",
     "write_png",

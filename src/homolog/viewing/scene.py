@@ -12,7 +12,8 @@ from scipy.spatial import KDTree
 
 from homolog.matching import Match, matched_name
 from homolog.pairs import SIDES, Side
-from homolog.shapes import stand_upright
+from homolog.shapes import stand_upright, upright_rotation
+from homolog.viewing.guiding import Guide, guide_of
 from homolog.viewing.layers import Layer, confidence_layer, matched_layer
 
 # Shapes whose sizes differ by more are likely to be in different units, and are drawn equally large.
@@ -32,6 +33,7 @@ class Body:
         counterpart: for each point that of the other shape, -1 = none (n,).
         confidence: in each counterpart (n,).
         spacing: typical distance from a point to the nearest other one.
+        to_file: takes a place and a one behind it, as a row, to the coordinates of the file (4, 3).
     """
 
     title: str
@@ -40,6 +42,7 @@ class Body:
     counterpart: Int[np.ndarray, " n"]
     confidence: Float[np.ndarray, " n"]
     spacing: float
+    to_file: Float[np.ndarray, "4 3"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +55,19 @@ class Scene:
         bodies: both shapes.
         layers: colours to choose from, the first to begin with.
         method: how they were matched.
+        guide: for landmarks that are set on the page; None where it is not to offer that.
+        name: of the map, among several.
+        note: a sentence on it.
+        alternatives: the scenes of other maps between the same shapes, with as many layers each.
     """
 
     bodies: dict[Side, Body]
     layers: tuple[Layer, ...]
     method: str
+    guide: Guide | None = None
+    name: str = ""
+    note: str = ""
+    alternatives: tuple[Scene, ...] = ()
 
     @property
     def title(self) -> str:
@@ -80,12 +91,23 @@ def scene_of(result: Match, layers: Sequence[Layer] = ()) -> Scene:
         >>> write_page("result.html", scene)
     """
     options = result.report.get("options", {})
+    turns = {side: upright_rotation(options.get(f"{side}_up", "y")) for side in SIDES}
     upright = {side: stand_upright(getattr(result, side), options.get(f"{side}_up", "y")).points for side in SIDES}
-    centred = {side: points - (points.min(axis=0) + points.max(axis=0)) / 2 for side, points in upright.items()}
+    middles = {side: (points.min(axis=0) + points.max(axis=0)) / 2 for side, points in upright.items()}
+    centred = {side: points - middles[side] for side, points in upright.items()}
     radii = {side: float(np.linalg.norm(points, axis=1).max()) or 1.0 for side, points in centred.items()}
     scales = _scales(radii, options)
-    bodies = {side: _body(result, side, centred[side] * scales[side]) for side in SIDES}
-    return Scene(bodies, (matched_layer(result), confidence_layer(result), *layers), result.method)
+    bodies = {
+        side: _body(
+            result,
+            side,
+            centred[side] * scales[side],
+            to_file=np.vstack([turns[side] / scales[side], middles[side] @ turns[side]]),
+        )
+        for side in SIDES
+    }
+    layers = (matched_layer(result), confidence_layer(result), *layers)
+    return Scene(bodies, layers, result.method, guide_of(result))
 
 
 def _scales(radii: dict[Side, float], options: dict[str, Any]) -> dict[Side, float]:
@@ -100,7 +122,7 @@ def _scales(radii: dict[Side, float], options: dict[str, Any]) -> dict[Side, flo
     return {side: scale / largest for side, scale in scales.items()}
 
 
-def _body(result: Match, side: Side, points: Float[np.ndarray, "n 3"]) -> Body:
+def _body(result: Match, side: Side, points: Float[np.ndarray, "n 3"], *, to_file: Float[np.ndarray, "4 3"]) -> Body:
     shape, found = getattr(result, side), result
     return Body(
         title=matched_name(result.report, side, otherwise=shape.name),
@@ -109,6 +131,7 @@ def _body(result: Match, side: Side, points: Float[np.ndarray, "n 3"]) -> Body:
         counterpart=found.source_to_target if side == "source" else found.target_to_source,
         confidence=found.source_confidence if side == "source" else found.target_confidence,
         spacing=typical_spacing(points),
+        to_file=to_file,
     )
 
 

@@ -9,7 +9,7 @@ const zones = Object.fromEntries(SIDES.map((side) => [side, document.querySelect
 const files = { source: null, target: null };
 const faults = { source: null, target: null };
 let run = null;                  // the match that is being made, if any
-let kept = [];                   // addresses of what was fetched
+let kept = [];                   // the archives that were fetched, one for each map: address and name
 
 // ---- the files
 
@@ -50,8 +50,10 @@ function dropped(side, list) {
 }
 
 function complain(text) {
-  $("complaint").textContent = text || "";
-  $("complaint").hidden = !text;
+  for (const id of ["complaint", "complaint-of-result"]) {
+    $(id).textContent = text || "";
+    $(id).hidden = !text;
+  }
 }
 
 // ---- a match
@@ -86,15 +88,18 @@ function complaintOf({ error, side }, status) {
   return Object.assign(new Error(error || `the server answers ${status}; try again`), { side });
 }
 
-async function match() {
+// With landmarks, which are set on the page of a match: that is shown again where this does not come to its end.
+async function match(landmarks) {
   if (run || !files.source || !files.target) return;
-  const one = run = { requests: [], sent: { source: 0, target: 0 }, steps: 0, began: 0 };
+  const one = run = { requests: [], sent: { source: 0, target: 0 }, steps: 0, began: 0, again: Boolean(landmarks) };
+  result(false);
   complain(null);
   SIDES.forEach((side) => zones[side].classList.remove("wrong"));
   busy(true);
   showUpload(one);
   try {
-    const request = Object.fromEntries(["source_up", "target_up", "partial"].map((name) => [name, $(name).value]));
+    const words = ["source_up", "target_up", "partial", "alternatives"].map((name) => [name, $(name).value]);
+    const request = { ...Object.fromEntries(words), ...(landmarks && { landmarks }) };
     const response = await answerOf(await fetch("/jobs", { method: "POST", body: JSON.stringify(request) }));
     one.address = `/jobs/${(await response.json()).id}`;
     if (one !== run) return void forget(one);
@@ -133,10 +138,12 @@ function fail(one, text, side) {
   if (side) zones[side].classList.add("wrong");
 }
 
+// Back to the files, or to the match that there was.
 function stop(one) {
   forget(one);
   run = null;
   busy(false);
+  result(one.again);
 }
 
 // Without a word more, so that it works while the page is closed.
@@ -186,23 +193,43 @@ function showStep(one, { step, done, total }) {
   say(`Step ${Math.min(done + 1, total)} of ${total}`);
 }
 
-async function show(one, { archive, warnings }) {
+async function show(one, { archive, maps, warnings }) {
   say("Fetching the result");
   $("progress").value = 1;
+  const fetched = [];
+  for (let number = 1; number <= maps; number++) {
+    const response = await answerOf(await fetch(`${one.address}/result${number > 1 ? `-${number}` : ""}.zip`));
+    const name = number > 1 ? archive.replace(/\.zip$/, ` (alternative ${number}).zip`) : archive;
+    fetched.push({ href: URL.createObjectURL(await response.blob()), download: name });
+  }
+  if (one !== run) return;
+  letGo();
+  kept = fetched;
   const shown = new Promise((loaded) => { $("map").onload = loaded; });
   $("map").src = `${one.address}/view.html`;
-  const response = await answerOf(await fetch(`${one.address}/result.zip`));
-  const address = URL.createObjectURL(await response.blob());
-  kept.push(address);
   await shown;
   if (one !== run) return;
-  Object.assign($("download"), { href: address, download: archive });
+  one.again = true;
+  offer(0);
+  // It has an origin of its own, which no address names.
+  $("map").contentWindow.postMessage({ homolog: "matches again" }, "*");
   $("pair").textContent = `${files.source.name} \u2192 ${files.target.name}`;
   document.title = `${$("pair").textContent} \u00b7 Homolog`;
   $("warnings").replaceChildren(...warnings.map(listed));
   $("warnings").hidden = !warnings.length;
   stop(one);
-  result(true);
+}
+
+// What is downloaded: the whole result, or another of its maps while that is shown.
+function offer(number) {
+  if (!kept[number]) return;
+  Object.assign($("download"), kept[number]);
+  $("download").textContent = number ? `Download alternative ${number + 1}` : "Download the result";
+}
+
+function letGo() {
+  for (const { href } of kept) URL.revokeObjectURL(href);
+  kept = [];
 }
 
 function listed(text) {
@@ -218,8 +245,8 @@ function result(seen) {
 }
 
 function again() {
-  kept.forEach(URL.revokeObjectURL);
-  kept = [];
+  letGo();
+  complain(null);
   $("map").onload = null;
   $("map").src = "about:blank";
   document.title = "Homolog";
@@ -246,8 +273,14 @@ function listenToZone(side) {
 SIDES.forEach(listenToZone);
 // A file that is dropped beside the zones would take the place of the page.
 for (const kind of ["dragover", "drop"]) window.addEventListener(kind, (event) => event.preventDefault());
+// What the page of the match tells, and no other.
+window.addEventListener("message", ({ source, data }) => {
+  if (source !== $("map").contentWindow || !data || !document.body.classList.contains("result")) return;
+  if (data.homolog === "match again") match(data.landmarks);
+  if (data.homolog === "map") offer(data.number);
+});
 window.addEventListener("pagehide", () => { if (run) forget(run); });
-$("match").addEventListener("click", match);
+$("match").addEventListener("click", () => match());
 $("cancel").addEventListener("click", () => { if (run) stop(run); });
 $("again").addEventListener("click", again);
 $("allowed").textContent = `${FACTS.suffixes.map((suffix) => suffix.slice(1).toUpperCase()).join(", ")}; up to ${FACTS.mb} MB each.`;

@@ -1,25 +1,33 @@
 // The page of a match: both shapes side by side, and what a click marks on them.
 
 const SIDES = ["source", "target"];
-const MARK = [226, 0, 122];
+const MARK = [226, 0, 122], MARK_PIXELS = 15;
 const REACH_PIXELS = 7;           // how far from a click a drawn point may be
 const EDGE = 1e-6;                // barycentric weights may be so far below zero: a ray through an edge meets a triangle
 
 // ---- the scene, as it was packed
 //
-// Of large shapes some points are here: `index` says which of the file's. For each of them there is what a click tells: its
+// Of large shapes some points are here: `index` says which of the file's. For each of them a map has what a click tells: its
 // counterpart in the other file (-1 for none), where that is, unless all points of the other are here, and which point that one
-// was matched back to.
+// was matched back to. Of several maps one is shown: what it has of the shapes and colours stands in the scene.
 
 function readScene(scene, array) {
-  for (const body of scene.bodies)
-    for (const name of ["points", "faces", "index", "counterpart", "place", "back", "confidence", "rank"])
-      body[name] = array(body[name]);
-  for (const layer of scene.layers) {
-    layer.colours = layer.colours.map(array);
-    layer.values = layer.values && layer.values.map(array);
+  for (const body of scene.bodies) for (const name of ["points", "faces", "index", "rank"]) body[name] = array(body[name]);
+  for (const map of scene.maps) {
+    for (const side of map.sides) for (const name of ["counterpart", "place", "back", "confidence"]) side[name] = array(side[name]);
+    for (const layer of map.layers) {
+      layer.colours = layer.colours.map(array);
+      layer.values = layer.values && layer.values.map(array);
+    }
   }
+  takeMap(scene, 0);
   return scene;
+}
+
+function takeMap(scene, number) {
+  const { sides, layers, method } = scene.maps[number];
+  scene.bodies.forEach((body, side) => Object.assign(body, sides[side]));
+  Object.assign(scene, { layers, method });
 }
 
 // ---- picking
@@ -122,8 +130,8 @@ function recolour() {
   redraw();
 }
 
-// A mark behind a surface shines through it faintly.
-function drawMark(part, place) {
+// A sign at a place, so many pixels wide. Behind a surface it shines through faintly.
+function drawSign(program, part, place, width, numbers) {
   gl.disableVertexAttribArray(0);
   gl.disableVertexAttribArray(1);
   gl.disableVertexAttribArray(2);
@@ -133,8 +141,8 @@ function drawMark(part, place) {
   gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
   for (const [test, strength] of [[gl.ALWAYS, 0.3], [gl.LEQUAL, 1]]) {
     gl.depthFunc(test);
-    const pixels = 15 * scale();
-    begin(programs.mark, part, { size: 0, least: pixels, most: pixels, lift: 0.02, strength });
+    const pixels = width * scale();
+    begin(program, part, { size: 0, least: pixels, most: pixels, lift: 0.02, strength, ...numbers });
     gl.drawArrays(gl.POINTS, 0, 1);
   }
   gl.depthFunc(gl.LESS);
@@ -149,7 +157,8 @@ function draw() {
     // Fewer points are drawn larger, but not as large as the gaps between them.
     if (!isSurface(body)) drawDots(side, part, 1.5 * body.spacing * Math.min(2, share ** -0.25));
     const place = marked && markedPlace(side);
-    if (place) drawMark(part, place);
+    if (place) drawSign(programs.mark, part, place, MARK_PIXELS);
+    drawLandmarks(side, part);
   });
 }
 
@@ -228,11 +237,24 @@ function update() {
   recolour();
 }
 
+function showMap() {
+  const number = $("map").selectedIndex;
+  takeMap(scene, number);
+  $("map-note").textContent = scene.maps[number].note;
+  $("summary").textContent = `Method: ${scene.method}. Points count from 0.`;
+  mark(marked);
+  update();
+  tell("map", { number });
+}
+
 const countText = (shown, total) =>
   (shown < total ? `showing ${shown.toLocaleString("en")} of ` : "") + total.toLocaleString("en");
 
 function setUpControls() {
   for (const { name } of scene.layers) $("layer").add(new Option(name));
+  for (const { name } of scene.maps) $("map").add(new Option(name));
+  $("maps").hidden = scene.maps.length < 2;
+  $("map").addEventListener("input", showMap);
   $("drawing").hidden = scene.bodies.every((body) => !body.faces);
   for (const name of ["layer", "surface", "confidence", "share"]) $(name).addEventListener("input", update);
   $("clear").addEventListener("click", () => mark(null));
@@ -242,32 +264,34 @@ function setUpControls() {
     what.textContent = ` ${SIDES[side]}, ${countText(body.index.length, body.total)} points`;
     $(`caption-${side}`).replaceChildren(name, what);
   });
-  $("summary").textContent = `Method: ${scene.method}. Points count from 0.`;
 }
 
 // ---- the page
 
 const react = {
-  click: (x, y) => { const found = pick(x, y); if (found) mark(found); },
-  escape: () => mark(null),
+  click: (x, y) => { const found = pick(x, y); if (found) (setting ? setAt : mark)(found); },
+  escape: () => (setting && (begun[0] || begun[1]) ? switchSetting(true) : mark(null)),
 };
 
 async function start() {
   if (!(await opened(readScene))) return;
   programs.mark = programOf(DOTS_VERTEX, MARK_FRAGMENT);
+  setUpFlags();
   setUpControls();
+  setUpLandmarks();
   listen();
-  mark(null);
-  update();
+  showMap();
 }
 
 await start();
 
-// For programs that look at the page: the camera, by columns, for a part of the canvas, which points are here, what is marked,
-// and picking.
+// For programs that look at the page: the camera, by columns, for a part of the canvas, which points are here and where, what is
+// marked, landmarks by the points of their ends, and picking.
 window.homolog = {
   camera: (side) => { fit(); return { view: [...viewMatrix()], clip: [...clipMatrix(parts()[side])], part: parts()[side] }; },
   marked: () => marked && { side: SIDES[marked.side], point: indices(marked)[0], counterpart: indices(marked)[1] },
   shown: (side) => scene.bodies[side].index,
+  points: (side) => [...scene.bodies[side].points],
+  landmarks: () => landmarks.map(({ ends }) => ends.map(({ index }) => index)),
   hitSurface, hitPoints,
 };
