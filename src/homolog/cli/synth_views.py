@@ -59,9 +59,9 @@ def views(
 ) -> None:
     """Make a dataset of partial views of full meshes, with ground truth.
 
-    Each view is a mesh and a depth camera's cloud, and is paired with a full shape, or with another view (--apart). Four fifths of the bodies, and of
-    the views, are for training; the others for testing. The same seed gives the same bytes, and the same command
-    resumes where it was stopped. The shapes must stand +y up.
+    Each view is a mesh and a depth camera's cloud, and is paired with a full shape, or with another view (--apart).
+    Four fifths of the bodies, and of the views, are for training; the others for testing. The same seed gives the same
+    bytes, and the same command resumes where it was stopped. The shapes must stand +y up.
 
     Examples:
       homolog synth views people -n 5000 --seed 1 -o people_views --processes 8

@@ -94,15 +94,17 @@ def write_view_dataset(
     pairing: dict[str, Any] = {} if apart is None else {"apart": apart, "two_shapes": two_shapes}
     manifest = _manifest(shapes, seed, settings, pairing)
     prepare_folder(root, manifest, [*_FOLDERS, *(["corres"] if shapes.truth_root is not None else [])])
+    partners: dict[str, PlannedView]
     if apart is None:
         planned = [planned_view(shapes, number, seed=seed) for number in range(views)]
-        pairs = [(one.full, one.name) for one in planned]
+        pairs, partners = [(one.full, one.name) for one in planned], {}
     else:
         both = [planned_pair(shapes, number, seed=seed, **pairing) for number in range(views)]
         planned, pairs = list(chain.from_iterable(both)), [(one.name, other.name) for one, other in both]
+        partners = {other.name: one for one, other in both}
     used = sorted({name for one in planned for name in (one.viewed, one.full)})
     write_shapes = [(name, partial(_write_full_shape, shapes.files[name], shapes.truth_root, root)) for name in used]
-    write_views = [(one.name, partial(_write_view, one, root, settings)) for one in planned]
+    write_views = [(one.name, partial(_write_view, one, root, settings, partners.get(one.name))) for one in planned]
     run_tasks([write_shapes, write_views], processes=processes, progress=progress or ignore)
     _write_lists(root, planned, pairs)
     records = [read_record(_record_file(root, one.name), _Record, instead="remove it") for one in planned]
@@ -132,8 +134,15 @@ def _write_full_shape(file: Path, truth_root: Path | None, root: Path) -> None:
         write_shape(mesh_file, repaired.shape)
 
 
-def _write_view(planned: PlannedView, root: Path, settings: ViewSettings) -> None:
-    """Write a view as a mesh and as a cloud, its ground truth and, last, its record."""
+def _write_view(planned: PlannedView, root: Path, settings: ViewSettings, partner: PlannedView | None = None) -> None:
+    """Write a view as a mesh and as a cloud, its ground truth and, last, its record.
+
+    Args:
+        planned: the view.
+        root: the folder of the dataset.
+        settings: distribution of cameras, resolution and noise.
+        partner: another view that it is paired with; None of one that is paired with a full shape.
+    """
     record_file = _record_file(root, planned.name)
     folders = {"off": ".off", "clouds": ".ply", "truth": ".npz", "corres": ".vts"}
     files = [
@@ -141,7 +150,7 @@ def _write_view(planned: PlannedView, root: Path, settings: ViewSettings) -> Non
     ]
     if _all_written(files) and stored_record(record_file, _Record) is not None:
         return
-    found = view(read_shape(root / "off" / f"{planned.viewed}.off"), settings, seed=planned.seed, apart=planned.apart)
+    found = _seen(planned, root, settings)
     with all_or_nothing():
         write_shape(root / "off" / f"{planned.name}.off", found.mesh.shape)
         write_shape(root / "clouds" / f"{planned.name}.ply", found.cloud.shape)
@@ -149,12 +158,28 @@ def _write_view(planned: PlannedView, root: Path, settings: ViewSettings) -> Non
         if folder is not None:
             vertices = folder.template_correspondence(planned.viewed)
             _write_vertices(root, planned.name, _positions(found.mesh.full_index, vertices))
+        truth = _truth(planned, found, folder)
         with atomic_path(root / "truth" / f"{planned.name}.npz") as temporary:
-            np.savez_compressed(temporary, allow_pickle=False, **_truth(planned, found, folder))
+            np.savez_compressed(
+                temporary,
+                allow_pickle=False,
+                **(truth if partner is None else _to_partner(truth, _seen(partner, root, settings))),
+            )
         counts = {"mesh_points": found.mesh.shape.n_points, "cloud_points": found.cloud.shape.n_points}
         seen = {"visible_share": found.visible_share, **counts, "camera": asdict(found.camera)}
         described = {name: value for name, value in asdict(planned).items() if name != "apart" or value}
         write_json(record_file, {**described, **seen})
+
+
+def _seen(planned: PlannedView, root: Path, settings: ViewSettings) -> View:
+    full = read_shape(root / "off" / f"{planned.viewed}.off")
+    return view(full, settings, seed=planned.seed, apart=planned.apart)
+
+
+def _to_partner(truth: dict[str, np.ndarray], partner: View) -> dict[str, np.ndarray]:
+    """The truth of a view with correspondences to the view that it is paired with, in place of the full shape's."""
+    seen = partner.mesh.full_index
+    return {name: _positions(seen, found) if name.endswith("_to_full") else found for name, found in truth.items()}
 
 
 def _truth(planned: PlannedView, found: View, folder: ShapeFolder | None) -> dict[str, np.ndarray]:
