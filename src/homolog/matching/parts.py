@@ -63,16 +63,10 @@ def maps_of_parts(pair: Pair) -> PointMaps:
     Every point has a counterpart; ``overlap_of_parts`` tells which of them to believe.
     """
     assert pair.fit is not None and pair.settings.parts is not None
-    settings, x, y = pair.settings.parts, _Points.of(pair.x), _Points.of(pair.y)
-    if pair.fit.rigid:
-        at_x, at_y = _embedded(x, y, max(_spacing(pair.x), _spacing(pair.y)), normals=1.0)
-    else:
-        at_x, at_y = _embedded(x, y, settings.bent_reach, features=settings.features)
-    main_x, main_y = (torch.nonzero(shape.operators.in_main_component)[:, 0] for shape in (pair.x, pair.y))
-    return PointMaps(
-        x_to_y=main_y[nearest_neighbour(at_x, at_y[main_y]).index],
-        y_to_x=main_x[nearest_neighbour(at_y, at_x[main_x]).index],
-    )
+    if not pair.fit.rigid:
+        return PointMaps(*_bent_maps(pair.x, pair.y, pair.settings.parts))
+    x, y = _Points.of(pair.x), _Points.of(pair.y)
+    return PointMaps(*_nearest(pair.x, pair.y, *_embedded(x, y, max(_spacing(pair.x), _spacing(pair.y)), normals=1.0)))
 
 
 def overlap_of_parts(
@@ -168,6 +162,22 @@ def _embedded(
     return at_x, at_y
 
 
+def _bent_maps(
+    x: PreprocessedShape, y: PreprocessedShape, settings: PartsSettings
+) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"]]:
+    """Maps there and back by features and, less, by positions."""
+    embedded = _embedded(_Points.of(x), _Points.of(y), settings.bent_reach, features=settings.features)
+    return _nearest(x, y, *embedded)
+
+
+def _nearest(
+    x: PreprocessedShape, y: PreprocessedShape, at_x: Float[Tensor, "n e"], at_y: Float[Tensor, "m e"]
+) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"]]:
+    """For each point the nearest of the other's main component, there and back."""
+    main_x, main_y = (torch.nonzero(shape.operators.in_main_component)[:, 0] for shape in (x, y))
+    return main_y[nearest_neighbour(at_x, at_y[main_y]).index], main_x[nearest_neighbour(at_y, at_x[main_x]).index]
+
+
 @dataclass(frozen=True, eq=False)
 class _Found:
     """Where both parts go from where they were given, and the share of samples that were led home there."""
@@ -205,11 +215,21 @@ class _Search:
         x, y = _moved_to(pair.x, found.x, extractor), _moved_to(pair.y, found.y, extractor)
         motion = self._closest(_Points.of(x), _Points.of(y), max(_spacing(x), _spacing(y)), rigid=found.one_scale)
         nearer = _moved_to(pair.y, _after(motion, found.y), extractor)
-        shares = [float(on.float().mean()) for on in _on_each_other(x, nearer, self.settings)]
-        fit = PartsFit(*shares, rigid=min(shares) >= self.settings.least_rigid)
+        fit = self._fit(x, nearer)
         y = nearer if fit.rigid else y
         alignment = best_similarity(pair.y.points_as_given, found.x.inverse()(y.operators.points))
         return replace(pair, source=x, target=y, alignment=alignment, fit=fit)
+
+    def _fit(self, x: PreprocessedShape, y: PreprocessedShape) -> PartsFit:
+        """The shares of both that lie on the other, near where features would have their counterparts."""
+        there, back = _bent_maps(x, y, self.settings)
+        at_x, at_y = x.operators.points, y.operators.points
+        agree = ((at_x - at_y[there]).norm(dim=1), (at_y - at_x[back]).norm(dim=1))
+        on = _on_each_other(x, y, self.settings)
+        shares = [
+            float((lies & (away < self.settings.agreeing)).float().mean()) for lies, away in zip(on, agree, strict=True)
+        ]
+        return PartsFit(*shares, rigid=min(shares) >= self.settings.least_rigid)
 
     def _motion(self, x: _Points, y: _Points, reach: float, *, rigid: bool) -> tuple[Similarity, float]:
         """The motion of y towards x by counterparts that lead home, and the share of points that have one."""

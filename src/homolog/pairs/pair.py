@@ -66,8 +66,8 @@ class PartsFit:
     """How well two parts lie on each other once one of them was moved as a rigid body.
 
     Args:
-        source: share of the source's points that lie on the target's surface.
-        target: share of the target's that lie on the source's.
+        source: share of the source's points that lie on the target's surface, near their counterparts by features.
+        target: likewise of the target's.
         rigid: whether these are enough to take the parts for those of one rigid body; see ``PartsSettings``.
     """
 

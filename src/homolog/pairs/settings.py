@@ -134,7 +134,8 @@ class PartsSettings(Settings):
         least_home: a counterpart counts that leads home within half the reach, or within this.
         closest: the reaches of closest points, in spacings of the points.
         overlap: a point lies on the other part that is within so many spacings of its surface.
-        least_rigid: share of each part that lies on the other from which on both are of one rigid body.
+        agreeing: it does so rightly that is within this distance of its counterpart by features.
+        least_rigid: share of each part that does from which on both are taken for parts of one rigid body.
         bent_reach: distance that weighs as much as a difference of one in weighted features in the maps of others.
         bent_smoothing: width over which the mass is smoothed that tells the overlap of others, in spacings.
     """
@@ -148,7 +149,8 @@ class PartsSettings(Settings):
     least_home: NotNegative = 0.03
     closest: tuple[Positive, ...] = (4.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)
     overlap: Positive = 0.35
-    least_rigid: Share = 0.15
+    agreeing: Positive = 0.1
+    least_rigid: Share = 0.2
     bent_reach: Positive = 0.15
     bent_smoothing: Positive = 4.0
 
