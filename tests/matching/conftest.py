@@ -116,3 +116,14 @@ def build(network: DiffusionNet, tmp_path_factory: pytest.TempPathFactory) -> Bu
         return Matcher(*given, settings=MatcherSettings(method=method), device="cpu", operators=operators)
 
     return build
+
+
+@pytest.fixture(scope="session")
+def samples_of_a_blob():
+    """Points on the sphere, their faces, and where they lie on the blob, by their number: each its own sample."""
+
+    def build(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        points, faces = _sphere(n, seed=n)
+        return points, faces, _blob(points, 0.0)
+
+    return build

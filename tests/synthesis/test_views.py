@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.shapes import Shape, face_areas
-from homolog.synthesis import Camera, ViewSettings, sample_camera, view, view_from
+from homolog.synthesis import Camera, ViewSettings, camera_apart, sample_camera, view, view_from
 
 
 def looking(position, target=(0.0, 0.0, 0.0), *, opening=1.0, pixels=(60, 40)):
@@ -223,3 +223,61 @@ def test_shapes_that_have_no_view(make):
         view(sphere, ViewSettings(pixels=(1, 1)), seed=0)
     with pytest.raises(ShapeError, match="repair"):
         view(Shape(np.where(sphere.points > 0.99, np.nan, sphere.points), sphere.faces), seed=0)
+
+
+def elevations_of_circle(direction, degrees):
+    """The elevations of many directions at one angle from a given one."""
+    direction = direction / np.linalg.norm(direction)
+    across = trimesh.transformations.rotation_matrix(np.radians(degrees), np.cross(direction, (0, 1, 0)))[:3, :3]
+    turns = (
+        trimesh.transformations.rotation_matrix(turn, direction)[:3, :3] for turn in np.linspace(0, 2 * np.pi, 720)
+    )
+    return np.degrees(np.arcsin([(turn @ across @ direction)[1] for turn in turns]))
+
+
+@given(
+    degrees=st.floats(1, 180),
+    seed=st.integers(0, 1000),
+    elevation=st.tuples(st.floats(-80, 0), st.floats(0, 80)),
+    distance=st.floats(1.5, 6),
+)
+@settings(max_examples=60, deadline=None)
+def test_cameras_apart(degrees, seed, elevation, distance):
+    """The angle between both directions of sight, the elevation, and an image that just holds the same sphere."""
+    one = looking((0.0, 0.3, 2.0), (0.1, 0.2, -0.3), opening=0.5)
+    chosen = ViewSettings(distance=distance, elevation=elevation)
+    try:
+        other = camera_apart(one, chosen, degrees=degrees, seed=seed)
+    except ArgumentError:
+        heights = elevations_of_circle(np.subtract(one.position, one.target), degrees)
+        assert not ((heights > elevation[0] + 0.2) & (heights < elevation[1] - 0.2)).any()
+        return
+    assert other.target == one.target
+    first, second = (np.subtract(camera.position, camera.target) for camera in (one, other))
+    cosine = first @ second / np.linalg.norm(first) / np.linalg.norm(second)
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))) == pytest.approx(degrees, abs=1e-4)
+    height = np.degrees(np.arcsin(second[1] / np.linalg.norm(second)))
+    assert elevation[0] - 1e-6 <= height <= elevation[1] + 1e-6
+    radii = [np.linalg.norm(c) / np.sqrt(1 + camera.opening**-2) for c, camera in ((first, one), (second, other))]
+    assert radii[1] == pytest.approx(radii[0])
+    assert np.linalg.norm(second) == pytest.approx(distance * radii[0])
+
+
+def test_views_apart(make):
+    blob = make.blob(3)
+    one, other = view(blob, seed=5), view(blob, seed=5, apart=70.0)
+    first, second = (np.subtract(seen.camera.position, seen.camera.target) for seen in (one, other))
+    cosine = first @ second / np.linalg.norm(first) / np.linalg.norm(second)
+    assert np.degrees(np.arccos(cosine)) == pytest.approx(70)
+    assert same(view(blob, seed=5, apart=70.0).mesh, other.mesh)
+
+
+@pytest.mark.parametrize("degrees", [0, -30, 181, float("nan"), "60"])
+def test_angles_that_cannot_be(degrees):
+    with pytest.raises(ArgumentError, match=r"apart is .*, but must be a number of degrees above 0 and up to 180"):
+        camera_apart(looking((0, 0, 3)), ViewSettings(), degrees=degrees, seed=0)
+
+
+def test_no_camera_is_opposite_one_that_looks_down():
+    with pytest.raises(ArgumentError, match="apart is 180, but must be an angle between two cameras at elevations"):
+        camera_apart(looking((0, 2, 3)), ViewSettings(), degrees=180, seed=0)

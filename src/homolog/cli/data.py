@@ -97,7 +97,8 @@ def _facts(described: DatasetDescription) -> list[tuple[str, str]]:
         ("ground truth", f"{described.truth}{truth}"),
         ("split", f"{described.split}{split}"),
         ("pairs", f"{described.pairs}{_number(described.n_pairs)}{kept}"),
-        ("partial", ("pre-aligned" if described.pre_aligned else "yes") if described.partial else ""),
+        ("partial", {False: "", True: "yes", "both": "both shapes"}[described.partial]),
+        ("pre-aligned", "yes" if described.pre_aligned else ""),
         ("notes", described.notes),
     ]
 

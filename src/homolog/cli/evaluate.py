@@ -61,6 +61,7 @@ _OF_MAKING_MAPS = (
     "clutter",
     "proxy",
     "turn",
+    "part_units",
     "orient",
     "landmarks",
     "method",
@@ -193,6 +194,24 @@ def evaluate(
             rich_help_panel=PARTIAL,
         ),
     ] = None,
+    part_units: Annotated[
+        float,
+        typer.Option(
+            metavar="FACTOR",
+            help="Multiply the lengths of each target by this before anything sees it: a part in other units than its "
+            "full shape.",
+            rich_help_panel=PARTIAL,
+        ),
+    ] = 1.0,
+    both_partial: Annotated[
+        bool,
+        typer.Option(
+            "--both-partial",
+            help="Both shapes of each pair are partial, and overlap.",
+            show_default="as the dataset has it",
+            rich_help_panel=PARTIAL,
+        ),
+    ] = False,
     pre_aligned: Annotated[
         bool | None,
         typer.Option(
@@ -269,14 +288,18 @@ def evaluate(
     _check_maps(context, maps, base)
     check_inputs(weights=weights)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
-    partial = description.partial if partial is None else partial
+    if both_partial and partial is not None:
+        raise ArgumentError("--both-partial and --partial or --full are both given; give one of them")
+    whole_pairs = description.partial if partial is None else partial
+    parts = "both" if both_partial else whole_pairs
     protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
         split=split,
         pairs_file=None if pairs is None else str(pairs),
         n_pairs=n_pairs,
-        partial=partial,
-        pre_aligned=(description.pre_aligned and partial) if pre_aligned is None else pre_aligned,
+        partial=parts,
+        part_units=part_units,
+        pre_aligned=(description.pre_aligned and bool(parts)) if pre_aligned is None else pre_aligned,
         noise=noise,
         outliers=outliers,
         outlier_kind=outlier_kind,
@@ -392,6 +415,9 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     for label, detection in found_points.items():
         if detection is not None:
             table.add_row(label, _described_detection(detection))
+    if evaluation.overlap is not None:
+        table.add_row("mean IoU of the overlap", _figure(evaluation.overlap_iou))
+        table.add_row("points of the overlap", _described_detection(evaluation.overlap))
     table.add_row("pairs", str(len(found["pairs"])))
     if found["unmatched_points"]:
         without = found[f"mean_{kind}_error_of_matched_points"]
@@ -415,7 +441,8 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
 
 def _title(folder: ShapeFolder, protocol: Protocol) -> str:
     name = folder.description.name or folder.root.name
-    partial = (", partial, pre-aligned" if protocol.pre_aligned else ", partial") if protocol.partial else ""
+    partial = {False: "", True: ", partial", "both": ", both partial"}[protocol.partial]
+    partial += ", pre-aligned" if protocol.pre_aligned else ""
     noise = f", noise {protocol.noise:g}" if protocol.noise else ""
     noise += f", {protocol.outliers:g} outliers ({protocol.outlier_kind})" if protocol.outliers else ""
     noise += "" if protocol.background == "none" else f", {protocol.background}"
@@ -426,4 +453,8 @@ def _title(folder: ShapeFolder, protocol: Protocol) -> str:
 
 def _described_detection(found: Detection) -> str:
     figures = {"precision": found.precision, "recall": found.recall, "F1": found.f1}
-    return ", ".join(f"{name} {'-' if value is None else format(value, '.3f')}" for name, value in figures.items())
+    return ", ".join(f"{name} {_figure(value)}" for name, value in figures.items())
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else format(value, ".3f")

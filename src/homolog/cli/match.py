@@ -37,7 +37,7 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.cli.wording import in_options
-from homolog.core.choices import AsCloud, Side, System, Up
+from homolog.core.choices import AsCloud, Parts, Side, System, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import refuse_overwriting_inputs, remove
 from homolog.core.method_names import AUTO
@@ -127,9 +127,10 @@ def match(
     weights: Weights = None,
     adapt: Adapt = 0,
     partial: Annotated[
-        Side | None,
+        Parts | None,
         typer.Option(
-            help="This shape is partial: a part of a shape like the other, whose points may then have no counterpart.",
+            help="This shape is partial: a part of a shape like the other, whose points may then have no counterpart; "
+            "both, where two parts overlap.",
             rich_help_panel=PARTIAL,
         ),
     ] = None,
@@ -137,7 +138,8 @@ def match(
         float,
         typer.Option(
             metavar="FACTOR",
-            help="Multiply the partial shape's lengths by this to bring them to the full one's units.",
+            help="Multiply the partial shape's lengths by this to bring them to the full one's units; of two "
+            "parts, the target's.",
             rich_help_panel=PARTIAL,
         ),
     ] = 1.0,
@@ -175,6 +177,8 @@ def match(
       homolog match scan.ply template.obj -o result --partial source --source-up z
 
       homolog match part.stl full.glb -o result --partial source --partial-scale 0.001
+
+      homolog match front.ply side.ply -o result --partial both --weights views
 
       homolog match a.ply b.xyz -o result --method axiomatic
 

@@ -24,8 +24,22 @@ def views(
         typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
     ] = Path("views"),
     n_views: Annotated[
-        int, typer.Option("--n-views", "-n", metavar="N", help="How many views; a fifth is for testing.", min=5)
+        int,
+        typer.Option(
+            "--n-views", "-n", metavar="N", help="How many views, or pairs of them; a fifth is for testing.", min=5
+        ),
     ] = 5000,
+    apart: Annotated[
+        float | None,
+        typer.Option(
+            metavar="DEGREES",
+            help="Pair each view with another one of the same shape, from a camera so many degrees apart.",
+            show_default=False,
+        ),
+    ] = None,
+    two_shapes: Annotated[
+        bool, typer.Option("--two-shapes", help="With --apart: the second camera looks at another shape.")
+    ] = False,
     distance: Annotated[
         tuple[float, float],
         typer.Option(metavar="LOW HIGH", help="Distance of the camera, in radii of the shape's bounding sphere."),
@@ -45,12 +59,14 @@ def views(
 ) -> None:
     """Make a dataset of partial views of full meshes, with ground truth.
 
-    Each view is a mesh and a depth camera's cloud, and is paired with a full shape. Four fifths of the bodies, and of
-    the views, are for training; the others for testing. The same seed gives the same bytes, and the same command
-    resumes where it was stopped. The shapes must stand +y up.
+    Each view is a mesh and a depth camera's cloud, and is paired with a full shape, or with another view (--apart).
+    Four fifths of the bodies, and of the views, are for training; the others for testing. The same seed gives the same
+    bytes, and the same command resumes where it was stopped. The shapes must stand +y up.
 
     Examples:
       homolog synth views people -n 5000 --seed 1 -o people_views --processes 8
+
+      homolog synth views people -n 100 --apart 60 -o people_pairs
 
       homolog evaluate people_views --dataset views --modality mesh-to-cloud --weights views.safetensors
     """
@@ -58,7 +74,15 @@ def views(
     settings = synthesis.ViewSettings(distance=distance, elevation=elevation, pixels=pixels, noise=noise)
     with progress_bar(quiet=quiet) as progress:
         synthesis.write_view_dataset(
-            data, output, views=n_views, seed=seed, settings=settings, processes=processes, progress=progress
+            data,
+            output,
+            views=n_views,
+            seed=seed,
+            settings=settings,
+            apart=apart,
+            two_shapes=two_shapes,
+            processes=processes,
+            progress=progress,
         )
     if not quiet:
         typer.echo(output)

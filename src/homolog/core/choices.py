@@ -4,6 +4,8 @@ from typing import Literal
 
 Side = Literal["source", "target"]
 """One of the two shapes of a match."""
+Parts = Literal["source", "target", "both"]
+"""Which of the two shapes of a match are partial."""
 AsCloud = Literal["source", "target", "both"]
 """Whose faces are dropped."""
 Device = Literal["auto", "cpu", "cuda"]

@@ -47,7 +47,7 @@ class DatasetDescription:
             its full shape.
         clouds: pattern of point clouds that have their own points, such as those of a depth camera. They are used in
             place of the mesh's points where shapes are matched as clouds; their ground truth is in ``cloud_truth``.
-        partial: whether the second shape of each pair is partial.
+        partial: whether the second shape of each pair is partial; ``"both"``: both are, and overlap.
         pre_aligned: whether partial shapes are aligned with their full shapes.
         shuffled: whether the rows of every file are permuted when it is read, since equal numbering would reveal the
             ground truth.
@@ -95,7 +95,7 @@ class DatasetDescription:
     shapes: str = "off/*.off"
     full: str = ""
     clouds: str = ""
-    partial: bool = False
+    partial: bool | Literal["both"] = False
     pre_aligned: bool = False
     shuffled: bool = False
     truth: TruthKind = "template-correspondence"

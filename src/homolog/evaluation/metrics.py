@@ -80,6 +80,12 @@ class Detection:
         """The harmonic mean of the two; None if nothing is found and nothing is true."""
         return 2 * self.both / (self.found + self.true) if self.found + self.true else None
 
+    @property
+    def iou(self) -> float | None:
+        """Intersection over union of the found and the true ones; None if there are neither."""
+        union = self.found + self.true - self.both
+        return self.both / union if union else None
+
     def to_dict(self) -> dict[str, float | None]:
         """The three figures, and the counts, for JSON."""
         figures = {"precision": self.precision, "recall": self.recall, "f1": self.f1}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -13,9 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from homolog.core.choices import Background, KeepClutter, Modalities, Orient, OutlierKind, Side, Split, Turn, UseProxy
 from homolog.core.errors import ArgumentError
-from homolog.core.settings import Count, CountOrZero, NotNegative, Settings
+from homolog.core.settings import Count, CountOrZero, NotNegative, Positive, Settings
 from homolog.pairs.landmarks import MOST_LANDMARKS
 from homolog.shapes import rotation_about
+
+PartialPairs = Annotated[bool, "or 'both'"] | Literal["both"]
+"""Whether the target of each pair is partial, or both shapes are."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,9 @@ class Protocol(Settings):
         pairs_file: a list of pairs to use instead of the split's.
         n_pairs: how many of the pairs to draw at random, none of a shape with itself; by default all are used.
         partial: whether each target is a part of a shape like its source, in the same units; it takes its scale then.
+            ``"both"``: both are parts, which overlap.
+        part_units: what the lengths of each target are multiplied by before anything sees it, as those of a part in
+            other units than its full shape.
         pre_aligned: whether such parts lie in the coordinates of their sources, about where they belong.
         noise: standard deviation of isotropic noise on the points of every cloud, in units of sqrt(area); independent
             on source and target.
@@ -48,7 +54,8 @@ class Protocol(Settings):
     split: Split = "test"
     pairs_file: str | None = None
     n_pairs: Annotated[Count, "or None"] | None = None
-    partial: bool = False
+    partial: PartialPairs = False
+    part_units: Annotated[Positive, "and finite"] = 1.0
     pre_aligned: bool = False
     noise: Annotated[NotNegative, "in units of sqrt(area)"] = 0.0
     outliers: Annotated[NotNegative, "relative to the number of points"] = 0.0
@@ -65,6 +72,10 @@ class Protocol(Settings):
         """Refuse what does not fit together."""
         if self.pre_aligned and not self.partial:
             raise ArgumentError("pre_aligned is for parts, but partial is False; set it, or leave pre_aligned out")
+        if self.part_units != 1 and not self.partial:
+            raise ArgumentError(
+                f"part_units is {self.part_units:g}, but partial is False; set it, or leave part_units out"
+            )
         if self.pre_aligned and self.turn != "none":
             raise ArgumentError(
                 f"turn is {self.turn!r}, but pre_aligned parts lie where they belong; leave one of them out"

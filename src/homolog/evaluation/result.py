@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from statistics import fmean
 from typing import Any, get_args
 
 import numpy as np
@@ -31,6 +32,8 @@ class PairErrors:
         matched: which of these points were mapped to some point (p,).
         confidences: of the map there (p,).
         missing: how well points of the source that a partial shape lacks are found; None where that is not known.
+        overlap: how well points of two parts that have a counterpart are found, of both parts together; None where that
+            is not known, or not both are parts.
         clutter: how well points that do not belong to the shapes are found; None where none were added.
         quality: what the maps tell of themselves, without the truth; None if whoever made them does not say.
         doubtful: whether the match had a warning of low confidence.
@@ -46,6 +49,7 @@ class PairErrors:
     matched: Bool[np.ndarray, " p"]
     confidences: Float[np.ndarray, " p"]
     missing: Detection | None = None
+    overlap: Detection | None = None
     clutter: Detection | None = None
     quality: MapQuality | None = None
     doubtful: bool = False
@@ -114,6 +118,18 @@ class Evaluation:
         return _pooled([pair.missing for pair in self.pairs])
 
     @property
+    def overlap(self) -> Detection | None:
+        """How well points of two parts that have a counterpart are found, in all pairs together; None if not known."""
+        return _pooled([pair.overlap for pair in self.pairs])
+
+    @property
+    def overlap_iou(self) -> float | None:
+        """The mean over pairs of the intersection over union of the overlap as it was found and as it is."""
+        known = [pair.overlap.iou for pair in self.pairs if pair.overlap is not None]
+        found = [iou for iou in known if iou is not None]
+        return fmean(found) if found else None
+
+    @property
     def clutter(self) -> Detection | None:
         """How well points that were added to the shapes are found, in all pairs together; None if there are none."""
         return _pooled([pair.clutter for pair in self.pairs])
@@ -147,7 +163,7 @@ class Evaluation:
         share = least_confident_share(errors[matched], confidences[matched]) if matched.any() else np.nan
         names = sorted({name for pair in self.pairs for name in pair.metrics})
         metrics = {name: float(np.mean([pair.metrics[name] for pair in self.pairs])) for name in names}
-        missing, clutter = self.missing, self.clutter
+        missing, overlap, clutter = self.missing, self.overlap, self.clutter
         return {
             f"mean_{kind}_error": self.shown(errors.mean()),
             f"median_{kind}_error": self.shown(np.median(errors)),
@@ -157,6 +173,7 @@ class Evaluation:
             # JSON has no NaN, which stands for no error at all.
             "least_confident_fifth_error_share": share if np.isfinite(share) else None,
             **({} if missing is None else {"without_counterpart": missing.to_dict()}),
+            **({} if overlap is None else {"overlap": {"mean_iou": self.overlap_iou, **overlap.to_dict()}}),
             **({} if clutter is None else {"clutter": clutter.to_dict()}),
             **({"quality_rank_correlations": self.rank_correlations} if self.rank_correlations else {}),
             **({"metrics": metrics} if metrics else {}),
@@ -215,6 +232,7 @@ class Evaluation:
             **({} if pair.chosen is None else {"chosen": pair.chosen}),
             **({} if pair.adaptation is None else {"adaptation": dict(pair.adaptation)}),
             **({} if pair.missing is None else {"without_counterpart": pair.missing.to_dict()}),
+            **({} if pair.overlap is None else {"overlap": {"iou": pair.overlap.iou, **pair.overlap.to_dict()}}),
             **({} if pair.clutter is None else {"clutter": pair.clutter.to_dict()}),
             **({} if pair.quality is None else {"quality": pair.quality.to_dict()}),
             **({"metrics": dict(pair.metrics)} if pair.metrics else {}),

@@ -230,11 +230,15 @@ class _Run:
 
     def given(self, pair: PairOfNames, side: Side) -> Shape:
         """A shape as the protocol has it, turned, with its noise and with its faces."""
-        shape = self._cluttered(self._noisy(pair, side), pair, side)
-        if self.protocol.turn == "none":
+        shape, factor = self._cluttered(self._noisy(pair, side), pair, side), self.part_units(side)
+        if self.protocol.turn == "none" and factor == 1:
             return shape
-        turned = shape.points @ self.protocol.rotation(pair[SIDES.index(side)]).T
+        turned = factor * shape.points @ self.protocol.rotation(pair[SIDES.index(side)]).T
         return Shape(turned, shape.faces, name=shape.name)
+
+    def part_units(self, side: Side) -> float:
+        """What the lengths of the shapes of a side are multiplied by."""
+        return self.protocol.part_units if side == "target" else 1.0
 
     def _noisy(self, pair: PairOfNames, side: Side) -> Shape:
         name = pair[SIDES.index(side)]
@@ -274,7 +278,8 @@ class _Run:
 
     def found_clutter(self, pair: PairOfNames, match: Match) -> Detection | None:
         """How well the added points were found: those that have no counterpart. Of full shapes, parts lack others."""
-        sides = [side for side in SIDES if self.is_cluttered(side) and not (self.protocol.partial and side == "source")]
+        lacking = {False: (), True: ("source",), "both": SIDES}[self.protocol.partial]  # the other shape is a part
+        sides = [side for side in SIDES if self.is_cluttered(side) and side not in lacking]
         if not sides:
             return None
         maps = {"source": match.source_to_target, "target": match.target_to_source}
@@ -335,7 +340,7 @@ class _Run:
         mapped: Int[np.ndarray, " p"],
         errors: Float[np.ndarray, " p"],
     ) -> PairErrors:
-        known = self.ground_truth.counterparts(*pair) if self.protocol.partial else None
+        known = self.ground_truth.counterparts(*pair) if self.protocol.partial is True else None
         scored = ScoredPair(match, truth, errors)
         return PairErrors(
             pair=pair,
@@ -343,6 +348,7 @@ class _Run:
             matched=mapped >= 0,
             confidences=match.target_confidence[truth.target],
             missing=None if known is None else Detection.of(match.source_to_target[known.points] < 0, ~known.present),
+            overlap=self._found_overlap(pair, match),
             clutter=self.found_clutter(pair, match),
             quality=match.quality,
             doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
@@ -351,6 +357,19 @@ class _Run:
             chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
             adaptation=match.report.get("adaptation"),
         )
+
+    def _found_overlap(self, pair: PairOfNames, match: Match) -> Detection | None:
+        """How well the points of two parts are found that have a counterpart, of both together.
+
+        Of the source alone, where the target is a cloud with points of its own.
+        """
+        if self.protocol.partial != "both":
+            return None
+        known = [(match.source_to_target, self.ground_truth.counterparts(*pair))]
+        if pair[1] not in self.clouds:
+            known.append((match.target_to_source, self.ground_truth.counterparts(*pair[::-1])))
+        each = [Detection.of(there[one.points] >= 0, one.present) for there, one in known if one is not None]
+        return sum(each[1:], each[0]) if len(each) == len(known) else None
 
     def _exchanged(self, pair: PairOfNames, match: Match) -> Exchange | None:
         if self.exchanges is None:
@@ -428,7 +447,7 @@ class _ByMatcher:
         self.uses = Counter(self._variant(pair, side) for pair in run.pairs for side in SIDES)
         self.preprocessed: dict[_Variant, PreprocessedShape] = {}
         self.options = PairOptions(
-            partial="target" if run.protocol.partial else None,
+            partial={False: None, True: "target", "both": "both"}[run.protocol.partial],
             pre_aligned=run.protocol.pre_aligned,
             orient=run.protocol.orient,
             clutter=run.protocol.clutter,
@@ -438,7 +457,9 @@ class _ByMatcher:
             "cloud" if run.protocol.is_cloud(side) else run.shapes[name].modality
             for side, name in zip(SIDES, run.pairs[0], strict=True)
         ]
-        self.method = matcher.method_of(*modalities).name
+        both = run.protocol.partial == "both"
+        method_of = partial(matcher.method_of, parts=True) if both else matcher.method_of
+        self.method = method_of(*modalities).name
         run.total += len(self.uses)
 
     def match(self, pair: PairOfNames) -> Match:
@@ -472,7 +493,7 @@ class _ByMatcher:
             run.given(pair, side),
             as_cloud=run.protocol.is_cloud(side),
             orient="given" if run.protocol.pre_aligned else run.protocol.orient,
-            partial=side == self.options.partial,
+            partial=self.options.is_partial(side),
             clutter=run.protocol.clutter,
             proxy=run.protocol.proxy,
         )

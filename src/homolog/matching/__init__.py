@@ -13,6 +13,7 @@ from homolog.matching.feature_choice import FeatureChoice
 from homolog.matching.in_one_call import match
 from homolog.matching.inputs import with_inputs
 from homolog.matching.matcher import Matcher
+from homolog.matching.parts import align_parts
 from homolog.matching.quality import MEASURES, MapQuality, Quality
 from homolog.matching.recognition import map_misfit
 from homolog.matching.refinement import refine
@@ -26,7 +27,8 @@ from homolog.matching.result_files import (
     write_folder,
 )
 from homolog.matching.search import Hypothesis, orient, orientations
-from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, part_warnings, unit_warnings
+from homolog.matching.units import unit_warnings
+from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, part_warnings
 
 __all__ = [
     "FIRST_ALTERNATIVE",
@@ -41,6 +43,7 @@ __all__ = [
     "Matcher",
     "Quality",
     "align_partial",
+    "align_parts",
     "alternative_folder",
     "alternative_folders",
     "best_alignment",

@@ -20,6 +20,7 @@ from torch import Tensor
 from homolog.features import FeatureExtractor
 from homolog.geometry import Basis, Operators, some_points
 from homolog.maps import Similarity, best_rotation, best_similarity, most_similar, normalised, rigid_motion
+from homolog.matching.units import has_unknown_units, part_areas
 from homolog.pairs import AlignmentSettings, Pair, PreprocessedShape, Preprocessor
 from homolog.shapes import rotation_about
 
@@ -59,6 +60,8 @@ def align_partial(pair: Pair) -> Pair:
         return pair
     full, partial = pair.x, pair.y
     basis, given = partial.operators.basis, partial.points_as_given
+    unknown = has_unknown_units(pair)
+    starts = tuple(_oriented_starts(full, partial, given, settings, _of_landmarks(pair)))
     found = best_alignment(
         basis,
         extractor,
@@ -66,15 +69,27 @@ def align_partial(pair: Pair) -> Pair:
         full.needed_features(),
         search=extractor.info.partial,
         settings=settings,
-        starts=tuple(_oriented_starts(full, partial, given, settings, _of_landmarks(pair))),
+        starts=(*starts, *_sized_starts(pair, settings)) if unknown else starts,
+        any_size=unknown,
     )
     if found.points is basis.points:
         return pair
-    operators = _placed(partial.operators, found.points, found.scale)
+    operators = placed(partial.operators, found.points, found.scale)
     features = Preprocessor(extractor=extractor).features(operators, shape=partial.name)
     alignment = best_similarity(given, found.points)
     aligned = pair.with_y(replace(partial, operators=operators, features=features))
     return replace(aligned, alignment=alignment)
+
+
+def _sized_starts(pair: Pair, settings: AlignmentSettings) -> Iterator[Start]:
+    """A partial shape in unknown units in the sizes that a part may have."""
+    areas, given = part_areas(pair), pair.y.points_as_given
+    origin = given.mean(dim=0)
+    if pair.options.pre_aligned:  # in one frame, but for the unit: sizes are about the origin of the files
+        origin = -(pair.x.operators.centre / pair.x.operators.scale).to(given)
+    for share in settings.shares:
+        scale = math.sqrt(share * areas.full / areas.partial)
+        yield scale * (given - origin) + origin, scale
 
 
 def _of_landmarks(pair: Pair) -> Similarity | None:
@@ -121,6 +136,7 @@ def best_alignment(
     search: bool,
     settings: AlignmentSettings | None = None,
     starts: Sequence[Start] = (),
+    any_size: bool = False,
 ) -> Alignment:
     """The pose and size in which a partial shape's features resemble those of the full shape the most.
 
@@ -137,12 +153,13 @@ def best_alignment(
             a wrong pose is often as good as the right one.
         settings: of the search.
         starts: positions and sizes to start from as well. Where there are some, no rotations are tried.
+        any_size: the size as given means nothing: only the other starts count, and the size that is found is refined.
     """
     settings = settings or AlignmentSettings()
     looked = _Search(partial, extractor, full, full_features, settings)
     unturned, *turned = settings.rotations
-    best = looked.followed([looked.at(partial.points)])
-    if starts:
+    best = looked.followed([looked.at(*start) for start in starts] if any_size else [looked.at(partial.points)])
+    if starts and not any_size:
         best = _clearly_better(looked.followed([looked.at(*start) for start in starts]), best, settings.margin)
     if search and best.similarity < settings.similar:
         sizes = [(scale * best.scale, _moved(best.points, *unturned, scale)) for scale in settings.scales]
@@ -152,7 +169,7 @@ def best_alignment(
         scales = dict.fromkeys((1.0, best.scale))
         others = [looked.at(_moved(partial.points, *rotation, scale), scale) for scale in scales for rotation in turned]
         best = _clearly_better(looked.followed(others), best, settings.margin)
-    return best
+    return looked.resized(best) if any_size else best
 
 
 def _clearly_better(other: Alignment, best: Alignment, margin: float) -> Alignment:
@@ -198,6 +215,18 @@ class _Search:
         ways = (alignment for step in promising for alignment in self._way(step))
         return max(ways, key=lambda alignment: alignment.similarity)
 
+    def resized(self, best: Alignment) -> Alignment:
+        """The best alignment in sizes near that of one."""
+        for step in self._settings.size_steps:
+            for factor in (step, 1 / step):
+                while True:
+                    scaled = _moved(best.points, 0, 0, factor)
+                    other = self.followed([[self._step(scaled, factor * best.scale)]])
+                    if other.similarity <= best.similarity:
+                        break
+                    best = other
+        return best
+
     def _way(self, step: _Step) -> Iterator[Alignment]:
         """An alignment, and those that each lie where the one before it seems to belong."""
         yield step.alignment
@@ -207,13 +236,13 @@ class _Search:
 
     def _step(self, points: Float[Tensor, "n 3"], scale: float) -> _Step:
         some = points[self._some]
-        features = self._extractor(_placed(self._basis, some, scale))
+        features = self._extractor(placed(self._basis, some, scale))
         found = most_similar(normalised(features), self._candidates)
         alignment = Alignment(points, scale, float(found.value.mean()))
         return _Step(alignment, *rigid_motion(some, self._positions[found.index]))
 
 
-def _placed(partial: _T, points: Float[Tensor, "n 3"], scale: float) -> _T:
+def placed(partial: _T, points: Float[Tensor, "n 3"], scale: float) -> _T:
     """The basis or operators of a partial shape in another pose and size, where its points are those."""
     if partial.scatter is not None:  # the signs of a cloud's normals follow the pose; a mesh tells out from in
         partial = partial.turned(best_rotation(partial.points, points))

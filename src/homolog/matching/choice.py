@@ -116,14 +116,20 @@ def features_of_weights(
 
 
 def method_between(
-    source: Modality, target: Modality, method: Method, settings: MatcherSettings, extractor: FeatureExtractor | None
+    source: Modality,
+    target: Modality,
+    method: Method,
+    settings: MatcherSettings,
+    extractor: FeatureExtractor | None,
+    *,
+    parts: bool = False,
 ) -> Method:
-    """The method for two shapes of these modalities.
+    """The method for two shapes of these modalities, or for two parts.
 
     The one that was chosen; of ``"auto"`` ``axiomatic`` without features, ``functional-map`` for two meshes of
-    near-isometric kind, and ``nearest-features`` otherwise.
+    near-isometric kind, unless both are parts, and ``nearest-features`` otherwise.
     """
     if settings.method != AUTO or extractor is None or method.name == "axiomatic":
         return method
-    spectral = source == target == "mesh" and extractor.info.near_isometric
+    spectral = source == target == "mesh" and extractor.info.near_isometric and not parts
     return as_method(find_method("functional-map" if spectral else "nearest-features"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, get_args
@@ -104,15 +105,15 @@ class FeatureChoice:
         usual = self.preprocess.extractor
         return () if usual is None else (usual, *self.others)
 
-    def method_of(self, source: Modality, target: Modality) -> Method:
-        """How two shapes of these modalities are matched; see ``MatcherSettings``."""
+    def method_of(self, source: Modality, target: Modality, *, parts: bool = False) -> Method:
+        """How two shapes of these modalities, or two parts, are matched; see ``MatcherSettings``."""
         for name, modality in (("source", source), ("target", target)):
             check_choice(name, modality, get_args(Modality))
-        return method_between(source, target, self.method, self.settings, self.preprocess.extractor)
+        return method_between(source, target, self.method, self.settings, self.preprocess.extractor, parts=parts)
 
     def check(self, options: PairOptions, features: Sequence[ArrayLike] | None) -> None:
         """Refuse options that the method does not know, and features that are not one array for each shape."""
-        check_supported(self.method, options)
+        check_supported(self.method_of("mesh", "mesh", parts=options.partial == "both"), options)
         if features is not None:
             check_two_arrays(features)
 
@@ -130,7 +131,7 @@ class FeatureChoice:
             source,
             target,
             self.preprocess,
-            self.method_of,
+            functools.partial(self.method_of, parts=options.partial == "both"),
             options=options,
             settings=self.settings,
             features=None if self.warnings else features,  # they are left aside
@@ -148,7 +149,8 @@ class FeatureChoice:
         extractor = self.preprocess.extractor
         if options.orient == "given" or options.pre_aligned:
             source, target = (shape.as_given(extractor) for shape in (source, target))
-        return Pair(source, target, options, self.settings, self.method_of(source.modality, target.modality), extractor)
+        method = self.method_of(source.modality, target.modality, parts=options.partial == "both")
+        return Pair(source, target, options, self.settings, method, extractor)
 
     def best_for(self, pairs: Sequence[Pair], timings: Timings | None = None) -> list[Pair]:
         """Pairs with the features that know them best together, or a method without any; as they are without a choice.

@@ -20,15 +20,16 @@ from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo
 from homolog.geometry import compute_operators
-from homolog.matching.alignment import align_partial
 from homolog.matching.choice import features_of_weights
 from homolog.matching.feature_choice import FeatureChoice
 from homolog.matching.guidance import guided, meet_landmarks
 from homolog.matching.inputs import options_of, read_inputs, with_inputs
+from homolog.matching.parts import align_parts
 from homolog.matching.refinement import method_maps, refine
 from homolog.matching.result import Match
 from homolog.matching.search import orient, orientations
-from homolog.matching.warnings import blaming, match_warnings, unit_warnings
+from homolog.matching.units import unit_warnings
+from homolog.matching.warnings import blaming, match_warnings
 from homolog.pairs import Device, MatcherSettings, Method, OperatorSource, Pair, PairOptions, PreprocessedShape, Side
 from homolog.shapes import Modality
 
@@ -108,9 +109,9 @@ class Matcher:
         settings = settings if name in named else replace(settings, method=name)
         return Matcher(named.get(name), settings=settings, device=self.device, operators=self.preprocess.source)
 
-    def method_of(self, source: Modality, target: Modality) -> Method:
-        """How two shapes of these modalities are matched; see ``MatcherSettings``."""
-        return self.feature_choice.method_of(source, target)
+    def method_of(self, source: Modality, target: Modality, *, parts: bool = False) -> Method:
+        """How two shapes of these modalities, or two parts, are matched; see ``MatcherSettings``."""
+        return self.feature_choice.method_of(source, target, parts=parts)
 
     def describe(self) -> dict[str, Any]:
         """Features, settings and device, for reports."""
@@ -210,7 +211,7 @@ class Matcher:
     def find(self, pair: Pair) -> Match:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
-        pair = guided(align_partial(orient(pair)))
+        pair = guided(align_parts(orient(pair)))
         maps = refine(pair, method_maps(pair))
         return Match.of(pair, meet_landmarks(pair, maps))
 

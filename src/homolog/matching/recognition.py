@@ -17,9 +17,9 @@ import torch
 
 from homolog.core.errors import ArgumentError, ShapeError
 from homolog.features import FeatureExtractor, Orienter
-from homolog.matching.alignment import align_partial
 from homolog.matching.choice import extractor_for, method_between
 from homolog.matching.guidance import landmark_misfit
+from homolog.matching.parts import align_parts
 from homolog.matching.refinement import method_maps, refine
 from homolog.matching.result import Match
 from homolog.matching.search import orient
@@ -49,11 +49,13 @@ class SeenShapes:
         """A pair with other features, and with a method; by default that for shapes as repair left them."""
         source, target = (self._seen(shape, extractor, pair) for shape in (pair.source, pair.target))
         if method is None:
-            method = method_between(source.modality, target.modality, pair.method, pair.settings, extractor)
+            method = method_between(
+                source.modality, target.modality, pair.method, pair.settings, extractor, parts=pair.are_parts
+            )
         return replace(pair, source=source, target=target, method=method, extractor=extractor)
 
     def _seen(self, shape: PreprocessedShape, extractor: FeatureExtractor | None, pair: Pair) -> PreprocessedShape:
-        partial = pair.is_partial and shape is pair.y
+        partial = pair.are_parts or (pair.is_partial and shape is pair.y)
         known, how = self._known.setdefault(shape, {}), (extractor, pair.options.orient, partial)
         if how not in known:
             preprocess = replace(self.preprocess, extractor=extractor)
@@ -85,7 +87,8 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     if _misfit_of(ways[0]) > settings.known:
         ways += [_way([shapes.seen(pair, extractor) for pair in pairs]) for extractor in extractors[1:]]
         ways.sort(key=_misfit_of)
-    if _misfit_of(ways[0]) > settings.known_best:
+    # Maps of two parts contradict themselves wherever these do not overlap.
+    if _misfit_of(ways[0]) > settings.known_best and not pairs[0].are_parts:
         plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
         tried = _mapped([*plausible, *_without_features(pairs, shapes)])
         ways = sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]
@@ -167,7 +170,7 @@ def _misfit_of_map(pair: Pair) -> float:
     A map that was made to meet the landmarks would say nothing of the features.
     """
     try:
-        aligned = align_partial(orient(pair))
+        aligned = align_parts(orient(pair))
         unguided = replace(aligned, options=replace(pair.options, landmarks=None))
         match = Match.of(unguided, refine(unguided, method_maps(unguided)))
     except ShapeError:  # what cannot be matched one way may be another way

@@ -9,6 +9,7 @@ from homolog.core.method_names import own_methods
 from homolog.core.plugins import blamed_on
 from homolog.core.unchanged import left_unchanged
 from homolog.maps import zoomout, zoomout_partial
+from homolog.matching.parts import maps_of_parts
 from homolog.matching.result import checked_maps
 from homolog.pairs import Pair, PointMaps
 
@@ -31,14 +32,17 @@ def method_maps(pair: Pair) -> PointMaps:
 def refine(pair: Pair, maps: PointMaps) -> PointMaps:
     """Point maps refined by ZoomOut, guided by features and landmarks; as they are where the settings say so.
 
-    Nothing is refined whose method gives no near-isometric maps, or whose features are for other shapes. Where there
-    are no features, it is ZoomOut as published.
+    Those of two parts are made anew, see ``maps_of_parts``. Nothing is refined whose method gives no near-isometric
+    maps, or whose features are for other shapes. Where there are no features, it is ZoomOut as published.
 
     Args:
         pair: the shapes, with features or without.
         maps: between them.
     """
     settings = pair.settings.refinement
+    if pair.are_parts:
+        fits = settings is not None and pair.fit is not None and pair.method.supports.refinement
+        return maps_of_parts(pair) if fits else maps
     if settings is None or not (pair.near_isometric and pair.method.supports.refinement):
         return maps
     x, y = pair.x.operators, pair.y.operators

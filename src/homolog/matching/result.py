@@ -23,6 +23,7 @@ from homolog.core.versions import versions
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import confidence, overlap, rotation_angle
 from homolog.matching import result_files
+from homolog.matching.parts import overlap_of_parts
 from homolog.matching.quality import MapQuality, quality
 from homolog.pairs import SIDES, Pair, PointMaps, Side
 from homolog.shapes import Shape, repair
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 # notebooks look for a picture at the match itself.
 _VIEWING = "homolog.viewing"
 # The entries of a report that speak of source and target. Inputs do as well, but hold names of files, which stay.
-_SIDED = ("quality", "options", "orientation", "matched", "timings", "warnings")
+_SIDED = ("quality", "options", "orientation", "overlap", "matched", "timings", "warnings")
 # In a text: what is quoted, but for the sides themselves; words, in which paths and names of files are one; and those
 # that speak of the sides, such as "source", "--target-up" and "source_to_target".
 _QUOTED = r"(?<!\w)(?P<quote>['\"])(?!(?:source|target)(?P=quote)).*?(?P=quote)(?!\w)"
@@ -122,11 +123,17 @@ class Match:
         at_x, at_y = x.operators.points, y.operators.points
         x_trust = confidence(at_x, at_y, x_to_y, y_to_x, settings=settings)
         y_trust = confidence(at_y, at_x, y_to_x, x_to_y, settings=settings)
-        of_x = None if pair.is_partial else quality(x, y, x_to_y, y_to_x, x_trust)
-        figures = MapQuality(of_x, quality(y, x, y_to_x, x_to_y, y_trust))
+        figures: MapQuality | None = None
+        if not pair.are_parts:  # most of what either part lacks would be counted, too
+            of_x = None if pair.is_partial else quality(x, y, x_to_y, y_to_x, x_trust)
+            figures = MapQuality(of_x, quality(y, x, y_to_x, x_to_y, y_trust))
         if pair.is_partial:
             found = overlap(x.operators, y.operators, y_to_x, settings=settings)
             x_to_y, x_trust = torch.where(found, x_to_y, -1), torch.where(found, x_trust, 0.0)
+        if pair.are_parts:
+            on_x, on_y = overlap_of_parts(pair, x_to_y, y_to_x)
+            x_to_y, x_trust = torch.where(on_x, x_to_y, -1), torch.where(on_x, x_trust, 0.0)
+            y_to_x, y_trust = torch.where(on_y, y_to_x, -1), torch.where(on_y, y_trust, 0.0)
         match = cls(
             source=x.given,
             target=y.given,
@@ -487,6 +494,17 @@ def _alignment(pair: Pair) -> dict[str, Any] | None:
     return {"rotation": rotation.tolist(), "degrees": degrees, "scale": pair.alignment.scale}
 
 
+def _overlap(pair: Pair, match: Match) -> dict[str, Any]:
+    """The share of the area of either part that has a counterpart on the other, and how well both fit."""
+    maps = {"source": match.source_to_target, "target": match.target_to_source}
+    shapes = {"source": pair.source, "target": pair.target}
+    shares = {}
+    for side, shape in shapes.items():
+        mass = shape.operators.mass.cpu().double().numpy()
+        shares[f"{side}_share"] = float(mass[maps[side][shape.repaired.kept] >= 0].sum() / mass.sum())
+    return {**shares, "fit": None if pair.fit is None else asdict(pair.fit)}
+
+
 def _report(pair: Pair, match: Match) -> dict[str, Any]:
     """What is known of a match, for JSON."""
     info = None if pair.extractor is None else asdict(pair.extractor.info)
@@ -509,6 +527,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "adaptation": None if pair.adaptation is None else asdict(pair.adaptation),
         "orientation": _orientation(pair),
         "alignment": _alignment(pair),
+        **({"overlap": _overlap(pair, match)} if pair.are_parts else {}),
         "features": info,
         "settings": pair.settings.to_dict(),
         "device": str(pair.source.operators.points.device),

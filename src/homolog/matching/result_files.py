@@ -38,7 +38,7 @@ from homolog.core.versions import versions
 from homolog.features import NetworkInput
 from homolog.matching.colours import matched_colours
 from homolog.matching.quality import MapQuality
-from homolog.pairs import SIDES, PairOptions, Side
+from homolog.pairs import SIDES, PairOptions, PartsFit, Side
 from homolog.shapes import Finding, Modality, Shape, drawable, read_shape, write_shape
 
 if TYPE_CHECKING:
@@ -167,6 +167,14 @@ class _Inputs(TypedDict, total=False):
     target: _Input
 
 
+class _Overlap(TypedDict, total=False):
+    """How much of two parts overlaps."""
+
+    source_share: Annotated[float, Ge(0), Le(1)]
+    target_share: Annotated[float, Ge(0), Le(1)]
+    fit: PartsFit | None
+
+
 class _Matched(TypedDict, total=False):
     """What became of the points of both shapes."""
 
@@ -198,6 +206,7 @@ class _Report(TypedDict):
     device: NotRequired[str]
     orientation: NotRequired[_Orientation | None]
     alignment: NotRequired[_Turn | None]
+    overlap: NotRequired[_Overlap | None]
     quality: NotRequired[MapQuality | None]
     matched: NotRequired[_Matched]
     sha256: NotRequired[dict[str, str]]

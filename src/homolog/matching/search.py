@@ -75,12 +75,12 @@ def orient(pair: Pair) -> Pair:
 def orientations(pair: Pair, count: int) -> list[Pair]:
     """The pair in up to so many ways round that lead to different maps, the likeliest first.
 
-    As it is where that was done before, one shape is partial, features do not follow the pose, or the options trust the
+    As it is where that was done before, a shape is partial, features do not follow the pose, or the options trust the
     files. Upright weights without an orienter are trusted to have got upright shapes: other rotations mislead their
     features.
     """
     is_trusted = pair.orientation is not None or pair.options.orient == "given"
-    if is_trusted or pair.is_partial or not pair.follows_pose:
+    if is_trusted or pair.options.partial is not None or not pair.follows_pose:
         return [pair]
     if pair.extractor is not None and pair.extractor.info.upright and not _has_orientations(pair):
         return [pair]

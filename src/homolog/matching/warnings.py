@@ -1,4 +1,4 @@
-"""What a user should know of a match: units that differ, low confidence, maps that tear."""
+"""What a user should know of a match: parts that were not named, low confidence, maps that tear."""
 
 from __future__ import annotations
 
@@ -6,28 +6,14 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from homolog.core.errors import HomologError, ShapeError
-from homolog.geometry import surface_area
 from homolog.matching.guidance import guidance_warnings
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.result import Match
-from homolog.pairs import SIDES, Pair, PreprocessedShape, WarningSettings
+from homolog.pairs import SIDES, Pair, WarningSettings
 from homolog.shapes import Shape, components, face_areas, face_vectors
 
-# Shares of the full shape's area that a partial shape may have. One of more than all can only be an estimate that is
-# off, by a few per cent between clouds; less than a hundredth shows nothing that could be recognised.
-_LARGEST_SHARE = 1.2
-_SMALLEST_SHARE = 0.01
-# The same of lengths: how far half of the points lie from their middle, over that of the full shape. Of 27 cuts, views
-# and their clouds of the two bodies that ship it is 0.5 to 0.8; other units differ by 2.5 at least.
-_LARGEST_SIZE = 1.1
-_SMALLEST_SIZE = 0.15
-# An outlier's third neighbour is so many times as far away as others' are.
-_NEIGHBOURS = 3
-_FAR_AWAY = 5.0
-_MANY_OUTLIERS = 0.001
 # Of 13 cuts of a body all but one have openings of 5 to 37 % of their area, and 13 views of 58 to 64 %; bodies with
 # holes have 1 to 3 %. The 120 full shapes of FAUST, SCAPE and SMAL that were looked at are closed.
 _LEAST_OPENNESS = 0.05
@@ -38,46 +24,6 @@ _SMALL_PIECE = 0.01
 _MOST_OF_IT = 0.5
 
 
-def unit_warnings(pair: Pair) -> tuple[str, ...]:
-    """Say if the area of a partial shape cannot be that of a part of the full one.
-
-    Returns:
-        At most one line, that names both areas and what to give.
-    """
-    if not pair.is_partial:
-        return ()
-    partial, full = pair.y, pair.x.operators.scale
-    own = partial.repaired.report.area  # of the faces, also where they are not used otherwise
-    area = (full / partial.operators.scale) ** 2 * (surface_area(partial.repaired.shape) if own is None else own)
-    full_area = full**2
-    too_large, too_small = area > _LARGEST_SHARE * full_area, area < _SMALLEST_SHARE * full_area
-    # Outliers make areas of any size, but hardly move a median.
-    if (too_large and _has_outliers(partial)) or (too_small and _has_outliers(pair.x)):
-        size = _half_size(partial) / _half_size(pair.x)
-        too_large, too_small = too_large and size > _LARGEST_SIZE, too_small and size < _SMALLEST_SIZE
-    if not (too_large or too_small):
-        return ()
-    exchanged = ", or name the other shape as the partial one" if area > full_area else ""
-    return (
-        f"the partial shape's area is {area:.3g}, the full one's {full_area:.3g}: their units seem to differ; "
-        "give partial_scale, by how much the partial shape's lengths are to be multiplied"
-        f"{exchanged}",
-    )
-
-
-def _has_outliers(shape: PreprocessedShape) -> bool:
-    """Whether some points lie far from all others."""
-    points = shape.operators.points.cpu().numpy()
-    away = KDTree(points).query(points, k=_NEIGHBOURS + 1)[0][:, -1]
-    return bool(np.mean(away > _FAR_AWAY * np.median(away)) > _MANY_OUTLIERS)
-
-
-def _half_size(shape: PreprocessedShape) -> float:
-    """The median distance of a shape's points from their median, in the units that the pair shares."""
-    points = shape.operators.points
-    return float((points - points.median(dim=0).values).norm(dim=1).median())
-
-
 def part_warnings(pair: Pair) -> tuple[str, ...]:
     """Say if one of two meshes that are matched as full shapes looks like a part of the other.
 
@@ -85,7 +31,7 @@ def part_warnings(pair: Pair) -> tuple[str, ...]:
         At most one line. It is about surfaces that are open where the other one is closed, as a view or a cut is. Of
         clouds it cannot be told.
     """
-    if pair.is_partial:
+    if pair.options.partial is not None:
         return ()
     openness = [_openness(side.repaired.shape) for side in (pair.source, pair.target)]
     for side, other, own, others in zip(SIDES, SIDES[::-1], openness, openness[::-1], strict=True):

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from homolog.pairs.masks import MASK_SUFFIXES, Mask, mask_of, read_mask
     from homolog.pairs.method import Method, Supports, check_supported
     from homolog.pairs.options import SIDES, PairOptions
-    from homolog.pairs.pair import Candidate, Pair, PairAdaptation, PairOrientation, PointMaps
+    from homolog.pairs.pair import Candidate, Pair, PairAdaptation, PairOrientation, PartsFit, PointMaps
     from homolog.pairs.preprocessing import OperatorSource, PreprocessedShape, Preprocessor
     from homolog.pairs.proxy import PROXY_RULES
     from homolog.pairs.settings import (
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         GuidanceSettings,
         MatcherSettings,
         OrientationSettings,
+        PartsSettings,
         ProxySettings,
         SoftMapSettings,
         WarningSettings,
@@ -54,6 +55,8 @@ __all__ = [
     "PairAdaptation",
     "PairOptions",
     "PairOrientation",
+    "PartsFit",
+    "PartsSettings",
     "PointMaps",
     "PreprocessedShape",
     "Preprocessor",
@@ -91,6 +94,8 @@ _MODULES = {
     "PairAdaptation": "pair",
     "PairOptions": "options",
     "PairOrientation": "pair",
+    "PartsFit": "pair",
+    "PartsSettings": "settings",
     "PointMaps": "pair",
     "PreprocessedShape": "preprocessing",
     "Preprocessor": "preprocessing",

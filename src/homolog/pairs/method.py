@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from homolog.core.errors import ArgumentError
-from homolog.pairs.options import PairOptions
+from homolog.pairs.options import SIDES, PairOptions
 
 if TYPE_CHECKING:
     from homolog.pairs.pair import Pair, PointMaps
@@ -20,6 +20,7 @@ class Supports:
     Args:
         clouds: it can match shapes without faces.
         partial: it can match a partial shape with its full one.
+        parts: it can match two partial shapes that overlap; where they do is decided afterwards.
         needs_features: it compares the features of an extractor; otherwise none are computed.
         refinement: its maps are near-isometric, so that ZoomOut can refine them, guided by features if there are any.
         small_turns: it finds by itself by which angle below 45 degrees one shape is turned against the other, so that
@@ -28,6 +29,7 @@ class Supports:
 
     clouds: bool = True
     partial: bool = True
+    parts: bool = False
     needs_features: bool = True
     refinement: bool = True
     small_turns: bool = False
@@ -68,7 +70,12 @@ def check_supported(method: Method, options: PairOptions, *shapes: PreprocessedS
     Raises:
         ArgumentError: naming the method, and what to give in its place.
     """
-    if options.partial is not None and not method.supports.partial:
+    if options.partial == "both" and not method.supports.parts:
+        raise ArgumentError(
+            f"partial is 'both', but the method {method.name!r} matches no two parts; use 'auto' or "
+            "'nearest-features', with weights"
+        )
+    if options.partial in SIDES and not method.supports.partial:
         raise ArgumentError(
             f"partial is {options.partial!r}, but the method {method.name!r} matches full shapes; "
             "use 'auto' for partial ones"

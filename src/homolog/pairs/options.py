@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
-from homolog.core.choices import AsCloud, KeepClutter, Orient, Side, Up, UseProxy
+from homolog.core.choices import AsCloud, KeepClutter, Orient, Parts, Side, Up, UseProxy
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Positive, Settings
 from homolog.pairs.landmarks import LandmarkPairs
@@ -20,11 +20,12 @@ class PairOptions(Settings):
 
     Args:
         as_cloud: which of the two to use without its faces.
-        partial: which of the two, if any, is a part of a shape like the other. Points of the full shape that have no
-            counterpart then get -1.
+        partial: which of the two, if any, is a part of a shape like the other; ``"both"`` for two parts that overlap.
+            Points that have no counterpart then get -1: of the full shape, or of both parts.
         partial_scale: what the partial shape's lengths are multiplied by to be in the full shape's units: 0.001 for a
-            partial shape in millimetres and a full one in metres.
-        pre_aligned: the partial shape is already aligned with the full one; otherwise its pose does not count.
+            partial shape in millimetres and a full one in metres. Of two parts, those of the target to be in the
+            source's.
+        pre_aligned: the partial shape is already aligned with the other one; otherwise its pose does not count.
         source_up: which axis of the source points up.
         target_up: which axis of the target.
         orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
@@ -52,7 +53,7 @@ class PairOptions(Settings):
     """
 
     as_cloud: AsCloud | None = None
-    partial: Side | None = None
+    partial: Parts | None = None
     partial_scale: Annotated[Positive, "and finite"] = 1.0
     pre_aligned: bool = False
     source_up: Up = "y"
@@ -81,12 +82,16 @@ class PairOptions(Settings):
                 if getattr(self, name) != unset:
                     raise ArgumentError(
                         f"{name} is {getattr(self, name)!r}, but neither shape is partial; say which one is by "
-                        "partial='source' or partial='target'"
+                        "partial='source', partial='target' or partial='both'"
                     )
 
     def is_cloud(self, side: Side) -> bool:
         """Whether a shape is used without its faces."""
         return self.as_cloud in (side, "both")
+
+    def is_partial(self, side: Side) -> bool:
+        """Whether a shape is partial."""
+        return self.partial in (side, "both")
 
     def mask(self, side: Side) -> Mask | None:
         """How much the points of a shape count; None where all count alike."""

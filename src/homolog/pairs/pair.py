@@ -62,6 +62,21 @@ class PairOrientation:
 
 
 @dataclass(frozen=True)
+class PartsFit:
+    """How well two parts lie on each other once one of them was moved as a rigid body.
+
+    Args:
+        source: share of the source's points that lie on the target's surface, near their counterparts by features.
+        target: likewise of the target's.
+        rigid: whether these are enough to take the parts for those of one rigid body; see ``PartsSettings``.
+    """
+
+    source: float
+    target: float
+    rigid: bool
+
+
+@dataclass(frozen=True)
 class Candidate:
     """Features that may suit a pair, or a method without any.
 
@@ -109,8 +124,9 @@ class Pair:
         choice: among which features and methods these were chosen, the chosen one first; empty where it was given.
         adaptation: what came of adapting a network to the pair; None where that was not asked for.
         orientation: which way round they were found to be; None where nothing was looked for.
-        alignment: what took the partial shape as it was given onto the full one, in normalised coordinates; None where
-            it stays.
+        alignment: what took the partial shape as it was given onto the full one, or of two parts the target onto the
+            source, in normalised coordinates; None where it stays.
+        fit: how well two parts lie on each other; None where that was not looked for.
 
     Raises:
         ArgumentError: if the options want shapes that were preprocessed in another way, a shape is partial or a cloud,
@@ -127,6 +143,7 @@ class Pair:
     adaptation: PairAdaptation | None = None
     orientation: PairOrientation | None = None
     alignment: Similarity | None = None
+    fit: PartsFit | None = None
 
     @classmethod
     def of(
@@ -177,7 +194,7 @@ class Pair:
                 centre=centre,
                 features=None if features is None else features[SIDES.index(side)],
                 orient=options.orient,
-                partial=options.partial == side,
+                partial=options.is_partial(side),
                 mirror=options.mirror == side,
                 clutter=options.clutter,
                 proxy=options.proxy,
@@ -229,8 +246,13 @@ class Pair:
 
     @property
     def is_partial(self) -> bool:
-        """Whether y is partial."""
-        return self.options.partial is not None
+        """Whether y is a part of a shape like x, which is full."""
+        return self.options.partial in SIDES
+
+    @property
+    def are_parts(self) -> bool:
+        """Whether both are parts, which overlap."""
+        return self.options.partial == "both"
 
     @property
     def are_meshes(self) -> bool:

@@ -84,6 +84,8 @@ class AlignmentSettings(Settings):
             may be its mirror image.
         scales: sizes to start from, where the given one does not fit.
         rotations: axis (0 to 2) and degrees of the rotations to start from; the first is none.
+        shares: of the full shape's area, to start from where a partial shape is in unknown units.
+        size_steps: factors by which its size is then refined, as long as features become more similar.
     """
 
     steps: Count = 4
@@ -104,12 +106,53 @@ class AlignmentSettings(Settings):
         (2, 60),
         (2, -60),
     )
+    shares: tuple[Positive, ...] = (0.08, 0.11, 0.15, 0.2, 0.27, 0.35, 0.45, 0.57, 0.7, 0.85)
+    size_steps: tuple[Positive, ...] = (1.06, 1.02)
 
     def check(self) -> None:
         """Refuse to start from nowhere."""
         for name in ("scales", "rotations"):
             if not getattr(self, name):
                 raise ArgumentError(f"{name} is empty, but must hold at least one; alignment=None aligns nothing")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartsSettings(Settings):
+    """How two parts that overlap are aligned with each other. New here; chosen on views of people for training.
+
+    Each part is placed on the upright shape by its features' orienter. The target is then moved by counterparts among
+    positions, features and normals at once, and by closest points where it is a rigid body. Lengths are in units of the
+    sqrt(area) of the upright shape.
+
+    Args:
+        samples: points of each part that are compared at first.
+        starts: of how many combinations of both parts' orientations the search begins.
+        same_units: by what factor the sizes may differ that the orienter finds, for both parts to be of one scale.
+        reaches: distances that weigh as much as a difference of one in what else is compared, one after the other.
+        features: weight of features of unit norm.
+        normals: weight of normals.
+        least_home: a counterpart counts that leads home within half the reach, or within this.
+        closest: the reaches of closest points, in spacings of the points.
+        overlap: a point lies on the other part that is within so many spacings of its surface.
+        agreeing: it does so rightly that is within this distance of its counterpart by features.
+        least_rigid: share of each part that does from which on both are taken for parts of one rigid body.
+        bent_reach: distance that weighs as much as a difference of one in weighted features in the maps of others.
+        bent_smoothing: width over which the mass is smoothed that tells the overlap of others, in spacings.
+    """
+
+    samples: Count = 1200
+    starts: Count = 4
+    same_units: Annotated[float, Ge(1)] = 1.4
+    reaches: tuple[Positive, ...] = (0.3, 0.2, 0.12, 0.08, 0.05, 0.03)
+    features: NotNegative = 6.0
+    normals: NotNegative = 0.5
+    least_home: NotNegative = 0.03
+    closest: tuple[Positive, ...] = (4.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)
+    overlap: Positive = 0.35
+    agreeing: Positive = 0.1
+    least_rigid: Share = 0.2
+    bent_reach: Positive = 0.15
+    bent_smoothing: Positive = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,6 +310,7 @@ class MatcherSettings(Settings):
         proxy: when a surface around a mesh, or a simpler shape, is matched in its place.
         orientation: the search for the way round of full shapes; ``PairOptions.orient`` says whether there is one.
         alignment: of a partial shape with the full one before matching; None for none.
+        parts: of two parts with each other; None for none.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
             nearly isometric are never refined.
         guidance: by landmarks, where there are any.
@@ -292,6 +336,7 @@ class MatcherSettings(Settings):
     proxy: ProxySettings = field(default_factory=ProxySettings)
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
     alignment: Annotated[AlignmentSettings, "or None"] | None = field(default_factory=AlignmentSettings)
+    parts: Annotated[PartsSettings, "or None"] | None = field(default_factory=PartsSettings)
     refinement: Annotated[RefinementSettings, "or None"] | None = field(default_factory=RefinementSettings)
     guidance: GuidanceSettings = field(default_factory=GuidanceSettings)
     confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)

@@ -18,7 +18,7 @@ from homolog.synthesis.production import (
 )
 from homolog.synthesis.remeshing import MeshSettings
 from homolog.synthesis.view_dataset import write_view_dataset
-from homolog.synthesis.views import Camera, View, ViewSettings, sample_camera, view, view_from
+from homolog.synthesis.views import Camera, View, ViewSettings, camera_apart, sample_camera, view, view_from
 
 __all__ = [
     "Animals",
@@ -40,6 +40,7 @@ __all__ = [
     "add_outliers",
     "add_shells",
     "add_strays",
+    "camera_apart",
     "cut",
     "cut_holes",
     "make_body",

@@ -5,9 +5,10 @@ D. Cao and F. Bernard (CVPR 2023) train and test on such a dataset, 5,000 views 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, get_args
 
@@ -15,8 +16,8 @@ import numpy as np
 from jaxtyping import Int
 from typing_extensions import TypedDict
 
-from homolog.core.arguments import check_count, is_count
-from homolog.core.errors import DataError, bad_value
+from homolog.core.arguments import check_count, is_count, is_real
+from homolog.core.errors import ArgumentError, DataError, bad_value
 from homolog.core.files import all_or_nothing, atomic_path, expanded, open_text, write_json
 from homolog.core.folders import MANIFEST, prepare_folder
 from homolog.core.progress import Progress, ignore
@@ -24,7 +25,7 @@ from homolog.core.records import read_record, record, stored_record
 from homolog.core.tasks import run_tasks
 from homolog.datasets import ShapeFolder
 from homolog.shapes import read_shape, repair, write_shape
-from homolog.synthesis.view_plan import TEST_EVERY, DatasetSplit, FullShapes, PlannedView, planned_view
+from homolog.synthesis.view_plan import TEST_EVERY, DatasetSplit, FullShapes, PlannedView, planned_pair, planned_view
 from homolog.synthesis.views import View, ViewSettings, view
 
 # A version, increased whenever the same settings give other views.
@@ -47,10 +48,15 @@ def write_view_dataset(
     views: int,
     seed: int,
     settings: ViewSettings | None = None,
+    apart: float | None = None,
+    two_shapes: bool = False,
     processes: int = 1,
     progress: Progress | None = None,
 ) -> None:
     """Write a dataset of views of the full meshes in a folder; docs/conventions.md lists its files.
+
+    A view is paired with a full shape or, where ``apart`` is given, with another view: ``view_000000_a`` and
+    ``view_000000_b``.
 
     Four of five views are for training, the others for testing, and so are four of five full shapes, unless the source
     has its own ``train.txt`` and ``test.txt``. The shapes of a split are viewed in turn, in a random order. A view does
@@ -59,14 +65,17 @@ def write_view_dataset(
     Args:
         source: a folder with ``off/NAME.off``, and perhaps ``corres/``, or any folder of meshes, all +y up.
         output: a new folder, or one that an earlier call with the same source, seed and settings began.
-        views: number of views; at least 5, so that one is for testing.
+        views: number of views, or of pairs of views; at least 5, so that one is for testing.
         seed: of all random choices; the same source, seed and settings give the same bytes.
         settings: distribution of cameras, resolution and noise.
+        apart: degrees between the directions of sight of the two cameras of a pair of views, above 0 and up to 180.
+        two_shapes: the second camera of a pair looks at another shape.
         processes: number of worker processes.
         progress: called with the number of finished files, their total and the current file's name.
 
     Raises:
-        ArgumentError: if ``output`` holds anything else, or ``views`` is out of range.
+        ArgumentError: if ``output`` holds anything else, ``views`` or ``apart`` is out of range, or ``two_shapes`` is
+            set without ``apart``.
         DataError: if the source has fewer than two meshes, or names that lists cannot hold.
         ShapeError: if a mesh cannot be repaired, or next to nothing of it is visible.
 
@@ -77,23 +86,35 @@ def write_view_dataset(
         raise bad_value("views", views, f"a whole number from {TEST_EVERY} to {_MOST_VIEWS}")
     check_count("seed", seed, least=0)
     check_count("processes", processes)
+    if apart is not None and not (is_real(apart) and 0 < apart <= 180):
+        raise bad_value("apart", apart, "a number of degrees above 0 and up to 180")
+    if two_shapes and apart is None:
+        raise ArgumentError("two_shapes is True, but is about pairs of views; give apart as well, or leave it out")
     shapes, root, settings = FullShapes.open(source, seed=seed), expanded(output), settings or ViewSettings()
-    manifest = _manifest(shapes, seed, settings)
+    pairing: dict[str, Any] = {} if apart is None else {"apart": apart, "two_shapes": two_shapes}
+    manifest = _manifest(shapes, seed, settings, pairing)
     prepare_folder(root, manifest, [*_FOLDERS, *(["corres"] if shapes.truth_root is not None else [])])
-    planned = [planned_view(shapes, number, seed=seed) for number in range(views)]
+    partners: dict[str, PlannedView]
+    if apart is None:
+        planned = [planned_view(shapes, number, seed=seed) for number in range(views)]
+        pairs, partners = [(one.full, one.name) for one in planned], {}
+    else:
+        both = [planned_pair(shapes, number, seed=seed, **pairing) for number in range(views)]
+        planned, pairs = list(chain.from_iterable(both)), [(one.name, other.name) for one, other in both]
+        partners = {other.name: one for one, other in both}
     used = sorted({name for one in planned for name in (one.viewed, one.full)})
     write_shapes = [(name, partial(_write_full_shape, shapes.files[name], shapes.truth_root, root)) for name in used]
-    write_views = [(one.name, partial(_write_view, one, root, settings)) for one in planned]
+    write_views = [(one.name, partial(_write_view, one, root, settings, partners.get(one.name))) for one in planned]
     run_tasks([write_shapes, write_views], processes=processes, progress=progress or ignore)
-    _write_lists(root, planned)
+    _write_lists(root, planned, pairs)
     records = [read_record(_record_file(root, one.name), _Record, instead="remove it") for one in planned]
     write_json(root / MANIFEST, {**manifest, "views": records})
 
 
-def _manifest(shapes: FullShapes, seed: int, settings: ViewSettings) -> dict[str, Any]:
+def _manifest(shapes: FullShapes, seed: int, settings: ViewSettings, pairing: Mapping[str, Any]) -> dict[str, Any]:
     """The manifest before any view is written, with JSON's types only, so that it can be compared with the file."""
     as_lists = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(settings).items()}
-    making = {"way": _MAKING, "seed": seed, **as_lists, "bodies": shapes.described()}
+    making = {"way": _MAKING, "seed": seed, **as_lists, **pairing, "bodies": shapes.described()}
     return {"what": "partial views with ground truth, made by homolog synth views", "making": making, "views": []}
 
 
@@ -113,8 +134,15 @@ def _write_full_shape(file: Path, truth_root: Path | None, root: Path) -> None:
         write_shape(mesh_file, repaired.shape)
 
 
-def _write_view(planned: PlannedView, root: Path, settings: ViewSettings) -> None:
-    """Write a view as a mesh and as a cloud, its ground truth and, last, its record."""
+def _write_view(planned: PlannedView, root: Path, settings: ViewSettings, partner: PlannedView | None = None) -> None:
+    """Write a view as a mesh and as a cloud, its ground truth and, last, its record.
+
+    Args:
+        planned: the view.
+        root: the folder of the dataset.
+        settings: distribution of cameras, resolution and noise.
+        partner: another view that it is paired with; None of one that is paired with a full shape.
+    """
     record_file = _record_file(root, planned.name)
     folders = {"off": ".off", "clouds": ".ply", "truth": ".npz", "corres": ".vts"}
     files = [
@@ -122,7 +150,7 @@ def _write_view(planned: PlannedView, root: Path, settings: ViewSettings) -> Non
     ]
     if _all_written(files) and stored_record(record_file, _Record) is not None:
         return
-    found = view(read_shape(root / "off" / f"{planned.viewed}.off"), settings, seed=planned.seed)
+    found = _seen(planned, root, settings)
     with all_or_nothing():
         write_shape(root / "off" / f"{planned.name}.off", found.mesh.shape)
         write_shape(root / "clouds" / f"{planned.name}.ply", found.cloud.shape)
@@ -130,11 +158,28 @@ def _write_view(planned: PlannedView, root: Path, settings: ViewSettings) -> Non
         if folder is not None:
             vertices = folder.template_correspondence(planned.viewed)
             _write_vertices(root, planned.name, _positions(found.mesh.full_index, vertices))
+        truth = _truth(planned, found, folder)
         with atomic_path(root / "truth" / f"{planned.name}.npz") as temporary:
-            np.savez_compressed(temporary, allow_pickle=False, **_truth(planned, found, folder))
+            np.savez_compressed(
+                temporary,
+                allow_pickle=False,
+                **(truth if partner is None else _to_partner(truth, _seen(partner, root, settings))),
+            )
         counts = {"mesh_points": found.mesh.shape.n_points, "cloud_points": found.cloud.shape.n_points}
         seen = {"visible_share": found.visible_share, **counts, "camera": asdict(found.camera)}
-        write_json(record_file, {**asdict(planned), **seen})
+        described = {name: value for name, value in asdict(planned).items() if name != "apart" or value}
+        write_json(record_file, {**described, **seen})
+
+
+def _seen(planned: PlannedView, root: Path, settings: ViewSettings) -> View:
+    full = read_shape(root / "off" / f"{planned.viewed}.off")
+    return view(full, settings, seed=planned.seed, apart=planned.apart)
+
+
+def _to_partner(truth: dict[str, np.ndarray], partner: View) -> dict[str, np.ndarray]:
+    """The truth of a view with correspondences to the view that it is paired with, in place of the full shape's."""
+    seen = partner.mesh.full_index
+    return {name: _positions(seen, found) if name.endswith("_to_full") else found for name, found in truth.items()}
 
 
 def _truth(planned: PlannedView, found: View, folder: ShapeFolder | None) -> dict[str, np.ndarray]:
@@ -170,12 +215,12 @@ def _via(
     return found
 
 
-def _write_lists(root: Path, planned: Sequence[PlannedView]) -> None:
+def _write_lists(root: Path, planned: Sequence[PlannedView], pairs: Sequence[tuple[str, str]]) -> None:
     for split in get_args(DatasetSplit):
         views = [one for one in planned if one.split == split]
         full = sorted({name for one in views for name in (one.viewed, one.full)})
         _write_lines(root / f"{split}.txt", [*full, *(one.name for one in views)])
-    _write_lines(root / "pairs.txt", [f"{one.full},{one.name}" for one in planned])
+    _write_lines(root / "pairs.txt", [",".join(pair) for pair in pairs])
 
 
 def _write_vertices(root: Path, name: str, vertices: Int[np.ndarray, " p"]) -> None:

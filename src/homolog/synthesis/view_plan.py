@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -32,8 +32,10 @@ class PlannedView:
         name: of its files.
         split: for training or testing.
         viewed: the full shape that the camera sees.
-        full: the full shape that the view is paired with, of the same split; possibly the viewed one.
+        full: the full shape that the view is paired with, of the same split; possibly the viewed one. Of two views that
+            are paired with each other, the one that the first of them shows.
         seed: of its camera and noise.
+        apart: by how many degrees its camera is turned from that of the seed.
     """
 
     name: str
@@ -41,6 +43,7 @@ class PlannedView:
     viewed: str
     full: str
     seed: int
+    apart: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ def _check_names(root: Path, names: Sequence[str]) -> None:
     if len(names) < 2:
         raise DataError(f"{root} has {len(names)} mesh, but it takes 2, one to train on and one to test; add others")
     for name in names:
-        if re.search(r"[\s,]", name) or re.fullmatch(r"view_\d{6}", name):
+        if re.search(r"[\s,]", name) or re.fullmatch(r"view_\d{6}(_[ab])?", name):
             raise DataError(f"{root}: the name {name!r} has a blank or a comma, or is a view's; rename the file")
 
 
@@ -110,3 +113,16 @@ def planned_view(shapes: FullShapes, number: int, *, seed: int) -> PlannedView:
     full = np.random.default_rng([seed, _PARTNER, number]).integers(len(names))
     name = f"view_{number:06d}"
     return PlannedView(name, split, names[viewed], names[full], zlib.crc32(f"{seed} {name}".encode()))
+
+
+def planned_pair(
+    shapes: FullShapes, number: int, *, seed: int, apart: float, two_shapes: bool = False
+) -> tuple[PlannedView, PlannedView]:
+    """The two views with a given number that are paired with each other, from cameras so many degrees apart.
+
+    Both show the shape that the single view with this number would; or, of two shapes, the second view shows the one
+    that it would be paired with.
+    """
+    first = planned_view(shapes, number, seed=seed)
+    second = replace(first, name=f"{first.name}_b", viewed=first.full if two_shapes else first.viewed, apart=apart)
+    return replace(first, name=f"{first.name}_a", full=first.viewed), replace(second, full=first.viewed)

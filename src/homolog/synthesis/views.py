@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,9 @@ from homolog.synthesis.sampling import Range, check_number, check_range, sample
 Vector = tuple[float, float, float]
 
 # Streams of random numbers with one seed.
-_CAMERA, _NOISE = 0, 1
+_CAMERA, _NOISE, _APART = 0, 1, 2
+
+_ROUNDING = 1e-9
 
 _ADVICE = "move the camera, or take a finer mesh"
 
@@ -122,15 +124,18 @@ class View:
     visible_share: float
 
 
-def view(shape: Shape, settings: ViewSettings | None = None, *, seed: int) -> View:
+def view(shape: Shape, settings: ViewSettings | None = None, *, seed: int, apart: float = 0.0) -> View:
     """View a mesh from a random position around it.
 
     Args:
         shape: a clean mesh, +y up; not changed.
         settings: distribution of cameras, resolution and noise.
         seed: of the camera and the noise.
+        apart: by how many degrees the direction of sight differs from that of the camera without it; see
+            ``camera_apart``.
 
     Raises:
+        ArgumentError: if no camera is so far apart within the range of elevations.
         ShapeError: if the shape is a cloud or needs repair, or next to nothing of it is visible.
 
     Examples:
@@ -139,6 +144,8 @@ def view(shape: Shape, settings: ViewSettings | None = None, *, seed: int) -> Vi
     """
     settings = settings or ViewSettings()
     camera = sample_camera(shape, settings, seed=seed)
+    if apart:
+        camera = camera_apart(camera, settings, degrees=apart, seed=seed)
     return view_from(shape, camera, noise=settings.noise, seed=seed)
 
 
@@ -154,9 +161,55 @@ def sample_camera(shape: Shape, settings: ViewSettings, *, seed: int) -> Camera:
     random = np.random.default_rng([seed, _CAMERA])
     distance = sample(settings.distance, random)
     position = middle + radius * distance * _sample_direction(settings.elevation, random)
-    # The cone that touches the bounding sphere.
-    opening = 1 / np.sqrt(distance**2 - 1)
-    return Camera(_vector(position), _vector(middle), float(opening), settings.pixels)
+    return Camera(_vector(position), _vector(middle), _opening(distance), settings.pixels)
+
+
+def camera_apart(camera: Camera, settings: ViewSettings, *, degrees: float, seed: int) -> Camera:
+    """A camera that looks at the same place in a direction so many degrees from another camera's.
+
+    Its distance is drawn anew, and so are the side to which it lies and its elevation, within the settings' range.
+
+    Args:
+        camera: the other, as ``sample_camera`` gives it.
+        settings: distribution of distances and elevations.
+        degrees: between the directions of sight, above 0 and at most 180.
+        seed: of the random choices.
+
+    Raises:
+        ArgumentError: if there is none within the range of elevations.
+
+    Examples:
+        >>> from homolog.synthesis import Camera, ViewSettings, camera_apart
+        >>> front = Camera((0.0, 0.0, 3.0), (0.0, 0.0, 0.0), 0.5)
+        >>> side = camera_apart(front, ViewSettings(elevation=0.0), degrees=90, seed=0)
+        >>> abs(side.position[0]) > 1.9, abs(side.position[2]) < 1e-9
+        (True, True)
+    """
+    if not (is_real(degrees) and 0 < degrees <= 180):
+        raise bad_value("apart", degrees, "a number of degrees above 0 and up to 180")
+    away = np.subtract(camera.position, camera.target)
+    direction = away / np.linalg.norm(away)
+    upward = np.array([0.0, 1.0, 0.0]) - direction[1] * direction  # as seen from there
+    level, reach = np.cos(np.radians(degrees)) * direction[1], np.sin(np.radians(degrees)) * np.linalg.norm(upward)
+    ends = np.sin(np.radians(np.broadcast_to(settings.elevation, 2)))
+    lowest, highest = max(ends[0], level - reach), min(ends[1], level + reach)
+    if lowest > highest + _ROUNDING:
+        raise bad_value("apart", degrees, f"an angle between two cameras at elevations of {settings.elevation} degrees")
+    random = np.random.default_rng([seed, _APART])
+    distance = sample(settings.distance, random)
+    # Uniform by area on the sphere, as elevations are: zones of equal height have equal areas.
+    rise = np.clip((random.uniform(lowest, max(lowest, highest)) - level) / max(reach, _ROUNDING), -1, 1)
+    across = rise * upward / np.linalg.norm(upward) + random.choice([-1, 1]) * np.sqrt(1 - rise**2) * camera.axes[0]
+    turned = np.cos(np.radians(degrees)) * direction + np.sin(np.radians(degrees)) * across
+    # The image just contains the bounding sphere: that gives its radius.
+    radius = np.linalg.norm(away) / np.sqrt(1 + camera.opening**-2)
+    position = np.array(camera.target) + radius * distance * turned
+    return replace(camera, position=_vector(position), opening=_opening(distance))
+
+
+def _opening(distance: float) -> float:
+    """That of the cone that touches the bounding sphere, so many radii away."""
+    return float(1 / np.sqrt(distance**2 - 1))
 
 
 def view_from(shape: Shape, camera: Camera, *, noise: float = 0.0, seed: int = 0) -> View:

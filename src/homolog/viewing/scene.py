@@ -78,7 +78,7 @@ class Scene:
 def scene_of(result: Match, layers: Sequence[Layer] = ()) -> Scene:
     """Lay out a match to be drawn, coloured by correspondence and by confidence.
 
-    Shapes keep their sizes, a partial one beside its full one too, unless they differ by a factor of more than three.
+    Shapes keep their sizes, a partial one beside the other too, unless they differ by a factor of more than three.
 
     Args:
         result: the match.
@@ -115,7 +115,7 @@ def _scales(radii: dict[Side, float], options: dict[str, Any]) -> dict[Side, flo
     scales: dict[Side, float] = dict.fromkeys(SIDES, 1.0)
     partial = options.get("partial")
     if partial is not None:
-        scales[partial] = options.get("partial_scale", 1.0)
+        scales["target" if partial == "both" else partial] = options.get("partial_scale", 1.0)
     elif max(radii.values()) > _COMPARABLE * min(radii.values()):
         scales = {side: 1 / radius for side, radius in radii.items()}
     largest = max(radii[side] * scales[side] for side in SIDES)
