@@ -16,7 +16,7 @@ PAPER = {
     "views": [6.3],
     "pose": [4.7, 5.6, 5.3, 6.2, 6.0, 6.8, 8.8, 12.0, 14.0, 14.2, 13.9, 14.7],
     "supervised": [1.5, None, 4.8, None, 5.2, None, 6.8, None, 6.9, None, 8.1, None],
-    "sampling": [2.6, 3.0, 3.3, 4.4],
+    "sampling": [2.6, 3.0, 3.3, 4.4, None, None, None, None],
 }
 
 

@@ -28,11 +28,14 @@ class DataPlace(Settings):
         dataset: name of its description.
         folders: names that its folder may have.
         source: where to get it, where the description does not say so.
+        meshed_from: name of the dataset of which it is another meshing, with long triangles; it is made where it is not
+            there.
     """
 
     dataset: str
     folders: tuple[str, ...]
     source: str = ""
+    meshed_from: str = ""
 
     @property
     def description(self) -> DatasetDescription:
@@ -160,7 +163,8 @@ class Experiment:
     def folders(self) -> tuple[str, ...]:
         """The folders of the datasets that are tested on and trained on."""
         names = [*(row.data for row in self.rows), *(name for plan in self.trainings for name in plan.data)]
-        return tuple(dict.fromkeys(data_places()[name].folders[0] for name in names))
+        places = (data_places()[name] for name in names)
+        return tuple(dict.fromkeys(place.meshed_from or place.folders[0] for place in places))
 
     def rows_named(self, words: tuple[str, ...]) -> tuple[Row, ...]:
         """The rows whose names contain one of these words, in any case; all rows where there are none.

@@ -29,6 +29,10 @@ from homolog.reproduction.experiments import COLUMNS, Column, Experiment, Row, d
 from homolog.reproduction.pictures import write_curves, write_match
 from homolog.reproduction.report import REPORT, write_report
 from homolog.reproduction.training_runs import RUNS, SHAPES, TrainingRun
+from homolog.synthesis import write_meshings
+
+# Of the directions in which the triangles of other meshings are long.
+_MESHING_SEED = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -258,9 +262,24 @@ class _Run:
     def _place(self, name: str) -> Path:
         place = data_places()[name]
         found = place.find(self.data)
+        if found is None and place.meshed_from:
+            return self._other_meshing(name, place.meshed_from)
         if found is None:
             raise _EmptyCellError(f"{self.data} has no folder {' or '.join(place.folders)}; {place.to_be_had}")
         return found
+
+    def _other_meshing(self, name: str, original: str) -> Path:
+        """The folder of another meshing of a dataset's test shapes, which is made if it is not there."""
+        source, made = self._place(original), self.root / SHAPES / name
+        description = data_places()[original].description
+        write_meshings(
+            source,
+            made,
+            description=description,
+            seed=_MESHING_SEED,
+            progress=lambda done, total, what: self.progress(done, total, f"{name}: {what}"),
+        )
+        return made
 
     def _n_pairs(self, row: Row) -> int:
         """How many pairs a cell of a row has; 0 if it lacks what it needs."""
