@@ -93,6 +93,7 @@ CALLS = [
     ("train set -o set/off --resume", "set/off/report.json"),
     ("train set -o new --weights new/weights.safetensors --resume", "new/weights.safetensors"),
     ("synth views set -o set", "set/off/a.off"),
+    ("synth meshings set -o set", "set/off/a.off"),
 ]
 
 
@@ -108,6 +109,6 @@ def test_no_command_replaces_what_it_reads(place, homolog, call, kept, how):
     ended = homolog(*call.format(linked(Path(kept), how)).split())
     assert ended.is_one_line_of_complaint(), ended.err
     # Folders of one's own are refused for what else they hold.
-    assert "would be replaced" in ended.err or call.startswith(("collection", "synth views"))
+    assert "would be replaced" in ended.err or call.startswith(("collection", "synth views", "synth meshings"))
     after = {file: sha256(file) for file in before}
     assert after == before

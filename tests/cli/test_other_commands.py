@@ -491,7 +491,9 @@ def test_demo_fails_if_the_maps_are_bad(homolog, tmp_path, monkeypatch):
     assert "something is wrong" in ended.err
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "synth views", "synth part", "data list", "data show", "data check"])
+@pytest.mark.parametrize(
+    "command", [*COMMANDS, "synth views", "synth meshings", "synth part", "data list", "data show", "data check"]
+)
 def test_help_shows_an_example(homolog, command):
     ended = homolog(*command.split(), "--help")
     assert (ended.code, ended.err) == (0, "")

@@ -1,4 +1,4 @@
-"""``homolog synth views`` and ``homolog synth part``."""
+"""``homolog synth views``, ``homolog synth meshings`` and ``homolog synth part``."""
 
 import json
 from dataclasses import asdict
@@ -122,3 +122,18 @@ def test_a_set_of_views_is_scored_as_it_is(homolog, make, tmp_path):
         assert pair["source"] == views[pair["target"]]["full"]
     # A point at random is some 60 away.
     assert found["mean_geodesic_error"] < 40
+
+
+def test_meshings(homolog, tmp_path, make):
+    blob = make.blob(2)
+    for folder in ("off", "corres"):
+        (tmp_path / "set" / folder).mkdir(parents=True)
+    for name in ("one", "two"):
+        write_shape(tmp_path / "set" / "off" / f"{name}.off", blob)
+        (tmp_path / "set" / "corres" / f"{name}.vts").write_text("1\n2\n3")
+    options = ["--vertices", 500, "--split", "all", "--processes", 1]
+    ended = homolog("synth", "meshings", tmp_path / "set", "-o", tmp_path / "out", *options)
+    assert (ended.code, ended.out.strip(), ended.err) == (0, str(tmp_path / "out"), "")
+    making = json.loads((tmp_path / "out" / "manifest.json").read_text())["making"]
+    assert {"vertices": 500, "stretch": 3.0, "seed": 0}.items() <= making.items()
+    assert read_shape(tmp_path / "out" / "off" / "one.off").n_points == pytest.approx(500, rel=0.1)

@@ -83,6 +83,17 @@ title = "By ground truth"
 about = "Trained on the first two shapes."
 rows = [{name = "taught", data = "blobs", training = "small_supervised"}]
 """,
+    "compared": """
+title = "Baselines"
+about = "Two blobs."
+columns = ["ours", "axiomatic", "dpfm"]
+rows = [{name = "blobs, mesh", data = "blobs", training = "small"}]
+""",
+    "meshed": """
+title = "Other triangles"
+about = "Two blobs, meshed anew."
+rows = [{name = "blobs, meshed anew", data = "blobs_anew", method = "axiomatic"}]
+""",
     "parts_of_it": """
 title = "Some shapes"
 about = "Pairs whose second shape has this name."
@@ -114,6 +125,7 @@ def data(tmp_path, make, monkeypatch):
     described = (place / "blobs.toml").as_posix()
     (place / "data.toml").write_text(
         "\n".join(f'[{name}]\ndataset = "{described}"' for name in ("blobs", "more"))
+        + '\n[blobs_anew]\ndataset = "own"\nmeshed_from = "blobs"'
         + f'\n[gone]\ndataset = "{described}"\nsource = "ask for it"\nfolders = ["gone", "lost"]\n'
     )
     (place / "trainings.toml").write_text(TRAININGS.replace("RECIPE", (place / "small.toml").as_posix()))

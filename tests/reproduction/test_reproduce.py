@@ -121,7 +121,7 @@ def test_a_damaged_cell_is_made_again(data, output, caplog):
         caplog.clear()
         file.write_text(damage(file.read_text()))
         done = reproduce("plain", data, output, only)
-        assert (done.made, done.found) == (1, 1)
+        assert (done.made, done.found) == (0, 2)  # weights are told by their contents
         assert f"{file} {said.partition(' (')[0]}" in caplog.text
         assert "it is made again" in caplog.text
         assert json.loads(file.read_text())["figures"] == whole["figures"]
@@ -340,3 +340,38 @@ def test_pictures_are_left_out_without_their_packages(data, output, monkeypatch,
     assert reproduce("plain", data, output).made == 4
     assert caplog.text.count("there will be no pictures") == 2
     assert experiments.experiment_names()
+
+
+def test_columns_of_baselines(data, output):
+    """Weights of their own, trained with other losses; a method without weights; nothing by weights that are given."""
+    done = reproduce("compared", data, output, ReproductionSettings(train=True))
+    assert (done.made, done.empty) == (3, {})
+    found = {column: cell for (_, column), cell in cells(output, "compared").items()}
+    assert "loss.infonce=0.0" in found["dpfm"]["training"]["command"]
+    assert "loss.infonce" not in found["ours"]["training"]["command"]
+    assert found["dpfm"]["weights"] != found["ours"]["weights"]
+    assert (found["axiomatic"]["training"], found["axiomatic"]["made_by"]) == (None, "no weights")
+    assert found["axiomatic"]["command"].endswith("--method axiomatic")
+    table = (output / "compared" / "table.md").read_text()
+    for head in ("| ours, trained |", "| losses of unsupervised DPFM, trained |", "| axiomatic, no weights |"):
+        assert head in table
+    assert sorted(folder.name.rpartition("-")[0] for folder in (output / "runs").iterdir()) == ["small", "small_dpfm"]
+    weights = str(next((output / "runs").glob("small-*")) / "weights.safetensors")
+    done = reproduce("compared", data, output, ReproductionSettings(weights=weights))
+    assert (done.made, done.found) == (0, 2)  # weights are told by their contents
+    assert list(done.empty) == [("blobs, mesh", "dpfm")]
+
+
+@pytest.mark.slow
+def test_other_meshings_are_made_where_they_are_not_there(data, output):
+    done = reproduce("meshed", data, output)
+    assert (done.made, done.empty) == (2, {})
+    folder = ShapeFolder.open(output / "shapes" / "blobs_anew")
+    assert folder.names == ("cat", "dog")
+    assert folder.shape("cat").n_points == pytest.approx(5000, rel=0.1)
+    before = times(output / "shapes")
+    assert reproduce("meshed", data, output).found == 2
+    assert times(output / "shapes").keys() == before.keys()
+    (data / "blobs").rename(data / "elsewhere")
+    with pytest.raises(DataError, match="has no folder blobs"):
+        reproduce("meshed", data, output)

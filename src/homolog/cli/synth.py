@@ -10,5 +10,6 @@ synth = lazy_typer(
     heads="homolog.cli.synth_heads:heads",
     animals="homolog.cli.synth_animals:animals",
     views="homolog.cli.synth_views:views",
+    meshings="homolog.cli.synth_meshings:meshings",
     part="homolog.cli.synth_part:part",
 )

@@ -9,6 +9,7 @@ from homolog.features.extractor import (
     as_extractor,
     checked_features,
     computed_features,
+    network_input,
     on_device,
 )
 from homolog.features.info import FeatureInfo, NetworkInput
@@ -46,6 +47,7 @@ __all__ = [
     "computed_features",
     "heat_decay",
     "load_weights",
+    "network_input",
     "on_device",
     "orienter_frame",
     "pretrained_weights",

@@ -16,7 +16,7 @@ from homolog.core.errors import ArgumentError
 from homolog.core.plugins import blamed_on
 from homolog.core.reprs import function_name, named_function
 from homolog.features.diffusion_net import DiffusionNet
-from homolog.features.info import FeatureInfo
+from homolog.features.info import FeatureInfo, NetworkInput
 from homolog.features.orienter import Orienter
 from homolog.geometry import Basis, Operators
 from homolog.maps import heat_kernel_signature, wave_kernel_signature
@@ -31,7 +31,7 @@ _SIGNATURE_EIGENPAIRS = 128
 class FeatureExtractor(Protocol):
     """Computes features per point from the operators of one shape.
 
-    Features that follow from positions (``info.input == "xyz"``) are also asked for at other poses and at some of a
+    Features that follow from positions (``info.follows_pose``) are also asked for at other poses and at some of a
     shape's points, and are then given the ``Basis`` there: it has the same ``points``, ``mass``, ``eigenvalues`` and
     ``eigenvectors``.
     """
@@ -68,19 +68,9 @@ class NetworkFeatures:
 
     def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
         """Features of all points (n, d)."""
-        features: Tensor = self.network(self._input(operators), operators)
+        inputs = network_input(operators, self.info.input, self.network.settings.in_channels)
+        features: Tensor = self.network(inputs, operators)
         return features
-
-    def _input(self, operators: Operators | Basis) -> Float[Tensor, "n i"]:
-        if self.info.input == "xyz":
-            return operators.points
-        n_channels, k = self.network.settings.in_channels, _SIGNATURE_EIGENPAIRS
-        eigenvalues, eigenvectors = operators.eigenvalues[:k], operators.eigenvectors[:, :k]
-        if self.info.input == "hks":
-            return heat_kernel_signature(eigenvalues, eigenvectors, n_times=n_channels)
-        signature = wave_kernel_signature(eigenvalues, eigenvectors, n_energies=n_channels)
-        # Each channel of unit norm on the surface, as the published networks were given it.
-        return signature / (operators.mass[:, None] * signature.square()).sum(dim=0).sqrt()
 
     def to(self, device: torch.device) -> NetworkFeatures:
         """The same on a device, in evaluation mode; this one's network stays as it is."""
@@ -90,6 +80,35 @@ class NetworkFeatures:
     def __repr__(self) -> str:
         settings = self.network.settings
         return f"NetworkFeatures({self.info.name!r}: {self.info.input}, {settings.out_channels} channels)"
+
+
+def network_input(
+    operators: Operators | Basis, kind: NetworkInput, n_channels: int, *, points: Float[Tensor, "n 3"] | None = None
+) -> Float[Tensor, "n i"]:
+    """What a network computes features from.
+
+    Args:
+        operators: of the shape, or its basis.
+        kind: what it is.
+        n_channels: how many channels there are, those of positions included.
+        points: positions in place of the shape's own, such as turned ones.
+    """
+    positions = operators.points if points is None else points
+    if kind == "xyz":
+        return positions
+    if kind == "xyz+wks":
+        return torch.cat([positions, _unit_signature(operators, n_channels - positions.shape[1])], dim=1)
+    if kind == "hks":
+        k = _SIGNATURE_EIGENPAIRS
+        return heat_kernel_signature(operators.eigenvalues[:k], operators.eigenvectors[:, :k], n_times=n_channels)
+    return _unit_signature(operators, n_channels)
+
+
+def _unit_signature(operators: Operators | Basis, n_channels: int) -> Float[Tensor, "n i"]:
+    """Wave kernel signatures, each channel of unit norm on the surface, as the published networks were given it."""
+    k = _SIGNATURE_EIGENPAIRS
+    signature = wave_kernel_signature(operators.eigenvalues[:k], operators.eigenvectors[:, :k], n_energies=n_channels)
+    return signature / (operators.mass[:, None] * signature.square()).sum(dim=0).sqrt()
 
 
 @dataclass(frozen=True, eq=False)

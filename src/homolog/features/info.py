@@ -8,8 +8,8 @@ from typing import Literal
 from homolog.core.settings import Count, Positive, Settings
 from homolog.geometry import CLOUD_NEIGHBOURS, LaplacianKind
 
-NetworkInput = Literal["xyz", "wks", "hks", "operators"]
-"""What features are computed from: positions, wave or heat kernel signatures, or whatever a function takes."""
+NetworkInput = Literal["xyz", "xyz+wks", "wks", "hks", "operators"]
+"""What features are computed from: positions, wave or heat kernel signatures, both, or whatever a function takes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +21,9 @@ class FeatureInfo(Settings):
     Args:
         name: a short name, or the file's.
         licence: the terms of the weights.
-        input: what features are computed from: ``"xyz"`` for positions, so that features follow the pose; ``"wks"`` or
-            ``"hks"`` for wave or heat kernel signatures, and ``"operators"`` for a function of one's own, which do not.
+        input: what features are computed from: ``"xyz"`` for positions, so that features follow the pose;
+            ``"xyz+wks"`` for positions and wave kernel signatures; ``"wks"`` or ``"hks"`` for wave or heat kernel
+            signatures alone, and ``"operators"`` for a function of one's own, which do not.
         upright: whether shapes must stand as those trained on did: +y up, facing +z.
         n_eigenpairs: eigenpairs of the operators that features are computed from.
         laplacian: the Laplacian of meshes that they were trained with.
@@ -59,4 +60,4 @@ class FeatureInfo(Settings):
     @property
     def follows_pose(self) -> bool:
         """Whether features change when a shape is turned."""
-        return self.input == "xyz"
+        return self.input in ("xyz", "xyz+wks")

@@ -146,10 +146,29 @@ def partial_alignment_loss(
     Raises:
         ArgumentError: if the temperature is not positive.
     """
+    mapped = softly_mapped(features_y, features_x, eigenvectors_x, temperature=temperature)
+    return (eigenvectors_y @ c_xy.detach() - mapped).square().sum()
+
+
+@takes_arrays
+def softly_mapped(
+    features_y: Float[Tensor, "n_y d"],
+    features_x: Float[Tensor, "n_x d"],
+    functions: Float[Tensor, "n_x c"],
+    *,
+    temperature: float = TEMPERATURE,
+) -> Float[Tensor, "n_y c"]:
+    """Functions on x at the points of y by the soft map softmax(F_y F_x^T / temperature), which is never held.
+
+    Gradients are those of the features; the functions have none.
+
+    Raises:
+        ArgumentError: if the temperature is not positive.
+    """
     if not temperature > 0:
         raise bad_value("temperature", temperature, "positive")
-    mapped: Tensor = _SoftlyMapped.apply(features_y / temperature, features_x, eigenvectors_x)  # type: ignore[no-untyped-call]
-    return (eigenvectors_y @ c_xy.detach() - mapped).square().sum()
+    mapped: Tensor = _SoftlyMapped.apply(features_y / temperature, features_x, functions)  # type: ignore[no-untyped-call]
+    return mapped
 
 
 @takes_arrays

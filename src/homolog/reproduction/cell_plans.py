@@ -61,7 +61,12 @@ class CellPlan:
     def settings(self) -> MatcherSettings:
         """How maps are made."""
         without: dict[str, Any] = dict.fromkeys(self.column.left_out)
-        return MatcherSettings(method=self.row.method, **without)
+        return MatcherSettings(method=self.method, **without)
+
+    @property
+    def method(self) -> str:
+        """By which maps are made."""
+        return self.column.method or self.row.method
 
     @property
     def n_pairs(self) -> int:
@@ -91,7 +96,7 @@ class CellPlan:
         for name, option in _OPTIONS.items():
             value = getattr(self.protocol, name)
             words += [option, str(value)] if value != getattr(usual, name) else []
-        words += ["--method", self.row.method] if self.row.method != MatcherSettings().method else []
+        words += ["--method", self.method] if self.method != MatcherSettings().method else []
         words += ["--weights", self.weights] if self.weights is not None else []
         return shlex.join([*words, *(f"--no-{stage}" for stage in self.column.left_out)])
 

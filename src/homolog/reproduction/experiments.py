@@ -6,7 +6,7 @@ share, and ``data.toml`` for the folders of the datasets. Nothing here loads PyT
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -28,11 +28,14 @@ class DataPlace(Settings):
         dataset: name of its description.
         folders: names that its folder may have.
         source: where to get it, where the description does not say so.
+        meshed_from: name of the dataset of which it is another meshing, with long triangles; it is made where it is not
+            there.
     """
 
     dataset: str
     folders: tuple[str, ...]
     source: str = ""
+    meshed_from: str = ""
 
     @property
     def description(self) -> DatasetDescription:
@@ -111,26 +114,41 @@ class Row(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class Column(Settings):
-    """How the cells of a column are matched.
+    """How the cells of a column are matched, and what they are trained with.
 
     Args:
         title: of the column.
         orient: whether the way round is found, or trusted.
         clutter: whether what does not belong to clouds is set apart.
         left_out: stages of matching that are left out: their settings are None.
+        method: by which maps are made, in place of the row's; one that needs no weights.
+        changes: of the recipe of the row's training, for weights of the column's own.
     """
 
     title: str
     orient: Orient = "auto"
     clutter: KeepClutter = "remove"
     left_out: tuple[Literal["refinement", "alignment"], ...] = ()
+    method: str = ""
+    changes: dict[str, Any] = field(default_factory=dict)
 
+
+_MESHES_ALONE = {"loss.alignment": 0.0, "loss.infonce": 0.0}
 
 COLUMNS = {
     "paper": Column(title="the paper's setting", orient="given", clutter="keep", left_out=("refinement", "alignment")),
     "ours": Column(title="ours"),
+    "axiomatic": Column(title="axiomatic", method="axiomatic"),
+    "surfmnet": Column(title="losses of SURFMNet", changes={**_MESHES_ALONE, "loss.commutativity": 1.0}),
+    "geomfmaps": Column(
+        title="loss of GeomFMaps",
+        changes={**_MESHES_ALONE, "loss.bijectivity": 0.0, "loss.orthogonality": 0.0, "loss.true_maps": 1.0},
+    ),
+    "ulrssm": Column(title="losses of ULRSSM", changes={**_MESHES_ALONE, "loss.coupling": 1.0}),
+    "dpfm": Column(title="losses of unsupervised DPFM", changes=_MESHES_ALONE),
 }
-"""The columns of every experiment: the paper's setting has no search and no refinement, and trusts poses."""
+"""The columns of experiments: the paper's setting has no search and no refinement, and trusts poses. The others are
+matched as ours are; baselines are trained with other losses, or not at all."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +159,9 @@ class Experiment:
         name: by which the command knows it.
         title: for people.
         about: what is trained on and tested on, and how the paper's figures compare.
-        rows: of the table, each with every column of ``COLUMNS``.
+        rows: of the table.
         axis: the option of rows that errors are drawn against; empty for none.
+        columns: names of those of ``COLUMNS`` that each row has.
     """
 
     name: str
@@ -150,17 +169,20 @@ class Experiment:
     about: str
     rows: tuple[Row, ...]
     axis: Literal["", "noise", "outliers"] = ""
+    columns: tuple[str, ...] = ("paper", "ours")
 
     @property
     def trainings(self) -> tuple[TrainingPlan, ...]:
-        """The trainings that its rows take weights from, in their order."""
-        return tuple(trainings()[name] for name in dict.fromkeys(row.training for row in self.rows if row.training))
+        """The trainings that its cells take weights from, in their order."""
+        plans = (training_of(row, column) for row in self.rows for column in self.columns)
+        return tuple({plan.name: plan for plan in plans if plan is not None}.values())
 
     @property
     def folders(self) -> tuple[str, ...]:
         """The folders of the datasets that are tested on and trained on."""
         names = [*(row.data for row in self.rows), *(name for plan in self.trainings for name in plan.data)]
-        return tuple(dict.fromkeys(data_places()[name].folders[0] for name in names))
+        places = (data_places()[name] for name in names)
+        return tuple(dict.fromkeys(place.meshed_from or place.folders[0] for place in places))
 
     def rows_named(self, words: tuple[str, ...]) -> tuple[Row, ...]:
         """The rows whose names contain one of these words, in any case; all rows where there are none.
@@ -200,7 +222,8 @@ def read_experiment(name: str) -> Experiment:
     path = _FOLDER / f"{name}.toml"
     table = read_toml(path)
     rows = tuple(read_settings(Row, row, f"{path}: [[rows]]") for row in table.pop("rows"))
-    return Experiment(name=name, rows=rows, **table)
+    columns = tuple(table.pop("columns", Experiment.columns))
+    return Experiment(name=name, rows=rows, columns=columns, **table)
 
 
 @cache
@@ -211,6 +234,14 @@ def trainings() -> dict[str, TrainingPlan]:
         name: read_settings(TrainingPlan, {"name": name, **table}, f"{path}: [{name}]")
         for name, table in read_toml(path).items()
     }
+
+
+def training_of(row: Row, column: str) -> TrainingPlan | None:
+    """The training that a cell takes weights from: the row's, or with a column's changes; None if it needs none."""
+    if not row.training or COLUMNS[column].method:
+        return None
+    plan, changes = trainings()[row.training], COLUMNS[column].changes
+    return replace(plan, name=f"{plan.name}_{column}", changes={**plan.changes, **changes}) if changes else plan
 
 
 @cache

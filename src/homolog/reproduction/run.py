@@ -25,10 +25,22 @@ from homolog.pairs import MatcherSettings
 from homolog.pairs import Pair as ShapePair
 from homolog.reproduction.cell_plans import CellPlan, figures_of
 from homolog.reproduction.cells import cell_file, stored_cell, write_cell
-from homolog.reproduction.experiments import COLUMNS, Column, Experiment, Row, data_places, read_experiment, trainings
+from homolog.reproduction.experiments import (
+    COLUMNS,
+    Experiment,
+    Row,
+    TrainingPlan,
+    data_places,
+    read_experiment,
+    training_of,
+)
 from homolog.reproduction.pictures import write_curves, write_match
 from homolog.reproduction.report import REPORT, write_report
 from homolog.reproduction.training_runs import RUNS, SHAPES, TrainingRun
+from homolog.synthesis import write_meshings
+
+# Of the directions in which the triangles of other meshings are long.
+_MESHING_SEED = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,13 +162,12 @@ class _Run:
 
     def run(self) -> Reproduced:
         """Make the cells that are not there, and the tables of all."""
-        n_pairs = {row.name: self._n_pairs(row) for row in self.rows}
-        self.pairs_left = len(COLUMNS) * sum(n_pairs.values())
+        n_pairs = {(row, column): self._n_pairs(row, column) for row in self.rows for column in self.experiment.columns}
+        self.pairs_left = sum(n_pairs.values())
         try:
-            for row in self.rows:
-                for column in COLUMNS:
-                    self.pairs_left -= n_pairs[row.name]
-                    self._cell(row, column)
+            for (row, column), number in n_pairs.items():
+                self.pairs_left -= number
+                self._cell(row, column)
         finally:
             report = write_report(self.root) if self.made else self.root / REPORT
         if not self.made + self.found:
@@ -167,7 +178,7 @@ class _Run:
     def _cell(self, row: Row, column: str) -> None:
         """Make a cell, unless it is there or lacks what it needs."""
         try:
-            plan = self._plan(row, COLUMNS[column])
+            plan = self._plan(row, column)
             matcher = self.matcher(plan.weights, plan.settings)
             key = plan.key(matcher)
             file = cell_file(self.folder, row.name, column, key)
@@ -179,10 +190,10 @@ class _Run:
         except (_EmptyCellError, DataError, ShapeError) as reason:
             self.empty[row.name, column] = str(reason)
 
-    def _plan(self, row: Row, column: Column) -> CellPlan:
+    def _plan(self, row: Row, name: str) -> CellPlan:
         folder, contents = self.dataset(row.data)
-        described = folder.description
-        weights, training = self._weights(row)
+        described, column = folder.description, COLUMNS[name]
+        weights, training = self._weights(row, name)
         pairs, listed = self._pairs(row, folder)
         protocol = Protocol(
             modality=row.modality,
@@ -258,15 +269,30 @@ class _Run:
     def _place(self, name: str) -> Path:
         place = data_places()[name]
         found = place.find(self.data)
+        if found is None and place.meshed_from:
+            return self._other_meshing(name, place.meshed_from)
         if found is None:
             raise _EmptyCellError(f"{self.data} has no folder {' or '.join(place.folders)}; {place.to_be_had}")
         return found
 
-    def _n_pairs(self, row: Row) -> int:
-        """How many pairs a cell of a row has; 0 if it lacks what it needs."""
+    def _other_meshing(self, name: str, original: str) -> Path:
+        """The folder of another meshing of a dataset's test shapes, which is made if it is not there."""
+        source, made = self._place(original), self.root / SHAPES / name
+        description = data_places()[original].description
+        write_meshings(
+            source,
+            made,
+            description=description,
+            seed=_MESHING_SEED,
+            progress=lambda done, total, what: self.progress(done, total, f"{name}: {what}"),
+        )
+        return made
+
+    def _n_pairs(self, row: Row, column: str) -> int:
+        """How many pairs a cell has; 0 if it lacks what it needs."""
         try:
             pairs = self._pairs(row, self.dataset(row.data)[0])[0]
-            self._check_weights(row)
+            self._check_weights(row, column)
         except (_EmptyCellError, DataError):
             return 0
         return _fewer(self.settings.n_pairs, pairs) or len(pairs)
@@ -284,34 +310,39 @@ class _Run:
             lines.writelines(f"{source},{target}\n" for source, target in chosen)
         return chosen, str(file)
 
-    def _check_weights(self, row: Row) -> None:
-        """Refuse a row whose weights are not there, and are not to be trained."""
+    def _check_weights(self, row: Row, column: str) -> TrainingPlan | None:
+        """The training that a cell needs weights of, if any; refuse one that is not there, and is not to be made."""
+        plan = training_of(row, column)
+        if plan is None:
+            return None
         if self.settings.weights is None:
-            if row.training and not (self.settings.train or self.training(row.training).done()):
-                raise _EmptyCellError(f"the training {row.training} is not there; use --train, or give --weights FILE")
-        elif row.trained_only:
-            raise _EmptyCellError(f"it is about the training {row.training}, which other weights cannot replace")
+            if not (self.settings.train or self.training(row, column).done()):
+                raise _EmptyCellError(f"the training {plan.name} is not there; use --train, or give --weights FILE")
+        elif row.trained_only or COLUMNS[column].changes:
+            raise _EmptyCellError(f"it is about the training {plan.name}, which other weights cannot replace")
+        return plan
 
-    def _weights(self, row: Row) -> tuple[str | None, TrainingRun | None]:
-        """The weights of a row, and the training that they are from, which is run if need be."""
-        self._check_weights(row)
-        if not row.training or self.settings.weights is not None:
-            return self.settings.weights if row.training else None, None
-        training = self.training(row.training)
+    def _weights(self, row: Row, column: str) -> tuple[str | None, TrainingRun | None]:
+        """The weights of a cell, and the training that they are from, which is run if need be."""
+        plan = self._check_weights(row, column)
+        if plan is None or self.settings.weights is not None:
+            return self.settings.weights if plan else None, None
+        training = self.training(row, column)
         if training.done() is None:
-            training.run(self.settings.device, lambda *told: self._tell_training(row.training, *told))
+            training.run(self.settings.device, lambda *told: self._tell_training(plan.name, *told))
         return str(training.weights), training
 
     def _tell_training(self, name: str, done: int, total: int, what: str) -> None:
         self.progress(done, total, f"training {name}: {what}")
 
-    def _training(self, name: str) -> TrainingRun:
-        plan = trainings()[name]
+    def _training(self, row: Row, column: str) -> TrainingRun:
+        plan = training_of(row, column)
+        assert plan is not None  # asked for by who has seen that there is one
         folders = {each: self._place(each) for each in plan.data}
         try:
             return TrainingRun.of(plan, folders, self.root, self.settings.changes)
         except DataError as error:
-            raise _EmptyCellError(f"the training {name} is not there, and cannot be made ({error})") from None
+            raise _EmptyCellError(f"the training {plan.name} is not there, and cannot be made ({error})") from None
 
     def _matcher(self, weights: str | None, settings: MatcherSettings) -> Matcher:
         features = features_of_weights(weights, settings)

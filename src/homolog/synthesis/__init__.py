@@ -8,6 +8,7 @@ from homolog.synthesis.cutting import cut, cut_holes
 from homolog.synthesis.degradation import add_floor, add_outliers, add_shells, add_strays, subsample
 from homolog.synthesis.hands import Hands
 from homolog.synthesis.heads import Heads
+from homolog.synthesis.meshings import STRETCHED, Meshing, other_meshing, write_meshings
 from homolog.synthesis.partial_shape import PartialShape
 from homolog.synthesis.people import People
 from homolog.synthesis.production import (
@@ -21,6 +22,7 @@ from homolog.synthesis.view_dataset import write_view_dataset
 from homolog.synthesis.views import Camera, View, ViewSettings, camera_apart, sample_camera, view, view_from
 
 __all__ = [
+    "STRETCHED",
     "Animals",
     "Body",
     "BodyFolder",
@@ -32,6 +34,7 @@ __all__ = [
     "Kind",
     "MeshSettings",
     "MeshedBody",
+    "Meshing",
     "PartialShape",
     "People",
     "View",
@@ -45,6 +48,7 @@ __all__ = [
     "cut_holes",
     "make_body",
     "mesh_body",
+    "other_meshing",
     "sample_camera",
     "subsample",
     "synthesize_animals",
@@ -53,6 +57,7 @@ __all__ = [
     "synthesize_people",
     "view",
     "view_from",
+    "write_meshings",
     "write_shape_files",
     "write_view_dataset",
 ]

@@ -11,7 +11,7 @@ import torch
 from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.progress import Listener
 from homolog.core.settings import Count, Settings
-from homolog.features import DiffusionNet, FeatureInfo, NetworkFeatures
+from homolog.features import DiffusionNet, FeatureInfo, NetworkFeatures, NetworkInput
 from homolog.matching import Matcher, align_partial, map_misfit, orient
 from homolog.pairs import Pair, PairAdaptation, PreprocessedShape
 from homolog.training.losses import TOTAL
@@ -162,7 +162,7 @@ def _adapted(
         for pair in pairs
     ]
     in_turns = [both for turn in zip(*sampled, strict=True) for both in turn]
-    _train(network, in_turns, settings, loss, first.is_partial, listener)
+    _train(network, in_turns, settings, loss, first.is_partial, extractor.info.input, listener)
     return replace(extractor, network=network.eval())
 
 
@@ -184,6 +184,7 @@ def _train(
     settings: AdaptationSettings,
     loss: LossSettings,
     partial: bool,
+    features_from: NetworkInput,
     listener: Listener | None,
 ) -> None:
     state = TrainingState.of(network, settings.optimiser)
@@ -200,6 +201,7 @@ def _train(
             augmentation=settings.augmentation,
             generator=generator,
             partial=partial,
+            features_from=features_from,
         )
         network.zero_grad()
         torch.autograd.backward(losses[TOTAL])

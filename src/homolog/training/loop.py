@@ -276,6 +276,7 @@ class _Training:
                 generator=generator,
                 partial=self.recipe.partial is not None,
                 registration_targets=pair.registration_targets,
+                features_from=self.recipe.input,
             )
 
     def _share(self, losses: Float[Tensor, "p t"], stop: bool) -> bool:
@@ -342,7 +343,9 @@ class _Training:
         self.progress(self.state.step, self.recipe.training.steps, "validating")
         network = self.state.result()
         pairs, partial = self.loader.pairs(self.sampler.held_out()), self.recipe.partial is not None
-        losses = validation_losses(network, pairs, self.recipe.loss, self.losses, partial=partial)
+        losses = validation_losses(
+            network, pairs, self.recipe.loss, self.losses, partial=partial, features_from=self.recipe.input
+        )
         found = {f"validation/{term}": value for term, value in losses.items()}
         if scored:
             found |= {f"geodesic error/{way}": error for way, error in self._scores(network).items()}

@@ -10,13 +10,14 @@ from importlib.metadata import EntryPoint
 from typing import TypeVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.core.errors import ArgumentError, DataError, bad_choice, bad_value
 from homolog.core.plugins import blamed_on, offered
 from homolog.maps import losses as formulas
 from homolog.maps import normalised
+from homolog.maps import soft_losses as soft_formulas
 from homolog.training.quantities import QUANTITIES, PairQuantities, QuantitySettings, TrainingShape
 
 TOTAL = "total"
@@ -223,7 +224,7 @@ def supervised(
     shape_y: TrainingShape,
     settings: QuantitySettings,
 ) -> Float[Tensor, ""]:
-    """Points that correspond, by the ground truth, resemble each other: the one loss that is not self-supervised."""
+    """Points that correspond, by the ground truth, resemble each other: not self-supervised."""
     rows_x, rows_y = shape_x.template_rows, shape_y.template_rows
     if rows_x is None or rows_y is None or len(rows_x) != len(rows_y):
         raise DataError(f"{shape_x.name} and {shape_y.name} have no common template, which the loss supervised needs")
@@ -233,6 +234,91 @@ def supervised(
         return features_x.new_zeros(())
     x, y = normalised(features_x[pairs[:, 0]]), normalised(features_y[pairs[:, 1]])
     return formulas.infonce_loss(x, y, temperature=settings.infonce_temperature)
+
+
+@_builtin(weight=0.0)
+def coupling(
+    c_xy: Float[Tensor, "k_y k_x"],
+    c_yx: Float[Tensor, "k_x k_y"],
+    mapped_to_x: Float[Tensor, "n_x k_y"],
+    mapped_to_y: Float[Tensor, "n_y k_x"],
+    pseudo_inverse_x: Float[Tensor, "k_x n_x"],
+    pseudo_inverse_y: Float[Tensor, "k_y n_y"],
+    partial: bool,
+) -> Float[Tensor, ""]:
+    """The functional maps of the meshes are those of their soft maps; both learn from it."""
+    there = soft_formulas.coupling_loss(c_xy, mapped_to_y, pseudo_inverse_y)
+    # A part's functions have no counterpart on what it lacks.
+    return there if partial else there + soft_formulas.coupling_loss(c_yx, mapped_to_x, pseudo_inverse_x)
+
+
+@_builtin(weight=0.0)
+def true_maps(
+    c_xy: Float[Tensor, "k_y k_x"],
+    c_yx: Float[Tensor, "k_x k_y"],
+    true_c_xy: Float[Tensor, "k_y k_x"],
+    true_c_yx: Float[Tensor, "k_x k_y"],
+    partial: bool,
+) -> Float[Tensor, ""]:
+    """The functional maps are those of the ground truth; not self-supervised."""
+    there = soft_formulas.true_map_loss(c_xy, true_c_xy)
+    return there if partial else there + soft_formulas.true_map_loss(c_yx, true_c_yx)
+
+
+@_builtin(weight=0.0)
+def teacher(
+    unit_features_x: Float[Tensor, "n_x d"],
+    unit_features_y: Float[Tensor, "n_y d"],
+    refined_x_to_y: Int[Tensor, " n_x"],
+    refined_y_to_x: Int[Tensor, " n_y"],
+    partial: bool,
+    settings: QuantitySettings,
+) -> Float[Tensor, ""]:
+    """The soft maps of the meshes resemble the refined point maps, which get no gradient."""
+    x, y, temperature = unit_features_x, unit_features_y, settings.coupling_temperature
+    there = soft_formulas.teacher_loss(y, x, refined_y_to_x, temperature=temperature)
+    return there if partial else there + soft_formulas.teacher_loss(x, y, refined_x_to_y, temperature=temperature)
+
+
+@_builtin(weight=0.0)
+def diffusion(
+    unit_features_x: Float[Tensor, "n_x d"],
+    unit_features_y: Float[Tensor, "n_y d"],
+    shape_x: TrainingShape,
+    shape_y: TrainingShape,
+    random_coefficients: Float[Tensor, "k c"],
+    random_times: Float[Tensor, " c"],
+    settings: QuantitySettings,
+) -> Float[Tensor, ""]:
+    """The soft map of the meshes commutes with the diffusion of random functions."""
+    return soft_formulas.diffusion_loss(
+        unit_features_y,
+        unit_features_x,
+        shape_y.mesh,
+        shape_x.mesh,
+        random_coefficients,
+        random_times,
+        temperature=settings.coupling_temperature,
+    )
+
+
+@_builtin(weight=0.0)
+def damped_spectrum(
+    unit_features_x: Float[Tensor, "n_x d"],
+    unit_features_y: Float[Tensor, "n_y d"],
+    shape_x: TrainingShape,
+    shape_y: TrainingShape,
+    settings: QuantitySettings,
+) -> Float[Tensor, ""]:
+    """The soft map of the meshes takes the 100, 150 and 200 lowest eigenfunctions, damped, to each other."""
+    damping, temperature = settings.damping, settings.coupling_temperature
+    return soft_formulas.damped_spectrum_loss(
+        unit_features_y, unit_features_x, shape_y.mesh, shape_x.mesh, damping=damping, temperature=temperature
+    )
+
+
+NEED_TRUTH = ("supervised", "true_maps")
+"""The losses that need ground truth."""
 
 
 def installed_losses() -> dict[str, EntryPoint]:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from homolog.core.errors import ArgumentError
 from homolog.core.plugins import described, fault
-from homolog.features import DiffusionNet
+from homolog.features import DiffusionNet, NetworkInput, network_input
 from homolog.training.augmentation import augmented
 from homolog.training.losses import BUILTIN_LOSSES, TOTAL, Loss, installed_losses
 from homolog.training.quantities import PairQuantities, TrainingShape
@@ -29,6 +29,7 @@ def pair_losses(
     generator: torch.Generator | None = None,
     partial: bool = False,
     registration_targets: Float[Tensor, "m_y 3"] | None = None,
+    features_from: NetworkInput = "xyz",
 ) -> dict[str, Float[Tensor, ""]]:
     """The weighted losses of a pair of shapes by name, and ``"total"``, their sum; from four passes of the network.
 
@@ -43,15 +44,28 @@ def pair_losses(
         partial: use the losses for partial shapes.
         registration_targets: where y's cloud lies once it is registered to x's, see
             ``homolog.maps.registered_positions``; by default that of the samples.
+        features_from: what the network takes.
     """
     bases = [x.mesh, y.mesh, x.cloud, y.cloud]
     inputs = [basis.points for basis in bases]
     with _full_precision(inputs[0].device):
         if augmentation is not None:
             inputs = [augmented(points, augmentation, generator) for points in inputs]
+        inputs = [
+            network_input(basis, features_from, network.settings.in_channels, points=points)
+            for basis, points in zip(bases, inputs, strict=True)
+        ]
     features = network.several(inputs, bases, generator=generator)
     with _full_precision(inputs[0].device):
-        pair = PairQuantities(x, y, features, settings, partial=partial, registration_targets=registration_targets)
+        pair = PairQuantities(
+            x,
+            y,
+            features,
+            settings,
+            partial=partial,
+            registration_targets=registration_targets,
+            generator=generator,
+        )
         values = {loss.name: loss.weighted(pair) for loss in losses or losses_of(settings)}
         return {**values, TOTAL: sum(values.values(), start=inputs[0].new_zeros(()))}
 

@@ -85,7 +85,10 @@ class PairLoader:
             basis = basis.scaled(partial.scale / full.scale)
             return basis.moved(offset) if self._pre_aligned else basis
 
-        return TrainingPair(sampled, x, replace(y, mesh=at_full_scale(y.mesh), cloud=at_full_scale(y.cloud)))
+        y = replace(y, mesh=at_full_scale(y.mesh), cloud=at_full_scale(y.cloud))
+        if y.template_eigenvectors is not None:
+            y = replace(y, template_eigenvectors=y.template_eigenvectors * (full.scale / partial.scale))
+        return TrainingPair(sampled, x, y)
 
     def _registration_targets(self, x: SampledShape, y: SampledShape) -> Float[Tensor, "n_y 3"]:
         first, second = sorted([(x.name, x.variant), (y.name, y.variant)])

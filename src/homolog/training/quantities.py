@@ -7,14 +7,29 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from homolog.core.errors import ArgumentError, TrainingError
+from homolog.core.errors import ArgumentError, DataError, TrainingError
 from homolog.core.settings import Count, NotNegative, Positive, Settings
 from homolog.geometry import Basis
-from homolog.maps import functional_map, normalised, registered_positions, resolvent_mask
-from homolog.maps.losses import INFONCE_TEMPERATURE, REGISTRATION_REACH, partial_rank
+from homolog.maps import (
+    functional_map,
+    normalised,
+    point_map_from_functional_map,
+    registered_positions,
+    resolvent_mask,
+    zoomout,
+)
+from homolog.maps.losses import INFONCE_TEMPERATURE, REGISTRATION_REACH, partial_rank, softly_mapped
+from homolog.maps.soft_losses import (
+    DAMPING,
+    DIFFUSION_FUNCTIONS,
+    DIFFUSION_TIME,
+    SOFT_TEMPERATURE,
+    map_from_common_points,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +44,10 @@ class QuantitySettings(Settings):
         raw_products: compute the soft map from features of any length, as the published code does, not from unit ones.
         infonce_temperature: temperature of the contrastive loss.
         registration_reach: width of the registration loss's target distribution, in units of sqrt(area).
+        coupling_temperature: temperature of the soft map of the meshes' features, in the losses that compare it.
+        diffusion_time: the longest time of the loss ``diffusion``, in units of the area.
+        diffusion_functions: how many random functions it takes.
+        damping: of the loss ``damped_spectrum``: the exponent by which the highest eigenfunction is damped.
     """
 
     map_eigenpairs: Count = 80
@@ -38,6 +57,10 @@ class QuantitySettings(Settings):
     raw_products: bool = False
     infonce_temperature: Positive = INFONCE_TEMPERATURE
     registration_reach: Positive = REGISTRATION_REACH
+    coupling_temperature: Positive = SOFT_TEMPERATURE
+    diffusion_time: Positive = DIFFUSION_TIME
+    diffusion_functions: Count = DIFFUSION_FUNCTIONS
+    damping: NotNegative = DAMPING
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +76,8 @@ class TrainingShape:
         cloud_is_partial: the cloud lacks a piece of the mesh's surface.
         template_rows: for each point of the template the row of the mesh's basis at which it lies, or -1 for none;
             None where no loss asks for ground truth.
+        template_eigenvectors: the mesh's eigenvectors at each point of the template, NaN where it has none; None
+            likewise. They are those of all points, not of the samples.
     """
 
     name: str
@@ -61,6 +86,7 @@ class TrainingShape:
     pairing: Tensor | None = None
     cloud_is_partial: bool = False
     template_rows: Int[Tensor, " t"] | None = None
+    template_eigenvectors: Float[Tensor, "t k"] | None = None
 
     def at_cloud(self, functions: Float[Tensor, "n_mesh c"]) -> Float[Tensor, "n_cloud c"]:
         """Functions on the mesh at the cloud's points."""
@@ -76,6 +102,14 @@ class _Side:
     @cached_property
     def soft_features(self) -> Float[Tensor, "n_cloud d"]:
         return self.cloud_features if self._settings.raw_products else normalised(self.cloud_features)
+
+    @cached_property
+    def unit_features(self) -> Float[Tensor, "n d"]:
+        return normalised(self.features)
+
+    @cached_property
+    def eigenvectors(self) -> Float[Tensor, "n k"]:
+        return self.shape.mesh.eigenvectors[:, : self._settings.map_eigenpairs]
 
     @cached_property
     def pseudo_inverse(self) -> Float[Tensor, "k n"]:
@@ -95,15 +129,18 @@ class _Side:
 
     @cached_property
     def cloud_eigenvectors(self) -> Float[Tensor, "n_cloud k"]:
-        eigenvectors = self.shape.mesh.eigenvectors[:, : self._settings.map_eigenpairs]
-        return self.shape.at_cloud(eigenvectors.contiguous())
+        return self.shape.at_cloud(self.eigenvectors.contiguous())
 
 
 _SIDED = (
-    *("shape", "features", "cloud_features", "soft_features", "pseudo_inverse"),
+    *("shape", "features", "unit_features", "cloud_features", "soft_features", "pseudo_inverse"),
     *("coefficients", "positions", "eigenvalues", "cloud_eigenvectors"),
 )
-_SHARED = ("c_xy", "c_yx", "rank", "registration_targets", "partial", "settings")
+_SHARED = (
+    *("c_xy", "c_yx", "rank", "registration_targets", "partial", "settings"),
+    *("mapped_to_x", "mapped_to_y", "refined_x_to_y", "refined_y_to_x", "true_c_xy", "true_c_yx"),
+    *("random_coefficients", "random_times"),
+)
 QUANTITIES = (*(f"{name}_{side}" for name in _SIDED for side in "xy"), *_SHARED)
 """The names of all quantities that losses can ask for."""
 
@@ -117,8 +154,9 @@ class PairQuantities:
     |---|---|
     | `shape_x` | the `TrainingShape`: mesh and cloud as bases |
     | `features_x` | features of the mesh's points (n, d) |
+    | `unit_features_x` | the same, of unit length (n, d) |
     | `cloud_features_x` | features of the cloud's points (m, d) |
-    | `soft_features_x` | the same as the soft map compares them: of unit length, unless `raw_products` |
+    | `soft_features_x` | those as the soft map compares them: of unit length, unless `raw_products` |
     | `pseudo_inverse_x` | of the mesh's eigenvectors (k, n) |
     | `coefficients_x` | of the mesh's features (k, d) |
     | `positions_x` | coefficients of the mesh's positions, in units of sqrt(area) (k, 3) |
@@ -132,6 +170,11 @@ class PairQuantities:
     | `c_xy`, `c_yx` | functional maps of the meshes (k, k); `c_xy` takes coefficients on x to those on y |
     | `rank` | where y is a part of x: the rank of `c_xy`, see `partial_rank`; otherwise None |
     | `registration_targets` | where y's cloud lies once it is registered to x's (m_y, 3) |
+    | `mapped_to_y`, `mapped_to_x` | eigenvectors of x at the points of y by the soft map (n_y, k), and back |
+    | `refined_y_to_x`, `refined_x_to_y` | the point maps of the functional maps, refined by ZoomOut, without gradient |
+    | `true_c_xy`, `true_c_yx` | functional maps by the ground truth |
+    | `random_coefficients` | of random functions on x, of mean square one; as many as `diffusion_functions` (all, c) |
+    | `random_times` | for each of them how long it diffuses (c,) |
     | `partial` | whether y is a part of x |
     | `settings` | the `QuantitySettings`, of which a recipe's `LossSettings` are some |
 
@@ -142,6 +185,7 @@ class PairQuantities:
         settings: of the losses.
         partial: whether y is a part of x.
         registration_targets: where they are known; by default they are computed for the samples.
+        generator: of random functions; by default torch's own.
     """
 
     def __init__(
@@ -153,7 +197,9 @@ class PairQuantities:
         *,
         partial: bool = False,
         registration_targets: Float[Tensor, "m_y 3"] | None = None,
+        generator: torch.Generator | None = None,
     ) -> None:
+        self._generator = generator
         mesh_x, mesh_y, cloud_x, cloud_y = features
         self.settings, self.partial, self._known_targets = settings, partial, registration_targets
         self._x, self._y = _Side(x, mesh_x, cloud_x, settings), _Side(y, mesh_y, cloud_y, settings)
@@ -194,6 +240,72 @@ class PairQuantities:
         if self._known_targets is not None:
             return self._known_targets
         return registered_positions(self._x.shape.cloud.points, self._y.shape.cloud.points)[1]
+
+    @cached_property
+    def mapped_to_y(self) -> Float[Tensor, "n_y k_x"]:
+        """The eigenvectors of x at the points of y, by the soft map."""
+        return self._softly_mapped(self._y, self._x)
+
+    @cached_property
+    def mapped_to_x(self) -> Float[Tensor, "n_x k_y"]:
+        """The eigenvectors of y at the points of x, by the soft map the other way."""
+        return self._softly_mapped(self._x, self._y)
+
+    def _softly_mapped(self, to: _Side, of: _Side) -> Tensor:
+        temperature = self.settings.coupling_temperature
+        return softly_mapped(to.unit_features, of.unit_features, of.eigenvectors, temperature=temperature)
+
+    @property
+    def refined_y_to_x(self) -> Int[Tensor, " n_y"]:
+        """For each point of y its point of x, refined."""
+        return self._refined[0]
+
+    @property
+    def refined_x_to_y(self) -> Int[Tensor, " n_x"]:
+        """For each point of x its point of y, refined."""
+        return self._refined[1]
+
+    @cached_property
+    def _refined(self) -> tuple[Int[Tensor, " n_y"], Int[Tensor, " n_x"]]:
+        phi_x, phi_y = self._x.shape.mesh.eigenvectors, self._y.shape.mesh.eigenvectors
+        y_to_x = point_map_from_functional_map(self.c_xy.detach(), phi_x, phi_y)
+        x_to_y = point_map_from_functional_map(self.c_yx.detach(), phi_y, phi_x)
+        return zoomout(y_to_x, x_to_y, phi_x, phi_y, self._x.unit_features.detach(), self._y.unit_features.detach())
+
+    @cached_property
+    def true_c_xy(self) -> Float[Tensor, "k_y k_x"]:
+        """The functional map from x to y by the ground truth."""
+        return self._true_map(self._x, self._y)
+
+    @cached_property
+    def true_c_yx(self) -> Float[Tensor, "k_x k_y"]:
+        """The functional map from y to x by the ground truth."""
+        return self._true_map(self._y, self._x)
+
+    def _true_map(self, of: _Side, to: _Side) -> Tensor:
+        both = of.shape.template_eigenvectors, to.shape.template_eigenvectors
+        if both[0] is None or both[1] is None or len(both[0]) != len(both[1]):
+            raise DataError(f"{self.names} have no common template, which losses by ground truth need")
+        source, target = (each[:, : self.settings.map_eigenpairs] for each in both if each is not None)
+        known = ~(source.isnan().any(dim=1) | target.isnan().any(dim=1))
+        return map_from_common_points(source[known], target[known])
+
+    @cached_property
+    def random_coefficients(self) -> Float[Tensor, "k c"]:
+        """Coefficients of random functions on x: white noise in all of its eigenfunctions, of mean square one."""
+        basis, count = self._x.shape.mesh, self.settings.diffusion_functions
+        drawn = torch.randn(len(basis.eigenvalues), count, generator=self._generator, device=self._drawn_on)
+        return drawn.to(basis.eigenvectors) * (basis.mass.sum() / len(drawn)).sqrt()
+
+    @cached_property
+    def random_times(self) -> Float[Tensor, " c"]:
+        """For each random function a time, all up to the longest as likely."""
+        drawn = torch.rand(self.settings.diffusion_functions, generator=self._generator, device=self._drawn_on)
+        return self.settings.diffusion_time * drawn.to(self._x.shape.mesh.eigenvectors)
+
+    @property
+    def _drawn_on(self) -> torch.device:
+        return torch.device("cpu") if self._generator is None else self._generator.device
 
     @cached_property
     def _functional_maps(self) -> tuple[Float[Tensor, "k_y k_x"], Float[Tensor, "k_x k_y"]]:

@@ -207,6 +207,7 @@ def weights_info(recipe: Recipe) -> FeatureInfo:
     return FeatureInfo(
         name=recipe.name,
         licence=recipe.licence,
+        input=recipe.input,
         upright=recipe.upright,
         n_eigenpairs=recipe.operators.n_eigenpairs,
         laplacian=recipe.operators.laplacian,

@@ -20,6 +20,7 @@ from homolog.training.quantities import QuantitySettings
 
 Schedule = Literal["cosine", "constant", "one-cycle"]
 Precision = Literal["32", "bf16"]
+TrainedInput = Literal["xyz", "xyz+wks"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,6 +293,8 @@ class Recipe(Settings):
             training on shapes in any pose, with ``turn = "any"``.
         near_isometric: stored with the weights: the shapes bend without stretching much, so that meshes are matched by
             functional maps and all maps are refined as such. False for organs and the like.
+        input: what features are computed from, stored with the weights: positions, ``"xyz"``, or wave kernel signatures
+            beside them, ``"xyz+wks"``. The signatures are not augmented.
         seed: of everything random: initial weights, order, augmentation, dropout, noise.
         data: which shapes.
         samples: on which points.
@@ -316,6 +319,7 @@ class Recipe(Settings):
     licence: str = "unknown"
     upright: bool = True
     near_isometric: bool = True
+    input: TrainedInput = "xyz"
     seed: CountOrZero = 0
     data: DataSettings = field(default_factory=DataSettings)
     samples: SampleSettings = field(default_factory=SampleSettings)
@@ -333,8 +337,11 @@ class Recipe(Settings):
     def check(self) -> None:
         """What sections ask of one another."""
         n, points, registration = self.operators.n_eigenpairs, self.samples.points, self.loss.weights["registration"]
-        if self.network.in_channels != 3:
-            raise bad_value("[network] in_channels", self.network.in_channels, "3, for positions")
+        channels = self.network.in_channels
+        if self.input == "xyz" and channels != 3:
+            raise bad_value("[network] in_channels", channels, "3, for positions")
+        if self.input != "xyz" and channels <= 3:
+            raise bad_value("[network] in_channels", channels, "more than 3, for positions and signatures, such as 131")
         if self.loss.map_eigenpairs > n:
             raise bad_value("[loss] map_eigenpairs", self.loss.map_eigenpairs, f"at most n_eigenpairs, {n}")
         if self.partial is not None and registration:

@@ -22,6 +22,7 @@ from homolog.pairs import OperatorSource
 from homolog.shapes import Shape, repair
 from homolog.training.clouds import Cloud, cloud_variants, make_cloud
 from homolog.training.data import TrainingSet
+from homolog.training.losses import NEED_TRUTH
 from homolog.training.pairing import interpolation, nearest_columns, nearest_rows
 from homolog.training.quantities import TrainingShape
 from homolog.training.samples import Samples, at_subsets, subsets
@@ -95,7 +96,9 @@ class ShapeStore:
         self._workers = recipe.data.workers
         self._mesh = lru_cache(maxsize=2 * self._workers)(self._read_mesh)
         self._template = lru_cache(maxsize=None)(shapes.template)
-        self._is_supervised = recipe.loss.weights["supervised"] > 0
+        self._is_supervised = any(recipe.loss.weights[name] > 0 for name in NEED_TRUTH)
+        self._knows_true_maps = recipe.loss.weights["true_maps"] > 0
+        self._template_eigenvectors = lru_cache(maxsize=None)(self._eigenvectors_at_template)
         self.rotations = rotations or {}
         self._frames: dict[str, Frame] = {}
         self._memory = _Memory(recipe.data.memory_gb * 2**30)
@@ -131,7 +134,15 @@ class ShapeStore:
         if self._is_supervised:
             indices = clouds.mesh_indices or self.samples(sampled.name, MESH).indices
             rows = self._template_rows(sampled.name, indices[sampled.subset])
-        return TrainingShape(sampled.name, meshes[sampled.subset], cloud, pairing, is_partial, rows)
+        at_template = self._template_eigenvectors(sampled.name) if self._knows_true_maps else None
+        return TrainingShape(sampled.name, meshes[sampled.subset], cloud, pairing, is_partial, rows, at_template)
+
+    def _eigenvectors_at_template(self, name: str) -> Float[Tensor, "t k"]:
+        """A mesh's eigenvectors at each point of the template, NaN where it has none; as many as maps are of."""
+        vertices = torch.from_numpy(self._template(name))
+        eigenvectors = self._operators_of(self._mesh(name)).eigenvectors[:, : self.recipe.loss.map_eigenpairs]
+        found = torch.where((vertices >= 0)[:, None], eigenvectors[vertices], torch.nan)
+        return found.to(self.device)
 
     def _template_rows(self, name: str, indices: Int[np.ndarray, " s"]) -> Int[Tensor, " t"]:
         """Where among some points of a mesh each point of the template lies, or -1."""

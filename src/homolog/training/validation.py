@@ -16,7 +16,7 @@ from homolog.core.errors import DataError
 from homolog.core.files import atomic_path, open_text
 from homolog.datasets import Pair, ShapeFolder
 from homolog.evaluation import Modalities, Protocol, evaluate
-from homolog.features import DiffusionNet
+from homolog.features import DiffusionNet, NetworkInput
 from homolog.matching import Matcher
 from homolog.shapes import Shape
 from homolog.training.losses import Loss
@@ -48,6 +48,7 @@ def validation_losses(
     losses: Sequence[Loss],
     *,
     partial: bool,
+    features_from: NetworkInput = "xyz",
 ) -> dict[str, float]:
     """Mean of each loss over pairs, and of their total, for a network in evaluation mode, without augmentation."""
     sums: dict[str, float] = defaultdict(float)
@@ -60,6 +61,7 @@ def validation_losses(
             losses=losses,
             partial=partial,
             registration_targets=pair.registration_targets,
+            features_from=features_from,
         )
         for name, value in values.items():
             sums[name] += float(value) / len(pairs)
