@@ -1,5 +1,7 @@
 """Shapes are matched whichever way round they are."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -10,8 +12,10 @@ import homolog
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Timings
 from homolog.datasets import demo_folder
+from homolog.features import Orientation
 from homolog.maps import rotation_angle
 from homolog.matching import low_confidence_warnings, orientation_warnings
+from homolog.matching.search import orient
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, mirrored, rotation_about
 
@@ -119,6 +123,22 @@ def test_the_pretrained_weights_stand_bodies_up_in_any_pose_of_the_whole():
         upright = found.rotation.double() @ torch.from_numpy(odd(seed))
         assert float(rotation_angle(upright)) < 30
         assert torch.equal(matcher.preprocess(shape).rotation, torch.eye(3))  # it stands upright already
+
+
+@pytest.mark.parametrize("side", ["source", "target"])
+def test_a_shape_that_features_do_not_know_in_the_pose_of_the_orienter_is_tried_in_others(side):
+    """An orienter that is wrong by a quarter turn, and says that it knows one shape less well."""
+    matcher = homolog.Matcher.from_weights("people")
+    pair, _ = matcher.pair(*homolog.demo_shapes())
+    tilt = torch.from_numpy(rotation_about(0, 90)).float()
+    wrong = getattr(pair, side).turned(tilt, pair.extractor)
+    wrong = replace(wrong, orientations=(Orientation(tilt, misfit=0.2),))
+    found = orient(replace(pair, **{side: wrong}))
+    assert all(float(rotation_angle(shape.rotation)) < 1 for shape in (found.source, found.target))
+    assert found.orientation.margin > 0.3 and not found.orientation.ambiguous
+    trusting = replace(pair.settings.orientation, doubtful_handedness=-1.0)
+    kept = orient(replace(pair, **{side: wrong}, settings=replace(pair.settings, orientation=trusting)))
+    assert float(rotation_angle(getattr(kept, side).rotation)) > 85
 
 
 def test_only_known_words_are_taken():

@@ -22,6 +22,7 @@ from homolog.geometry import Basis, some_points
 from homolog.maps import (
     best_rotation,
     closest_point_rotations,
+    cube_rotations,
     cycle_error,
     handedness,
     most_similar,
@@ -30,10 +31,12 @@ from homolog.maps import (
     rotation_angle,
     zoomout,
 )
-from homolog.pairs import OrientationSettings, Pair, PairOrientation, PreprocessedShape
+from homolog.pairs import OrientationSettings, Pair, PairOrientation, PreprocessedShape, Side
 
 # Hypotheses that differ by less lead to the same map.
 _SAME_MAP_DEGREES = 45.0
+# Between these, in degrees, are the turns of a cube by a quarter about an axis.
+_LEAST_TURN, _MOST_TURN = 45.0, 105.0
 # Of closest points, after principal axes have been brought together.
 _AXES_STEPS = 10
 # The second best of these tells whether the best is ambiguous.
@@ -48,11 +51,13 @@ class Hypothesis:
         source: rotation of the source from the upright shape (3, 3).
         target: of the target.
         misfit: how much speaks against it.
+        handedness: how far its coarse map keeps left and right; 1 without a map.
     """
 
     source: Float[Tensor, "3 3"]
     target: Float[Tensor, "3 3"]
     misfit: float = 0.0
+    handedness: float = 1.0
 
     @property
     def is_as_given(self) -> bool:
@@ -109,11 +114,29 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
     # What landmarks say of a way round is worth more than what the orienter does.
     likely = _of_orienter(*both, settings, settings.orienter_margin if pair.guidance is None else math.inf)
     all_of_them = _of_orienter(*both, settings, math.inf) if unlikely_too else likely
-    if len(all_of_them) == 1:
-        return likely
-    samples = Samples.of(pair)
     others = [found for found in all_of_them if not any(found.is_like(other) for other in likely)]
-    return [*_given_first(samples.ranked(likely), settings.margin), *samples.ranked(others)]
+    samples = Samples.of(pair)
+    ranked = _given_first(samples.ranked(likely), settings.margin)
+    return [*_handed_first(samples, ranked, _worse_known(*both)), *samples.ranked(others)]
+
+
+def _worse_known(source: tuple[Orientation, ...], target: tuple[Orientation, ...]) -> Side:
+    """The shape that the orienter knows less well."""
+    return "source" if source[0].misfit > target[0].misfit else "target"
+
+
+def _handed_first(samples: Samples, ranked: list[Hypothesis], side: Side) -> list[Hypothesis]:
+    """With another pose of one shape in the first place, where the best map mixes left and right and its map does not.
+
+    The orienter may be right where features are not: they know no one who bends backwards, but may know him tilted.
+    Counterparts are then far from each other at the right map as well, so that handedness decides.
+    """
+    settings, best = samples.settings, ranked[0]
+    if best.handedness >= settings.doubtful_handedness:
+        return ranked
+    quarters = (turn for turn in cube_rotations() if _LEAST_TURN < rotation_angle(turn) < _MOST_TURN)
+    poses = [replace(best, misfit=0.0, **{side: turn @ getattr(best, side)}) for turn in quarters]
+    return [*[found for found in samples.ranked(poses) if found.handedness >= settings.sure_handedness][:1], *ranked]
 
 
 def _has_orientations(pair: Pair) -> bool:
@@ -232,8 +255,10 @@ class Samples:
     def judged(self, hypothesis: Hypothesis) -> Hypothesis:
         """The hypothesis with what its coarse map adds to its misfit."""
         x, y = self.x.turned(hypothesis.source.to(self.x.points)), self.y.turned(hypothesis.target.to(self.y.points))
-        x_to_y, y_to_x = self._coarse_maps(x, y)
-        return replace(hypothesis, misfit=hypothesis.misfit + self._misfit(x.points, y.points, x_to_y, y_to_x))
+        maps = self._coarse_maps(x, y)
+        kept = self._handedness(x.points, y.points, *maps)
+        told = self._misfit(x.points, y.points, *maps) - self.handedness * kept
+        return replace(hypothesis, misfit=hypothesis.misfit + told, handedness=kept)
 
     def distance(self, hypothesis: Hypothesis) -> float:
         """The mean squared distance of closest points, of each shape's points to the other's."""
@@ -267,9 +292,13 @@ class Samples:
         settings = self.settings
         displacement = (x - y[x_to_y]).norm(dim=1).mean() + (y - x[y_to_x]).norm(dim=1).mean()
         cycle = cycle_error(x, x_to_y, y_to_x).mean() + cycle_error(y, y_to_x, x_to_y).mean()
-        kept = (handedness(x, y[x_to_y]) + handedness(y, x[y_to_x])) / 2
-        told = float(displacement + settings.cycle * cycle - self.handedness * kept)
-        return told + self._missed(x, y, x_to_y, y_to_x)
+        return float(displacement + settings.cycle * cycle) + self._missed(x, y, x_to_y, y_to_x)
+
+    @staticmethod
+    def _handedness(
+        x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]
+    ) -> float:
+        return float(handedness(x, y[x_to_y]) + handedness(y, x[y_to_x])) / 2
 
     def _missed(
         self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]

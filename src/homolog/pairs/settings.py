@@ -173,6 +173,10 @@ class OrientationSettings(Settings):
         handedness: weight of the handedness, where the source is turned to the target as a rigid body.
         handedness_upright: the same between ways in which an orienter may see a shape: those are often its front and
             back, and left and right then decide.
+        doubtful_handedness: where the best map's is below, the shape that the orienter knows less well is also tried
+            turned by a quarter about each axis. Right maps of people have 0.65 to 1, of noisy clouds 0.2 to 0.9.
+        sure_handedness: what that of another pose must be, to be taken; where left and right are exchanged, it is below
+            0.75.
         orienter: weight of the orienter's misfit.
         orienter_margin: what the orienter finds worse by more than this is not looked at any further.
         margin: what is better by less than this is not told apart: the given way round is then kept, and the pair is
@@ -191,6 +195,8 @@ class OrientationSettings(Settings):
     cycle: NotNegative = 1.0
     handedness: NotNegative = 0.1
     handedness_upright: NotNegative = 0.3
+    doubtful_handedness: Annotated[float, Ge(-1), Le(1)] = 0.7
+    sure_handedness: Annotated[float, Ge(-1), Le(1)] = 0.8
     orienter: NotNegative = 1.0
     orienter_margin: NotNegative = 0.05
     margin: NotNegative = 0.01
