@@ -7,7 +7,9 @@ import trimesh
 import homolog
 from homolog import Shape, repair
 from homolog.geometry import find_clutter, set_apart
+from homolog.geometry.clutter import _is_noisy
 from homolog.shapes import add_noise
+from homolog.synthesis.degradation import add_strays
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +55,27 @@ def test_outliers_in_the_box_are_found(body, share):
     assert precision > 0.8 and recall > 0.85
     if share > 0.01:
         assert precision > 0.97
+
+
+@pytest.mark.parametrize(("kind", "share", "least"), [("clusters", 0.1, 0.6), ("clusters", 0.3, 0.5), ("near", 0.3, 0.5)])
+def test_clusters_and_points_near_the_surface_are_found_where_they_can_be(body, kind, share, least):
+    unit = float(np.sqrt(homolog.geometry.surface_area(body)))
+    precision, recall = scores(add_strays(body, share, kind=kind, unit=unit, seed=0), body.n_points)
+    assert precision > 0.97 and recall > least
+
+
+def test_noise_is_not_told_by_outliers(body):
+    unit = float(np.sqrt(homolog.geometry.surface_area(body)))
+    cloud = add_strays(body, 0.3, kind="near", unit=unit, seed=0)
+    noisy = add_noise(body.as_cloud(), 0.004 * unit, seed=0)
+    assert [_is_noisy(each.points) for each in (body, cloud, noisy)] == [False, False, True]
+
+
+def test_limbs_of_a_view_are_no_clusters(body):
+    speck = trimesh.creation.icosphere(subdivisions=1, radius=0.02).vertices + body.points.max(axis=0)
+    cloud = with_points(body, speck)
+    assert find_clutter(cloud).points[body.n_points :].all()
+    assert not find_clutter(cloud, partial=True).points.any()
 
 
 @pytest.mark.parametrize("wide", [1.5, 2.0, 5.0])

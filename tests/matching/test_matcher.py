@@ -170,12 +170,12 @@ def test_steps_are_measured_in_order(build, blobs):
     assert set(names) == {
         *(
             f"{what} {side}"
-            for what in ("repair", "operators of", "orientation of", "features of")
+            for what in ("repair", "proxy of", "operators of", "orientation of", "features of")
             for side in ("source", "target")
         ),
         "map",
     }
-    assert len(names) == 9
+    assert len(names) == 11
     assert names[-1] == "map"
     assert all(step.seconds > 0 and step.process_peak_mb > 10 for step in timings.finished)
 

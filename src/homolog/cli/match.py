@@ -48,8 +48,8 @@ if TYPE_CHECKING:
     from homolog.matching import Match, Matcher
     from homolog.pairs import Pair
 
-# read, repair, operators, orientation and features for each shape, the map, and writing.
-STEPS = 12
+# read, repair, proxy, operators, orientation and features for each shape, the map, and writing.
+STEPS = 14
 
 
 def match(

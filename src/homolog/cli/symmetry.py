@@ -38,7 +38,7 @@ from homolog.core.choices import Up
 from homolog.core.progress import Timings
 
 # Those of a match but for writing, and the smooth map with all that is measured on it.
-_STEPS = 12
+_STEPS = 14
 
 
 def symmetry(

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 COLOURS = "Colours"
 # repair, operators and features for each shape
-_STEPS = 6
+_STEPS = 10
 
 
 def view(

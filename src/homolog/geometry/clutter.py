@@ -17,10 +17,8 @@ from homolog.shapes import FEWEST_POINTS, Finding, Repaired, Shape, check, compo
 
 # Neighbours whose distance tells how dense a cloud is, to whom a plane is fitted, and among whom the densest is found.
 _DENSITY, _FITTED, _AROUND = 8, 16, 30
-# Share of the variance around a point that lies across its plane: more is no thin surface. Below the second share, in
-# all but a tenth of the points, a cloud has no noise to speak of: uniform outliers leave it below, noise of 0.004
-# sqrt(area) at 5,000 points does not.
-_THICK, _CLEAN = 0.06, 0.018
+# Share of the variance around a point that lies across its plane: more is no thin surface.
+_THICK = 0.06
 # Lengths are those of a point's neighbourhoods. Clean surfaces, also with noise, hold no points beyond the first row.
 # They hold some beyond the others, though fewer than the share: those count only where more points are beyond them.
 _CLEAR_RESIDUAL, _CLEAR_SPARSE, _EVER_SPARSE = 4.0, 4.0, 8.0
@@ -29,6 +27,15 @@ _RESIDUAL, _RESIDUAL_NOISY, _RESIDUAL_ONCE_SURE = 0.3, 0.8, 0.1
 _SPARSE, _SPARSE_NOISY, _SPARSE_ALONE = 2.0, 3.0, 3.5
 _SPARSER_THAN_NEAR = 2.0
 _ROUNDS = 10
+
+# Noise of a surface is told by planes that half of a neighbourhood lies close to, so that outliers count for nothing:
+# of how many points, through how many random triples of neighbours, and the least such distance that means noise.
+_PLANE_SAMPLES, _TRIPLES, _LEAST_NOISE = 2000, 24, 0.05
+
+# Clusters: neighbours hang together up to this distance. Where more than a few points hang on none of the large pieces,
+# surfaces are grown from their thin parts alone: by so many steps, of such a length, to points so near to their planes.
+_LINK, _LEAST_CLUSTERED, _THIN = 1.3, 0.004, 0.12
+_GROWTH, _STEP, _NEAR_PLANE, _PLANE_THICKNESS = 5, 1.5, 0.8, 1.5
 
 # Planes: how many positions of the surface are looked at, from how many of them planes start, how many are looked for.
 _SAMPLES, _STARTS, _MOST_PLANES = 5000, 200, 6
@@ -117,6 +124,9 @@ def find_clutter(shape: Shape, *, partial: bool = False) -> Clutter:
     outliers = np.zeros(shape.n_points, dtype=bool)
     if shape.faces is None:
         outliers[left] = find_outliers(shape.points[left])
+        if not partial:  # a view may show a limb in pieces
+            surface = left & ~outliers
+            outliers[surface] = _clustered(shape.points[surface])
     left &= ~outliers
     objects = np.zeros(shape.n_points, dtype=bool)
     if not partial and left.sum() >= FEWEST_POINTS:
@@ -201,20 +211,111 @@ def find_outliers(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     Returns:
         True for each outlier (n,).
     """
-    left, is_sure = np.arange(len(points)), False
+    left, is_sure, noisy = np.arange(len(points)), False, _is_noisy(points)
     for _ in range(_ROUNDS):
         if len(left) <= 2 * _AROUND:
             break
         around = _Neighbourhoods.of(points[left])
         clear = around.clear()
-        is_sure = is_sure or bool((clear | around.suspicious(_RESIDUAL)).mean() > _SUSPICIOUS_SHARE)
-        out = clear | around.suspicious(_RESIDUAL_ONCE_SURE) if is_sure else clear
+        is_sure = is_sure or bool((clear | around.suspicious(_RESIDUAL, noisy=noisy)).mean() > _SUSPICIOUS_SHARE)
+        out = clear | around.suspicious(_RESIDUAL_ONCE_SURE, noisy=noisy) if is_sure else clear
         if not out.any():
             break
         left = left[~out]
     outliers = np.ones(len(points), dtype=bool)
     outliers[left] = False
     return outliers
+
+
+def _is_noisy(points: Float[np.ndarray, "n 3"]) -> bool:
+    """Whether a cloud's surface itself has noise: of 0.003 sqrt(area) or more at 5,000 points, whatever its outliers.
+
+    Planes are fitted by the least median of distances (Rousseeuw, "Least median of squares regression", 1984).
+    """
+    if len(points) <= _FITTED:
+        return False
+    random = np.random.default_rng(0)
+    some = random.permutation(len(points))[:_PLANE_SAMPLES]
+    distances, indices = KDTree(points).query(points[some], k=_FITTED + 1, workers=-1)
+    near = points[indices]
+    least = np.full(len(some), np.inf)
+    for _ in range(_TRIPLES):
+        a, b, c = near[:, random.choice(_FITTED + 1, 3, replace=False)].transpose(1, 0, 2)
+        normals = np.cross(b - a, c - a)
+        heights = np.abs(np.einsum("sjc,sc->sj", near - a[:, None], normals))
+        heights /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+        least = np.minimum(least, np.median(heights, axis=1))
+    widths = np.maximum(distances[:, _DENSITY], np.finfo(float).tiny)
+    return bool(np.quantile(least / widths, 0.1) > _LEAST_NOISE)
+
+
+def _clustered(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    """Which points of a cloud are in small clusters, and on no surface of more than a few points (n,)."""
+    none = np.zeros(len(points), dtype=bool)
+    if len(points) <= 2 * _AROUND:
+        return none
+    distances, indices = KDTree(points).query(points, k=_FITTED + 1, workers=-1)
+    width = distances[:, _DENSITY]
+    width = np.maximum(np.median(width[indices], axis=1), np.median(width))
+    linked = distances[:, 1:] <= _LINK * width[:, None]
+    if 1 - _in_large_pieces(indices, linked).mean() <= _LEAST_CLUSTERED:
+        return none
+    thin = _Neighbourhoods.of(points).thickness < _THIN
+    surface = thin & _in_large_pieces(indices, linked & thin[:, None] & thin[indices[:, 1:]])
+    for _ in range(_GROWTH):
+        (rest,) = np.nonzero(~surface)
+        own = points[surface]
+        if len(own) < _DENSITY or not len(rest):
+            break
+        away, near = KDTree(own).query(points[rest], k=_DENSITY, workers=-1)
+        plane = _FittedPlanes.of(own[near], np.exp(-((away / width[rest, None]) ** 2)) + 1e-9)
+        off = plane.distances(points[rest]) - _PLANE_THICKNESS * plane.thickness
+        surface[rest[(away[:, 0] <= _STEP * width[rest]) & (off < _NEAR_PLANE * width[rest])]] = True
+    return ~surface
+
+
+def _in_large_pieces(
+    indices: Int[np.ndarray, "n j"], linked: Bool[np.ndarray, "n i"]
+) -> Bool[np.ndarray, " n"]:
+    """Which points are in large pieces of a cloud, whose neighbours are linked; each point comes first among its own."""
+    rows, columns = np.nonzero(linked)
+    component = components(rows, indices[:, 1:][rows, columns], len(indices))
+    return in_large_components(component, np.bincount(component))
+
+
+@dataclass(frozen=True, eq=False)
+class _FittedPlanes:
+    """The plane through each of many sets of points.
+
+    Args:
+        middles: a point of each (n, 3).
+        normals: of unit length (n, 3).
+        variances: of the points along the axes of each set, the least first, which is across the plane (n, 3).
+    """
+
+    middles: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    variances: Float[np.ndarray, "n 3"]
+
+    @classmethod
+    def of(cls, points: Float[np.ndarray, "n j 3"], weights: Float[np.ndarray, "n j"]) -> _FittedPlanes:
+        """Fit them by least squares, with positive weights."""
+        shares = weights / weights.sum(axis=1, keepdims=True)
+        middles = np.einsum("nj,njc->nc", shares, points)
+        away = points - middles[:, None]
+        variances, axes = np.linalg.eigh(np.einsum("nj,nja,njb->nab", shares, away, away))
+        return cls(middles, axes[:, :, 0], variances)
+
+    @property
+    def thickness(self) -> Float[np.ndarray, " n"]:
+        """The standard deviation across each plane (n,)."""
+        found: np.ndarray = np.sqrt(np.maximum(self.variances[:, 0], 0))
+        return found
+
+    def distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """How far each point lies from its plane (n,)."""
+        found: np.ndarray = np.abs(np.einsum("nc,nc->n", points - self.middles, self.normals))
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,28 +345,19 @@ class _Neighbourhoods:
         near, distances = indices[:, 1 : _FITTED + 1], distances[:, 1 : _FITTED + 1]
         scale = np.median(width[near], axis=1)
         weights = np.exp(-((distances / scale[:, None]) ** 2)) + 1e-9  # far from all, the nearest still count
-        weights /= weights.sum(axis=1, keepdims=True)
-        middle = np.einsum("nj,njc->nc", weights, points[near])
-        away = points[near] - middle[:, None]
-        variances, directions = np.linalg.eigh(np.einsum("nj,nja,njb->nab", weights, away, away))
-        residual = np.abs(np.einsum("nc,nc->n", points - middle, directions[:, :, 0])) / scale
+        planes = _FittedPlanes.of(points[near], weights)
+        residual = planes.distances(points) / scale
         usual = np.quantile(residual[near], 0.75, axis=1)
-        thickness = variances[:, 0] / variances.sum(axis=1)
+        thickness = planes.variances[:, 0] / planes.variances.sum(axis=1)
         return cls(width / np.median(width), width / densest, residual, usual, thickness)
-
-    @property
-    def is_noisy(self) -> bool:
-        """Whether the surface itself has noise."""
-        return bool(np.quantile(self.thickness, 0.1) > _CLEAN)
 
     def clear(self) -> Bool[np.ndarray, " n"]:
         """What is an outlier however few there are (n,)."""
         sparse = (self.sparsity > _CLEAR_SPARSE) & (self.thickness > _THICK)
         return sparse | (self.sparsity > _EVER_SPARSE) | (self.residual > _CLEAR_RESIDUAL)
 
-    def suspicious(self, residual: float) -> Bool[np.ndarray, " n"]:
-        """What is an outlier if there are more like it (n,)."""
-        noisy = self.is_noisy
+    def suspicious(self, residual: float, *, noisy: bool) -> Bool[np.ndarray, " n"]:
+        """What is an outlier if there are more like it (n,); of a noisy surface only what lies farther off."""
         off = self.residual - 2 * self.usual > (_RESIDUAL_NOISY if noisy else residual)
         sparse = self.sparsity > (_SPARSE_NOISY if noisy else _SPARSE)
         sparse = (sparse & (self.relative > _SPARSER_THAN_NEAR)) | (self.sparsity > _SPARSE_ALONE)

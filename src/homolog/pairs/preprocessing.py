@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -40,6 +41,11 @@ from homolog.shapes import Finding, Modality, Repaired, Shape, Up, mirrored, rep
 
 OperatorSource = Callable[..., Operators]
 """A function like ``compute_operators``: the operators of a clean shape, from wherever they come."""
+
+_log = logging.getLogger(__name__)
+
+# Shapes of so many points are said to need memory, in bytes: of the process itself, and of each point. Measured.
+_MANY, _OF_ITSELF, _PER_POINT = 500_000, 0.5 * 2**30, 1800
 
 # Where faces use fewer of a shape's points, they do not say how large the cloud of all of them is.
 _SHARE_WITH_FACES = 0.95
@@ -259,6 +265,9 @@ class Preprocessor:
         if mask is not None:
             mask.check_fits(shape)
         timings = timings or Timings()
+        if shape.n_points >= _MANY and proxy != "never":
+            gigabytes = (_OF_ITSELF + _PER_POINT * shape.n_points) / 2**30
+            _log.warning("the %s has %d points: matching it needs some %.0f GB of memory", label, shape.n_points, gigabytes)
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
@@ -270,6 +279,7 @@ class Preprocessor:
             if strict and severe is not None:
                 raise ShapeError(f"{repaired.shape.name}: {severe} (refused as strict)")
             repaired = replace(repaired, shape=_facing_outward(repaired.shape))
+        with timings.measure(f"proxy of {label}"):
             is_part = partial or mask is not None  # openings stay
             repaired = with_proxy(repaired, proxy, self.proxies, as_cloud=as_cloud, partial=is_part)
         with timings.measure(f"operators of {label}"):
