@@ -192,8 +192,7 @@ def match(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
-    others = (homolog.matching.alternative_folder(output, number) for number in range(2, alternatives + 1))
-    for folder in (output, *others):
+    for folder in (output, *(homolog.matching.alternative_folder(output, 2 + n) for n in range(alternatives - 1))):
         check_folder(folder, names=homolog.matching.RESULT_FILES)
     check_page_file(page)
     check_picture_file(picture, lines, picture_width)
