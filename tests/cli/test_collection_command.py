@@ -75,8 +75,9 @@ def test_files_to_a_folder_and_on(homolog, shapes, tmp_path):
     assert "Not given this time, and not counted: 1 of the shapes in" in ended.err
     assert np.load(out / "points.npy").shape[0] == 1
     assert homolog("collection", *shapes, "-o", out, *OPTIONS, "-q").err == ""
-    ended = homolog("collection", *shapes, "-o", out, *OPTIONS, "--orient", "given")
-    assert ended.is_one_line_of_complaint() and "made in another way (matching)" in ended.err
+    for option in (("--orient", "given"), ("--clutter", "keep"), ("--proxy", "always")):
+        ended = homolog("collection", *shapes, "-o", out, *OPTIONS, *option)
+        assert ended.is_one_line_of_complaint() and "made in another way (matching)" in ended.err
 
 
 def test_landmarks_and_the_page_of_each_shape(homolog, shapes, tmp_path):

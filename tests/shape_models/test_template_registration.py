@@ -9,8 +9,9 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from homolog.core.errors import ArgumentError, DataError, ShapeError
+from homolog.geometry import CLUTTER_RULES
 from homolog.matching import Matcher
-from homolog.pairs import ChoiceSettings, MatcherSettings
+from homolog.pairs import PROXY_RULES, ChoiceSettings, MatcherSettings
 from homolog.shape_models import (
     Figures,
     ShapeModelFolder,
@@ -74,6 +75,28 @@ def test_the_misfit_of_a_map_has_the_weights_of_the_settings(family):
     found = Template(template, Matcher(settings=settings)).registered_to(stretched)
     assert found.figures.cycle_error > 0.001
     assert found.figures.map_misfit == pytest.approx(np.log(found.figures.dirichlet_energy), abs=1e-9)
+
+
+def test_clutter_and_proxies_are_as_the_settings_say(family, gathered, make, tmp_path):
+    """What is beside a shape is set apart, or kept; a surface around a mesh is matched in its place, or never."""
+    template, files, _ = family
+    floor = make.grid(12, width=8.0)
+    floor = Shape(np.roll(floor.points, 1, axis=1) - [3, 3.5, 3], floor.faces)
+    write_shape(tmp_path / "beside.ply", make.joined([read_shape(files[0]), floor]))
+    for settings, rules in (
+        (ShapeModelSettings(proxy="never"), {"source": set(), "target": {"clutter"}}),
+        (ShapeModelSettings(clutter="keep", proxy="never"), {"source": set(), "target": set()}),
+        (ShapeModelSettings(proxy="always"), {"source": {"proxy"}, "target": {"clutter", "proxy"}}),
+    ):
+        place = tmp_path / f"{settings.clutter} {settings.proxy}"
+        folder, outcomes = gathered(template, [tmp_path / "beside.ply"], place, settings)
+        assert not outcomes[0].error
+        report = folder.match("beside").report
+        assert (report["options"]["clutter"], report["options"]["proxy"]) == (settings.clutter, settings.proxy)
+        kinds = {"clutter": CLUTTER_RULES, "proxy": PROXY_RULES}
+        for side, expected in rules.items():
+            told = {finding["rule"] for finding in report["inputs"][side]["findings"]}
+            assert {kind for kind, names in kinds.items() if told & {*names}} == expected, (side, told)
 
 
 def test_figures_of_good_matches(family, gathered, tmp_path):

@@ -16,6 +16,7 @@ from homolog.cli.options import (
     METHOD,
     ONE_PER_CORE,
     OUTPUT,
+    ClutterOption,
     DeviceOption,
     MethodOption,
     NoCache,
@@ -23,6 +24,7 @@ from homolog.cli.options import (
     Processes,
     Quiet,
     Seed,
+    UseProxyOption,
     Verbose,
     Weights,
     build_matcher,
@@ -63,6 +65,8 @@ def collection(
         typer.Option(help="The axis that points up in the template, if it differs.", rich_help_panel=INPUT),
     ] = None,
     orient: OrientOption = "auto",
+    clutter: ClutterOption = "remove",
+    proxy: UseProxyOption = "auto",
     strict: Annotated[
         bool,
         typer.Option("--strict", help="Refuse shapes with anything to repair or to warn of.", rich_help_panel=INPUT),
@@ -142,6 +146,8 @@ def collection(
 
       homolog collection skull.ply skulls/*.ply -o skulls_model --symmetry skull-symmetry
 
+      homolog collection character.glb scans/*.ply -o characters --proxy always --clutter keep
+
       homolog collection lung.csv lungs/*.csv -o lungs_model --method registration --up z --scale
     """
     set_verbosity(quiet=quiet, verbose=verbose)
@@ -155,6 +161,8 @@ def collection(
         template_as_cloud=as_cloud in ("template", "both"),
         shapes_as_cloud=as_cloud in ("shapes", "both"),
         orient=orient,
+        clutter=clutter,
+        proxy=proxy,
         strict=strict,
         adapt=adapt,
     )

@@ -175,6 +175,8 @@ def _prepared_template(registration: _Registration) -> Template:
         up=settings.template_up,
         as_cloud=settings.template_as_cloud,
         orient=settings.orient,
+        clutter=settings.clutter,
+        proxy=settings.proxy,
     )
 
 

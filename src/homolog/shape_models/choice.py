@@ -60,7 +60,13 @@ def pairs_with(
 ) -> list[tuple[PreprocessedShape, PreprocessedShape]]:
     """The template with up to so many of the shapes, spread over their list; those that cannot be used are left out."""
     base = matcher.preprocess(
-        template, up=settings.template_up, as_cloud=settings.template_as_cloud, orient=settings.orient, label="template"
+        template,
+        up=settings.template_up,
+        as_cloud=settings.template_as_cloud,
+        orient=settings.orient,
+        clutter="keep",
+        proxy=settings.proxy,
+        label="template",
     )
     asked = [subjects[number] for number in np.unique(np.linspace(0, len(subjects) - 1, most).astype(int))]
     shapes: list[PreprocessedShape] = []
@@ -73,6 +79,8 @@ def pairs_with(
                     up=settings.shapes_up,
                     as_cloud=settings.shapes_as_cloud,
                     orient=settings.orient,
+                    clutter=settings.clutter,
+                    proxy=settings.proxy,
                 )
             )
     return [(base, shape) for shape in shapes]

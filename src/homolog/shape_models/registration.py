@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
-from homolog.core.choices import Orient
+from homolog.core.choices import KeepClutter, Orient, UseProxy
 from homolog.core.errors import ShapeError
 from homolog.matching import Match, Matcher, map_misfit, orientation_warnings
 from homolog.pairs import PairOptions
@@ -108,6 +108,8 @@ class Template:
         up: which of its axes points up.
         as_cloud: match without its faces.
         orient: ``"auto"`` finds which way round shapes are, ``"given"`` trusts their coordinates.
+        clutter: whether what does not belong to shapes is set apart; the template itself is taken as it is.
+        proxy: whether a surface around a mesh is matched in its place; see ``homolog.pairs.PairOptions``.
         adapted: a second matcher; of the maps of both, that is taken which contradicts itself less.
 
     Raises:
@@ -126,13 +128,18 @@ class Template:
         up: Up = "y",
         as_cloud: bool = False,
         orient: Orient = "auto",
+        clutter: KeepClutter = "remove",
+        proxy: UseProxy = "auto",
         adapted: Matcher | None = None,
     ) -> None:
         check_template(shape)
         self.projector = SurfaceProjector(shape)
-        self.matchers, self.orient = (matcher, *(() if adapted is None else (adapted,))), orient
+        self.matchers = (matcher, *(() if adapted is None else (adapted,)))
+        self.options = PairOptions(orient=orient, clutter=clutter, proxy=proxy)
         self.prepared = [
-            each.preprocess(shape, up=up, as_cloud=as_cloud, orient=orient, clutter="keep", label="template")
+            each.preprocess(
+                shape, up=up, as_cloud=as_cloud, orient=orient, clutter="keep", proxy=proxy, label="template"
+            )
             for each in self.matchers
         ]
 
@@ -148,15 +155,24 @@ class Template:
         Raises:
             ShapeError: if the shape cannot be used, or is refused.
         """
+        options = replace(self.options, strict=strict)
         subjects = [
-            matcher.preprocess(shape, up=up, as_cloud=as_cloud, orient=self.orient, strict=strict, label="shape")
+            matcher.preprocess(
+                shape,
+                up=up,
+                as_cloud=as_cloud,
+                orient=options.orient,
+                clutter=options.clutter,
+                proxy=options.proxy,
+                strict=strict,
+                label="shape",
+            )
             for matcher in self.matchers
         ]
         target = SurfaceProjector(shape)
         units = self._unit_warnings(target)
         if strict and units:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
-        options = PairOptions(orient=self.orient, strict=strict)
         tried = []
         for matcher, template, subject in zip(self.matchers, self.prepared, subjects, strict=True):
             match = matcher.match_pair(matcher.paired(template, subject, options))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from homolog.core.choices import Orient
+from homolog.core.choices import KeepClutter, Orient, UseProxy
 from homolog.core.settings import CountOrZero, Settings
 from homolog.pairs import PairOptions
 from homolog.shapes import Up
@@ -20,6 +20,10 @@ class ShapeModelSettings(Settings):
         template_as_cloud: match without the template's faces.
         shapes_as_cloud: match without the shapes' faces.
         orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
+        clutter: ``"remove"`` sets apart what does not belong to the shapes, ``"keep"`` takes it for parts of them. The
+            template is taken as it is.
+        proxy: whether a surface around a mesh is matched in its place: ``"auto"`` where the mesh is in loose shells or
+            large, ``"always"``, or ``"never"``; of the template as well.
         strict: refuse shapes that need repair or would get a warning.
         adapt: steps for which the weights are trained on all shapes at once; 0 for none.
     """
@@ -29,9 +33,11 @@ class ShapeModelSettings(Settings):
     template_as_cloud: bool = False
     shapes_as_cloud: bool = False
     orient: Orient = "auto"
+    clutter: KeepClutter = "remove"
+    proxy: UseProxy = "auto"
     strict: bool = False
     adapt: CountOrZero = 0
 
     def pair_options(self) -> PairOptions:
         """Of the template with a shape, both of them preprocessed."""
-        return PairOptions(orient=self.orient)
+        return PairOptions(orient=self.orient, clutter=self.clutter, proxy=self.proxy)
