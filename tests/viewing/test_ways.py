@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from viewing_tools import Parts, arrays_of
 
-from homolog.matching import Match
+from homolog.matching import Match, exchanges_sides
 from homolog.shapes import Shape, rotation_about
-from homolog.viewing import exchanges_sides, page_of, scene_of, scene_of_all
+from homolog.viewing import page_of, scene_of, scene_of_all
 
 
 @pytest.fixture(scope="module")

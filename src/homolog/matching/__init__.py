@@ -5,6 +5,8 @@ from homolog.matching.alternatives import (
     FIRST_ALTERNATIVE,
     alternative_folder,
     alternative_folders,
+    degrees_between,
+    exchanges_sides,
     load_alternatives,
 )
 from homolog.matching.choice import features_of_weights, needs_features
@@ -49,6 +51,8 @@ __all__ = [
     "best_alignment",
     "check_point_map",
     "checked_maps",
+    "degrees_between",
+    "exchanges_sides",
     "features_of_weights",
     "given_files",
     "load_alternatives",

@@ -12,7 +12,7 @@ from homolog.viewing.page import check_page, page_of, page_style, write_page
 from homolog.viewing.picture import check_picture, picture_of, write_picture
 from homolog.viewing.png import write_png
 from homolog.viewing.scene import Body, Scene, scene_of
-from homolog.viewing.ways import exchanges_sides, scene_of_all
+from homolog.viewing.ways import scene_of_all
 
 __all__ = [
     "MOST_TILES",
@@ -29,7 +29,6 @@ __all__ = [
     "confidence_layer",
     "contact_sheet",
     "error_layer",
-    "exchanges_sides",
     "feature_layer",
     "guide_of",
     "heat_layer",
