@@ -21,7 +21,7 @@ _MILLISECONDS = 300_000
 
 def take(address: str, picture: Path) -> None:
     """Give the page both bodies, and keep what is seen once it has come to a step near the end."""
-    with opened_browser((1200, 600)) as tab:
+    with opened_browser((1200, 720)) as tab:
         tab.set_default_timeout(_MILLISECONDS)
         tab.goto(address)
         for side, body in (("source", "amber"), ("target", "boris")):
