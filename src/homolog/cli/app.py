@@ -25,6 +25,7 @@ app = typer.Typer(
         serve="homolog.cli.serve:serve",
         transfer="homolog.cli.transfer:transfer",
         symmetry="homolog.cli.symmetry:symmetry",
+        fit="homolog.cli.fit:fit",
         collection="homolog.cli.collection:collection",
         train="homolog.cli.train:train",
         evaluate="homolog.cli.evaluate:evaluate",
