@@ -72,6 +72,7 @@ FLOORS = CORE | {
     | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"}
     | {"symmetries"},
     "symmetries": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "statistics", "viewing"},
+    "fitting": GROUND | {"shapes", "geometry", "maps", "matching", "synthesis"},
     "reproduction": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "viewing", "synthesis"},
     "cli": GROUND
     | BENEATH_EVALUATION
@@ -86,6 +87,7 @@ FLOORS = CORE | {
         "serving",
         "shape_models",
         "symmetries",
+        "fitting",
     }
     | {"__init__"},
     "__main__": {"cli"},
@@ -104,6 +106,7 @@ FLOORS = CORE | {
         "shape_models",
         "statistics",
         "symmetries",
+        "fitting",
     },
 }
 HEAVY = [

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from homolog import datasets as datasets
     from homolog import evaluation as evaluation
     from homolog import features as features
+    from homolog import fitting as fitting
     from homolog import geometry as geometry
     from homolog import maps as maps
     from homolog import matching as matching
@@ -126,6 +127,7 @@ _PACKAGES = (
     "datasets",
     "evaluation",
     "features",
+    "fitting",
     "geometry",
     "maps",
     "matching",

@@ -26,6 +26,7 @@ app = typer.Typer(
         transfer="homolog.cli.transfer:transfer",
         export="homolog.cli.export:export",
         symmetry="homolog.cli.symmetry:symmetry",
+        fit="homolog.cli.fit:fit",
         collection="homolog.cli.collection:collection",
         complete="homolog.cli.complete:complete",
         train="homolog.cli.train:train",

@@ -10,13 +10,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
 from homolog.core.errors import needs_extra
+from homolog.synthesis.builds import PARAMETERS
 from homolog.synthesis.joints import Rotations
 from homolog.synthesis.template import Template
 
@@ -65,6 +66,24 @@ _ONE_BONE = 0.97
 _DETAIL_RANGE = (0.6, 1.3)
 
 
+class Skinned(NamedTuple):
+    """Bodies in a pose, and how they got there.
+
+    Args:
+        vertices: in the pose.
+        rest: before skinning.
+        transforms: of each bone.
+        heads: the posed origin of each bone.
+        turns: the rotation of each bone, with all above it, relative to the standing body.
+    """
+
+    vertices: Float[np.ndarray, "q v 3"]
+    rest: Float[np.ndarray, "q v 3"]
+    transforms: Float[np.ndarray, "q b 4 4"]
+    heads: Float[np.ndarray, "q b 3"]
+    turns: Float[np.ndarray, "q b 3 3"]
+
+
 class BodyModel:
     """Anny's body without eyeballs, tongue and teeth.
 
@@ -107,6 +126,49 @@ class BodyModel:
         vertices = output["vertices"][0].double().numpy() @ _TO_UPRIGHT.T
         vertices[:, 1] -= vertices[:, 1].min()
         return np.asarray(vertices.round(_DIGITS))
+
+    def skinned(self, builds: Float[np.ndarray, "q p"], rotations: Float[np.ndarray, "b 3 3"]) -> Skinned:
+        """Bodies in one pose as linear blend skinning makes them, where the root stands: +y up, facing +z, in metres.
+
+        Args:
+            builds: the body parameters of each, in the order of ``PARAMETERS``.
+            rotations: of all bones in the order of ``bones``, about the axes of the standing body, relative to the bone
+                above.
+        """
+        turned = np.tile(np.eye(4), (len(rotations), 1, 1))
+        turned[:, :3, :3] = _TO_UPRIGHT.T @ rotations @ _TO_UPRIGHT
+        named = {name: torch.from_numpy(column.copy()) for name, column in zip(PARAMETERS, builds.T, strict=True)}
+        with torch.no_grad(), _one_thread():
+            output = self._model(pose_parameters=torch.from_numpy(turned)[None], phenotype_kwargs=named)
+        found = {name: value.double().numpy() for name, value in output.items() if isinstance(value, torch.Tensor)}
+        upright = np.eye(4)
+        upright[:3, :3] = _TO_UPRIGHT
+        posed = found["bone_poses"]
+        reference = self._model.reference_bone_orientations.double().numpy()
+        return Skinned(
+            found["vertices"] @ _TO_UPRIGHT.T,
+            found["rest_vertices"] @ _TO_UPRIGHT.T,
+            upright @ posed @ np.linalg.inv(found["rest_bone_poses"]) @ upright.T,
+            posed[..., :3, 3] @ _TO_UPRIGHT.T,
+            _TO_UPRIGHT @ posed[..., :3, :3] @ reference.transpose(0, 2, 1) @ _TO_UPRIGHT.T,
+        )
+
+    @cached_property
+    def bones(self) -> tuple[str, ...]:
+        """The names of all bones; those above come first."""
+        return tuple(self._model.bone_labels)
+
+    @cached_property
+    def parents(self) -> Int[np.ndarray, " b"]:
+        """The bone above each, -1 for the root."""
+        found = np.array([-1 if parent is None else int(parent) for parent in self._model.bone_parents])
+        found[0] = -1
+        return found
+
+    @cached_property
+    def skinning_weights(self) -> Float[np.ndarray, "v b"]:
+        """The share of each bone in moving each vertex."""
+        return np.asarray(self._model.dense_vertex_bone_weights.double().numpy())
 
     @property
     def local_changes(self) -> tuple[str, ...]:

@@ -72,7 +72,11 @@ class Template:
 
     def surface(self, vertices: Float[np.ndarray, "v 3"]) -> Surface:
         """The closed surface of a body, from all the model's vertices."""
-        return Surface(_with_centres(vertices[self.kept], self.rims), self.faces)
+        return Surface(self.at_vertices(vertices), self.faces)
+
+    def at_vertices(self, values: Float[np.ndarray, "v ..."]) -> Float[np.ndarray, "n ..."]:
+        """Values of all the model's vertices at those of the closed surface."""
+        return _with_centres(values[self.kept], self.rims)
 
 
 def _with_centres(values: np.ndarray, rims: tuple[np.ndarray, ...]) -> np.ndarray:
