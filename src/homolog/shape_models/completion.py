@@ -301,7 +301,8 @@ def _placement(match: Match, *, scale: bool) -> Placement:
     if scale:
         found = best_similarity(torch.from_numpy(mean), torch.from_numpy(there))
         return Placement(found.rotation.numpy(), found.shift.numpy(), found.scale)
-    return Placement(*(np.asarray(each) for each in rigid_motion(mean, there)))
+    turn, shift = rigid_motion(mean, there)
+    return Placement(turn, shift)
 
 
 def _part(fragment: Shape, match: Match | None, count: int) -> Part:
