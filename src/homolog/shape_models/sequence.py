@@ -148,7 +148,9 @@ def track(
     if len(subjects) < 2:
         raise ArgumentError("there is one frame; give two or more, in their order")
     first = read_shape(subjects[0].file)
-    settings = ShapeModelSettings(template_up=up, shapes_up=up, template_as_cloud=as_cloud, shapes_as_cloud=as_cloud)
+    settings = ShapeModelSettings(
+        template_up=up, shapes_up=up, template_as_cloud=as_cloud, shapes_as_cloud=as_cloud, orient=orient
+    )
     choice = choice_for_all(first, subjects[1:], matcher, settings, progress=progress)
     chosen = matcher.limited_to(choice[0].name) if choice else matcher
     tracker = _Tracker(first, chosen, follow, {"up": up, "as_cloud": as_cloud, "orient": orient})
