@@ -43,6 +43,11 @@ def track(
             show_default=False,
         ),
     ],
+    up: Annotated[Up, typer.Option(help="The axis that points up in all files.", rich_help_panel=INPUT)] = "y",
+    as_cloud: Annotated[
+        bool, typer.Option("--as-cloud", help="Use only the points of the frames.", rich_help_panel=INPUT)
+    ] = False,
+    orient: OrientOption = "auto",
     follow: Annotated[
         Literal["first", "previous"],
         typer.Option(
@@ -51,11 +56,6 @@ def track(
             rich_help_panel=METHOD,
         ),
     ] = "first",
-    up: Annotated[Up, typer.Option(help="The axis that points up in all files.", rich_help_panel=INPUT)] = "y",
-    as_cloud: Annotated[
-        bool, typer.Option("--as-cloud", help="Use only the points of the frames.", rich_help_panel=INPUT)
-    ] = False,
-    orient: OrientOption = "auto",
     method: MethodOption = "auto",
     weights: Weights = None,
     output: Annotated[
@@ -84,13 +84,14 @@ def track(
     set_verbosity(quiet=quiet, verbose=verbose)
     files = _files(frames)
     check_inputs(files[0], weights=weights)
-    check_folder(output, names=homolog.shape_models.TRACK_FILES)
+    models = homolog.shape_models
+    check_folder(output, names=[*models.TRACK_FILES, *(f"frames/{file.stem}.ply" for file in files)])
     with progress_bar(quiet=quiet) as progress:
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
-        found = homolog.shape_models.track(
+        found = models.track(
             files, matcher, follow=follow, up=up, as_cloud=as_cloud, orient=orient, progress=progress, listener=_tell
         )
-        paths = homolog.shape_models.write_track(output, found, files=files)
+        paths = models.write_track(output, found, files=files)
     if not quiet:
         for frame in found.frames:
             for warning in frame.warnings:
