@@ -58,7 +58,7 @@ FLOORS = CORE | {
     "pairs": GROUND | {"shapes", "geometry", "maps", "features", "volumes"},
     "methods": GROUND | {"shapes", "geometry", "maps", "features", "pairs"},
     "matching": GROUND | BENEATH_MATCHING,
-    "transfer": GROUND | {"shapes", "geometry", "maps", "pairs", "matching"},
+    "transfer": GROUND | {"shapes", "geometry", "maps", "pairs", "matching", "volumes"},
     "testing": GROUND | BENEATH_MATCHING | {"matching"},
     "datasets": GROUND | {"shapes"},
     "volumes": GROUND | {"shapes", "geometry"},
@@ -67,9 +67,10 @@ FLOORS = CORE | {
     "training": GROUND | BENEATH_EVALUATION | {"synthesis", "evaluation"},
     "viewing": GROUND | {"shapes", "geometry", "pairs", "matching", "datasets", "evaluation"},
     "serving": GROUND | {"shapes", "pairs", "matching", "viewing"},
-    "statistics": GROUND,
+    "statistics": GROUND | {"geometry"},
     "shape_models": GROUND
-    | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"}
+    | {"shapes", "geometry", "features", "maps", "pairs", "matching"}
+    | {"transfer", "viewing", "statistics", "training"}
     | {"symmetries"},
     "symmetries": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "statistics", "viewing"},
     "fitting": GROUND | {"shapes", "geometry", "maps", "matching", "synthesis"},

@@ -30,7 +30,7 @@ def commands(group, words=()):
 READ = {
     *("source", "target", "result", "truth", "origin", "array", "labels", "landmarks", "template", "shapes"),
     *("data", "pairs", "maps", "clouds", "files", "file", "mask", "folder", "shape"),
-    *("source_mask", "target_mask", "symmetry"),
+    *("source_mask", "target_mask", "symmetry", "fragment", "model", "collection", "groups", "frames"),
 }
 
 
@@ -80,6 +80,8 @@ CALLS = [
     ("view result --picture {}", "result/target.ply"),
     ("transfer result --array result/values.npy -o result", "result/values.npy"),
     ("transfer result --array values.npy -o .", "values.npy"),
+    ("export result --table result/a.csv --distances result/source.ply", "result/source.ply"),
+    ("track frames/a.ply b.ply --method axiomatic -o .", "frames/a.ply"),
     ("evaluate set --method axiomatic --json {}", "set/off/a.off"),
     ("evaluate set --method axiomatic --csv {}", "set/off/b.off"),
     ("evaluate set --method axiomatic --plot {}", "set/off/b.off"),

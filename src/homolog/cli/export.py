@@ -22,6 +22,48 @@ _COARSE = 0.1
 
 def export(
     result: ResultFolder,
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="Exchange source and target.", rich_help_panel=INPUT)
+    ] = False,
+    axes: Annotated[
+        System | None,
+        typer.Option(
+            help="The shapes' coordinate system, for the field, which is in LPS.",
+            show_default="as the shapes' files say, or LPS",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    align: Annotated[
+        Literal["none", "rigid", "similarity"],
+        typer.Option(help="Bring the target onto the source before distances are measured.", rich_help_panel=INPUT),
+    ] = "none",
+    spacing: Annotated[
+        float | None,
+        typer.Option(
+            metavar="LENGTH",
+            help="Between the nodes of the field's grid, in units of the files.",
+            show_default="64 nodes along the longest side",
+            rich_help_panel=_FIELD,
+        ),
+    ] = None,
+    margin: Annotated[
+        float,
+        typer.Option(
+            metavar="SHARE", help="Around the target, as a share of its longest side.", min=0, rich_help_panel=_FIELD
+        ),
+    ] = 0.1,
+    map_name: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WORD", help="What a .mat or .npz calls the map, which then stands alone.", rich_help_panel=_MAP
+        ),
+    ] = None,
+    base: Annotated[
+        int | None,
+        typer.Option(
+            metavar="0|1", help="The first index.", show_default="by the suffix", min=0, max=1, rich_help_panel=_MAP
+        ),
+    ] = None,
     field: Annotated[
         Path | None,
         typer.Option(
@@ -58,48 +100,6 @@ def export(
             metavar="DIR",
             help="source.particles and target.particles for ShapeWorks: corresponding points, one a line.",
             rich_help_panel=OUTPUT,
-        ),
-    ] = None,
-    reverse: Annotated[
-        bool, typer.Option("--reverse", help="Exchange source and target.", rich_help_panel=INPUT)
-    ] = False,
-    axes: Annotated[
-        System | None,
-        typer.Option(
-            help="The shapes' coordinate system, for the field, which is in LPS.",
-            show_default="as the shapes' files say, or LPS",
-            rich_help_panel=INPUT,
-        ),
-    ] = None,
-    spacing: Annotated[
-        float | None,
-        typer.Option(
-            metavar="LENGTH",
-            help="Between the nodes of the field's grid, in units of the files.",
-            show_default="64 nodes along the longest side",
-            rich_help_panel=_FIELD,
-        ),
-    ] = None,
-    margin: Annotated[
-        float,
-        typer.Option(
-            metavar="SHARE", help="Around the target, as a share of its longest side.", min=0, rich_help_panel=_FIELD
-        ),
-    ] = 0.1,
-    align: Annotated[
-        Literal["none", "rigid", "similarity"],
-        typer.Option(help="Bring the target onto the source before distances are measured.", rich_help_panel=INPUT),
-    ] = "none",
-    map_name: Annotated[
-        str | None,
-        typer.Option(
-            metavar="WORD", help="What a .mat or .npz calls the map, which then stands alone.", rich_help_panel=_MAP
-        ),
-    ] = None,
-    base: Annotated[
-        int | None,
-        typer.Option(
-            metavar="0|1", help="The first index.", show_default="by the suffix", min=0, max=1, rich_help_panel=_MAP
         ),
     ] = None,
     quiet: Quiet = False,

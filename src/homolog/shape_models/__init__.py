@@ -6,19 +6,30 @@ from homolog.shape_models.choice import choice_for_all
 from homolog.shape_models.completion import COMPLETION_FILES, Completion, complete, write_completion
 from homolog.shape_models.fitting import Fit, FitSettings, ModelFitter, Part
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.groups import (
+    COMPARISON_FILES,
+    ComparedGroups,
+    compared_groups,
+    read_groups,
+    write_comparison,
+)
 from homolog.shape_models.landmarks import TemplateLandmarks
 from homolog.shape_models.outputs import check_extra, write_outputs
 from homolog.shape_models.overview import MOST_SHOWN
 from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShapes
 from homolog.shape_models.registration import Figures, Registered, Template, check_template
+from homolog.shape_models.sequence import TRACK_FILES, Track, TrackedFrame, track, write_track
 from homolog.shape_models.settings import ShapeModelSettings
 from homolog.shape_models.stored_model import StoredModel
 from homolog.shape_models.subjects import Subject, subjects_of
 
 __all__ = [
+    "COMPARISON_FILES",
     "COMPLETION_FILES",
     "MOST_SHOWN",
+    "TRACK_FILES",
     "BuiltModel",
+    "ComparedGroups",
     "Completion",
     "Figures",
     "Fit",
@@ -35,14 +46,21 @@ __all__ = [
     "Subject",
     "Template",
     "TemplateLandmarks",
+    "Track",
+    "TrackedFrame",
     "build",
     "check_extra",
     "check_template",
     "choice_for_all",
+    "compared_groups",
     "complete",
+    "read_groups",
     "register_all",
     "settings_record",
     "subjects_of",
+    "track",
+    "write_comparison",
     "write_completion",
     "write_outputs",
+    "write_track",
 ]

@@ -37,12 +37,11 @@ COMPLETION_FILES = (COMPLETED, POINTS, LANDMARKS, REPORT)
 _MOST_POINTS = 20000
 # Another place that fits nearly as well makes a completion ambiguous: within this factor, or this difference.
 _NEARLY_AS_WELL = (1.25, 0.05)
-# A fragment with a larger misfit may have its faces the other way round.
+# A fragment with a larger misfit, in squared standard deviations of an independent point, may have its faces the other
+# way round, or lie in a wrong place: heads in the right one have 0.2 to 0.9, in wrong ones 1.4 and more.
 _DOUBTFUL = 1.5
 # Shapes of the collection that tell how far off completions are, spread over their list.
 _LEFT_OUT = 12
-# In independent points' squared standard deviations: fragments of the model's own shapes have about one.
-_MISFIT = 9.0
 # A model that was made of two shapes does not say what it cannot show; this share of its size is assumed.
 _ASSUMED = 0.02
 
@@ -263,10 +262,10 @@ def _fit_warnings(best: Fit, elsewhere: float | None) -> list[str]:
             "where the fragment belongs is ambiguous: it fits nearly as well in another place; look at the result, or "
             "give landmarks"
         )
-    if best.misfit > _MISFIT:
+    if best.misfit > _DOUBTFUL:
         told.append(
             f"the fragment does not look like a part of the collection's shapes (misfit {best.misfit:.3g}, usually "
-            "about 1); look at the result, and at the units"
+            f"below {_DOUBTFUL:g}), or lies in a wrong place; look at the result, at the units, or give landmarks"
         )
     return told
 
@@ -301,7 +300,8 @@ def _placement(match: Match, *, scale: bool) -> Placement:
     if scale:
         found = best_similarity(torch.from_numpy(mean), torch.from_numpy(there))
         return Placement(found.rotation.numpy(), found.shift.numpy(), found.scale)
-    return Placement(*(np.asarray(each) for each in rigid_motion(mean, there)))
+    turn, shift = rigid_motion(mean, there)
+    return Placement(turn, shift)
 
 
 def _part(fragment: Shape, match: Match | None, count: int) -> Part:

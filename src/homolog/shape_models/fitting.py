@@ -231,12 +231,12 @@ class ModelFitter:
         """Where closest points put the part on the mean as a rigid body, from all rotations and many places."""
         part = part.sampled(_FEW)
         chosen = farthest_points(self.model.mean, min(_ON_MODEL, len(self.model.mean)), seed=0)
-        mean, normals = self.model.mean[chosen], None
+        mean, some, across = self.model.mean[chosen], part.points, None
+        tree = KDTree(mean)
         if self.faces is not None and part.normals is not None:
             # Counterparts must lie near and face alike: a right angle weighs as a length of the model's size.
-            normals = self._size * Surface(self.model.mean, self.faces).vertex_normals[chosen]
-        tree = KDTree(mean if normals is None else np.concatenate([mean, normals], axis=1))
-        some, across = part.points, None if normals is None else self._size * part.normals
+            normals = Surface(self.model.mean, self.faces).vertex_normals[chosen]
+            tree, across = KDTree(np.concatenate([mean, self._size * normals], axis=1)), self._size * part.normals
         centres = mean[farthest_points(mean, min(_MIDDLES, len(mean)), seed=0)]
         centres = np.concatenate([mean.mean(axis=0, keepdims=True), centres])
         turns = np.repeat(cube_rotations().double().numpy(), len(centres), axis=0)

@@ -1,6 +1,7 @@
 """Statistics of shapes in correspondence: alignment, principal modes and their quality, posteriors, mirror planes."""
 
 from homolog.statistics.alignment import Aligned, generalised_procrustes
+from homolog.statistics.comparison import PERMUTATIONS, GroupComparison, compare_groups, false_discovery_rates
 from homolog.statistics.curves import Curve, compactness, generalisation, specificity
 from homolog.statistics.model import ShapeModel, principal_modes
 from homolog.statistics.posterior import (
@@ -21,8 +22,10 @@ from homolog.statistics.symmetry import (
 
 __all__ = [
     "FEWEST_PAIRS",
+    "PERMUTATIONS",
     "Aligned",
     "Curve",
+    "GroupComparison",
     "MirrorPlane",
     "Observations",
     "PlacedPosterior",
@@ -31,6 +34,8 @@ __all__ = [
     "SymmetricComponents",
     "best_mirror_plane",
     "compactness",
+    "compare_groups",
+    "false_discovery_rates",
     "generalisation",
     "generalised_procrustes",
     "mirror_normal",
