@@ -72,7 +72,7 @@ FLOORS = CORE | {
     | {"shapes", "geometry", "features", "pairs", "matching", "transfer", "viewing", "statistics", "training"}
     | {"symmetries"},
     "symmetries": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "statistics", "viewing"},
-    "reproduction": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "viewing", "synthesis"},
+    "reproduction": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "viewing", "synthesis", "volumes"},
     "cli": GROUND
     | BENEATH_EVALUATION
     | {
