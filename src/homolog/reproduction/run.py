@@ -27,6 +27,7 @@ from homolog.reproduction.cell_plans import CellPlan, figures_of
 from homolog.reproduction.cells import cell_file, stored_cell, write_cell
 from homolog.reproduction.experiments import (
     COLUMNS,
+    DataPlace,
     Experiment,
     Row,
     TrainingPlan,
