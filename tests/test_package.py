@@ -74,7 +74,7 @@ FLOORS = CORE | {
     | {"symmetries"},
     "symmetries": GROUND | {"shapes", "geometry", "pairs", "matching", "transfer", "statistics", "viewing"},
     "fitting": GROUND | {"shapes", "geometry", "maps", "matching", "synthesis"},
-    "reproduction": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "viewing", "synthesis"},
+    "reproduction": GROUND | BENEATH_EVALUATION | {"evaluation", "training", "viewing", "synthesis", "volumes"},
     "cli": GROUND
     | BENEATH_EVALUATION
     | {

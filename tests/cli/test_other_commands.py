@@ -63,6 +63,9 @@ def test_evaluate(homolog, data, tmp_path):
     for key in [*promised, "protocol", "features", "versions", "command", "data", "settings", "device", "method"]:
         assert key in found
     assert found["mean_geodesic_error"] < 1
+    different = [pair["mean_geodesic_error"] for pair in found["pairs"] if pair["source"] != pair["target"]]
+    assert found["mean_geodesic_error_without_self_pairs"] == pytest.approx(sum(different) / 2)
+    assert re.search("without pairs of a shape with itself", ended.out)
     assert found["pck_auc"] > 0.9
     assert len(found["pairs"]) == 4
     assert [pair["points"] for pair in found["pairs"]] == [50] * 4

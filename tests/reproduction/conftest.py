@@ -125,7 +125,7 @@ def data(tmp_path, make, monkeypatch):
     described = (place / "blobs.toml").as_posix()
     (place / "data.toml").write_text(
         "\n".join(f'[{name}]\ndataset = "{described}"' for name in ("blobs", "more"))
-        + '\n[blobs_anew]\ndataset = "own"\nmeshed_from = "blobs"'
+        + '\n[blobs_anew]\ndataset = "own"\nmade_from = "blobs"'
         + f'\n[gone]\ndataset = "{described}"\nsource = "ask for it"\nfolders = ["gone", "lost"]\n'
     )
     (place / "trainings.toml").write_text(TRAININGS.replace("RECIPE", (place / "small.toml").as_posix()))

@@ -408,6 +408,9 @@ def _table(evaluation: Evaluation, found: dict[str, Any], title: str) -> Table:
     kind = evaluation.error_kind
     unit = "x100" if evaluation.euclidean_unit is None else f"in {evaluation.euclidean_unit}"
     table.add_row(f"mean {kind} error {unit}", f"{found[f'mean_{kind}_error']:.2f}")
+    without = found.get(f"mean_{kind}_error_without_self_pairs")
+    if without is not None:
+        table.add_row("without pairs of a shape with itself", f"{without:.2f}")
     table.add_row(f"median {kind} error {unit}", f"{found[f'median_{kind}_error']:.2f}")
     if "pck" in found:
         table.add_row(f"area under the curve to {found['pck_threshold']:g}", f"{found['pck_auc']:.3f}")

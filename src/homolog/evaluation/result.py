@@ -86,6 +86,21 @@ class Evaluation:
         return np.concatenate([pair.errors for pair in self.pairs])
 
     @property
+    def errors_without_self_pairs(self) -> Float[np.ndarray, " q"] | None:
+        """Errors of all points of pairs of different shapes; None if there are no such pairs.
+
+        Published scores are means over all pairs, those of a shape with itself included, which nearly every map gets
+        right.
+        """
+        others = [pair.errors for pair in self.pairs if pair.pair[0] != pair.pair[1]]
+        return np.concatenate(others) if others else None
+
+    @property
+    def has_self_pairs(self) -> bool:
+        """Whether a shape is matched with itself."""
+        return any(pair.pair[0] == pair.pair[1] for pair in self.pairs)
+
+    @property
     def matched(self) -> Bool[np.ndarray, " p"]:
         """Which of these points were mapped to some point."""
         return np.concatenate([pair.matched for pair in self.pairs])
@@ -164,9 +179,12 @@ class Evaluation:
         names = sorted({name for pair in self.pairs for name in pair.metrics})
         metrics = {name: float(np.mean([pair.metrics[name] for pair in self.pairs])) for name in names}
         missing, overlap, clutter = self.missing, self.overlap, self.clutter
+        others = self.errors_without_self_pairs
+        without_self_pairs = None if others is None or not len(others) else self.shown(others.mean())
         return {
             f"mean_{kind}_error": self.shown(errors.mean()),
             f"median_{kind}_error": self.shown(np.median(errors)),
+            **({f"mean_{kind}_error_without_self_pairs": without_self_pairs} if self.has_self_pairs else {}),
             f"mean_{kind}_error_of_matched_points": self.shown(errors[matched].mean()) if matched.any() else None,
             "unit": "sqrt(area) / 100" if self.euclidean_unit is None else self.euclidean_unit,
             **(self._curve(errors) if self.euclidean_unit is None else {}),

@@ -6,8 +6,6 @@ import shlex
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
 from homolog.datasets import Pair, ShapeFolder
 from homolog.evaluation import Evaluation, Protocol, area_under_pck, pck_curve
 from homolog.matching import Matcher
@@ -110,18 +108,18 @@ class CellPlan:
 def figures_of(evaluation: Evaluation, *, is_whole: bool) -> dict[str, Any]:
     """The figures of a cell, with self-pairs and without."""
     told = evaluation.to_dict()
-    others = [pair.errors for pair in evaluation.pairs if pair.pair[0] != pair.pair[1]]
+    others = evaluation.errors_without_self_pairs
     detected = evaluation.clutter or evaluation.missing
     errors, is_geodesic = evaluation.errors, evaluation.error_kind == "geodesic"
     thresholds, shares = pck_curve(errors)
     curve = {"thresholds": thresholds.tolist(), "shares": shares.tolist(), "area": area_under_pck(errors)}
     return {
         "mean": told[f"mean_{evaluation.error_kind}_error"],
-        "mean_without_self_pairs": evaluation.shown(np.concatenate(others).mean()) if others else None,
+        "mean_without_self_pairs": None if others is None else evaluation.shown(others.mean()),
         "median": told[f"median_{evaluation.error_kind}_error"],
         "unit": told["unit"],
         "pairs": len(evaluation.pairs),
-        "self_pairs": len(evaluation.pairs) - len(others),
+        "self_pairs": sum(source == target for source, target in (pair.pair for pair in evaluation.pairs)),
         "is_whole": is_whole,
         "f1": None if detected is None else detected.f1,
         "curve": curve if is_geodesic else None,

@@ -28,14 +28,15 @@ class DataPlace(Settings):
         dataset: name of its description.
         folders: names that its folder may have.
         source: where to get it, where the description does not say so.
-        meshed_from: name of the dataset of which it is another meshing, with long triangles; it is made where it is not
-            there.
+        made_from: name of the dataset that it is made from where it is not there.
+        making: what is made: other meshings of its test shapes, with long triangles, or surfaces and slices of lungs.
     """
 
     dataset: str
     folders: tuple[str, ...]
     source: str = ""
-    meshed_from: str = ""
+    made_from: str = ""
+    making: Literal["meshings", "slices"] = "meshings"
 
     @property
     def description(self) -> DatasetDescription:
@@ -182,7 +183,7 @@ class Experiment:
         """The folders of the datasets that are tested on and trained on."""
         names = [*(row.data for row in self.rows), *(name for plan in self.trainings for name in plan.data)]
         places = (data_places()[name] for name in names)
-        return tuple(dict.fromkeys(place.meshed_from or place.folders[0] for place in places))
+        return tuple(dict.fromkeys(place.made_from or place.folders[0] for place in places))
 
     def rows_named(self, words: tuple[str, ...]) -> tuple[Row, ...]:
         """The rows whose names contain one of these words, in any case; all rows where there are none.

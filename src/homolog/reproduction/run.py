@@ -27,6 +27,7 @@ from homolog.reproduction.cell_plans import CellPlan, figures_of
 from homolog.reproduction.cells import cell_file, stored_cell, write_cell
 from homolog.reproduction.experiments import (
     COLUMNS,
+    DataPlace,
     Experiment,
     Row,
     TrainingPlan,
@@ -34,6 +35,7 @@ from homolog.reproduction.experiments import (
     read_experiment,
     training_of,
 )
+from homolog.reproduction.lung_slices import write_lung_slices
 from homolog.reproduction.pictures import write_curves, write_match
 from homolog.reproduction.report import REPORT, write_report
 from homolog.reproduction.training_runs import RUNS, SHAPES, TrainingRun
@@ -269,23 +271,24 @@ class _Run:
     def _place(self, name: str) -> Path:
         place = data_places()[name]
         found = place.find(self.data)
-        if found is None and place.meshed_from:
-            return self._other_meshing(name, place.meshed_from)
+        if found is None and place.made_from:
+            return self._made(name, place)
         if found is None:
             raise _EmptyCellError(f"{self.data} has no folder {' or '.join(place.folders)}; {place.to_be_had}")
         return found
 
-    def _other_meshing(self, name: str, original: str) -> Path:
-        """The folder of another meshing of a dataset's test shapes, which is made if it is not there."""
-        source, made = self._place(original), self.root / SHAPES / name
-        description = data_places()[original].description
-        write_meshings(
-            source,
-            made,
-            description=description,
-            seed=_MESHING_SEED,
-            progress=lambda done, total, what: self.progress(done, total, f"{name}: {what}"),
-        )
+    def _made(self, name: str, place: DataPlace) -> Path:
+        """The folder of a dataset that is made from another one, if it is not there."""
+        source, made = self._place(place.made_from), self.root / SHAPES / name
+        description = data_places()[place.made_from].description
+
+        def report(done: int, total: int, what: str) -> None:
+            self.progress(done, total, f"{name}: {what}")
+
+        if place.making == "meshings":
+            write_meshings(source, made, description=description, seed=_MESHING_SEED, progress=report)
+        else:
+            write_lung_slices(ShapeFolder.open(source, description), made, progress=report)
         return made
 
     def _n_pairs(self, row: Row, column: str) -> int:

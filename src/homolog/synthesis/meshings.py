@@ -123,10 +123,10 @@ def _detail(surface: Surface, stretch: float) -> Float[np.ndarray, " n"]:
         np.linalg.norm(values[edges.a] - values[edges.b], axis=1)
         for values in (surface.vertex_normals, surface.vertices)
     )
-    bent = np.bincount(both, np.tile(turn / np.maximum(length, 1e-12 + 0.1 * length.mean()), 2), count)
+    total = np.bincount(both, np.tile(turn / np.maximum(length, 1e-12 + 0.1 * length.mean()), 2), count)
     degrees = np.bincount(both, minlength=count)
     around = csr_matrix((np.ones(len(both)), (both, np.roll(both, len(edges.a)))), shape=(count, count))
-    bent /= degrees
+    bent = np.asarray(total / degrees)
     for _ in range(_SMOOTHING):
         bent = (bent + around @ bent / degrees) / 2
     return np.asarray(np.clip(_MOST_TURN / (bent * length.mean() * np.sqrt(stretch)), _SHORTEST, 1.0))
