@@ -45,7 +45,7 @@ OperatorSource = Callable[..., Operators]
 _log = logging.getLogger(__name__)
 
 # Shapes of so many points are said to need memory, in bytes: of the process itself, and of each point. Measured.
-_MANY, _OF_ITSELF, _PER_POINT = 500_000, 0.5 * 2**30, 1800
+_MANY, _OF_ITSELF, _PER_POINT = 500_000, 0.5 * 2**30, 1400
 
 # Where faces use fewer of a shape's points, they do not say how large the cloud of all of them is.
 _SHARE_WITH_FACES = 0.95
