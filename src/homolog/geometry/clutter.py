@@ -275,7 +275,7 @@ def _clustered(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
 
 
 def _in_large_pieces(indices: Int[np.ndarray, "n j"], linked: Bool[np.ndarray, "n i"]) -> Bool[np.ndarray, " n"]:
-    """Which points are in large pieces, where some of the neighbours are linked; each comes first among its own (n,)."""
+    """Which points are in large pieces, where some neighbours are linked; each comes first among its own (n,)."""
     rows, columns = np.nonzero(linked)
     component = components(rows, indices[:, 1:][rows, columns], len(indices))
     return in_large_components(component, np.bincount(component))
