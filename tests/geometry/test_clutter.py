@@ -57,7 +57,9 @@ def test_outliers_in_the_box_are_found(body, share):
         assert precision > 0.97
 
 
-@pytest.mark.parametrize(("kind", "share", "least"), [("clusters", 0.1, 0.6), ("clusters", 0.3, 0.5), ("near", 0.3, 0.5)])
+@pytest.mark.parametrize(
+    ("kind", "share", "least"), [("clusters", 0.1, 0.6), ("clusters", 0.3, 0.5), ("near", 0.3, 0.5)]
+)
 def test_clusters_and_points_near_the_surface_are_found_where_they_can_be(body, kind, share, least):
     unit = float(np.sqrt(homolog.geometry.surface_area(body)))
     precision, recall = scores(add_strays(body, share, kind=kind, unit=unit, seed=0), body.n_points)

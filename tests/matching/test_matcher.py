@@ -180,6 +180,13 @@ def test_steps_are_measured_in_order(build, blobs):
     assert all(step.seconds > 0 and step.process_peak_mb > 10 for step in timings.finished)
 
 
+def test_the_memory_of_large_shapes_is_said_in_advance(build, blobs, monkeypatch, caplog):
+    monkeypatch.setattr("homolog.pairs.preprocessing._MANY", blobs.source.n_points)
+    with caplog.at_level("WARNING", logger="homolog"):
+        build("nearest-features").preprocess(blobs.source)
+    assert "points: matching it needs some" in caplog.text
+
+
 def test_weights_from_a_file(build, blobs, weights):
     matcher = Matcher.from_weights(weights, device="cpu")
     assert matcher.extractor.info.map_eigenpairs == 40

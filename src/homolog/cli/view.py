@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from homolog.viewing import Layer, Scene
 
 COLOURS = "Colours"
-# repair, operators and features for each shape
+# repair, proxy, operators, orientation and features for each shape
 _STEPS = 10
 
 

@@ -274,10 +274,8 @@ def _clustered(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
     return ~surface
 
 
-def _in_large_pieces(
-    indices: Int[np.ndarray, "n j"], linked: Bool[np.ndarray, "n i"]
-) -> Bool[np.ndarray, " n"]:
-    """Which points are in large pieces of a cloud, whose neighbours are linked; each point comes first among its own."""
+def _in_large_pieces(indices: Int[np.ndarray, "n j"], linked: Bool[np.ndarray, "n i"]) -> Bool[np.ndarray, " n"]:
+    """Which points are in large pieces, where some neighbours are linked; each comes first among its own (n,)."""
     rows, columns = np.nonzero(linked)
     component = components(rows, indices[:, 1:][rows, columns], len(indices))
     return in_large_components(component, np.bincount(component))

@@ -45,7 +45,7 @@ OperatorSource = Callable[..., Operators]
 _log = logging.getLogger(__name__)
 
 # Shapes of so many points are said to need memory, in bytes: of the process itself, and of each point. Measured.
-_MANY, _OF_ITSELF, _PER_POINT = 500_000, 0.5 * 2**30, 1800
+_MANY, _OF_ITSELF, _PER_POINT = 500_000, 0.5 * 2**30, 1400
 
 # Where faces use fewer of a shape's points, they do not say how large the cloud of all of them is.
 _SHARE_WITH_FACES = 0.95
@@ -266,8 +266,7 @@ class Preprocessor:
             mask.check_fits(shape)
         timings = timings or Timings()
         if shape.n_points >= _MANY and proxy != "never":
-            gigabytes = (_OF_ITSELF + _PER_POINT * shape.n_points) / 2**30
-            _log.warning("the %s has %d points: matching it needs some %.0f GB of memory", label, shape.n_points, gigabytes)
+            _say_memory(shape, label)
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
@@ -357,6 +356,12 @@ class Preprocessor:
         except ArgumentError as error:
             raise ArgumentError(f"{shape}: {error}" if shape else str(error)) from (error.__cause__ or error)
         return found * operators.in_main_component[:, None]
+
+
+def _say_memory(shape: Shape, label: str) -> None:
+    """Say in advance how much memory a large shape needs."""
+    gigabytes = (_OF_ITSELF + _PER_POINT * shape.n_points) / 2**30
+    _log.warning("the %s has %d points: matching it needs some %.0f GB of memory", label, shape.n_points, gigabytes)
 
 
 def _best_rotation(orientations: Sequence[Orientation]) -> Float[Tensor, "3 3"]:
