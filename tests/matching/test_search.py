@@ -15,6 +15,7 @@ from homolog.datasets import demo_folder
 from homolog.features import Orientation
 from homolog.maps import rotation_angle
 from homolog.matching import low_confidence_warnings, orientation_warnings
+from homolog.matching.mirror import mirror_warnings
 from homolog.matching.search import orient
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, mirrored, rotation_about
@@ -130,7 +131,7 @@ def test_a_shape_that_features_do_not_know_in_the_pose_of_the_orienter_is_tried_
     """An orienter that is wrong by a quarter turn, and says that it knows one shape less well."""
     matcher = homolog.Matcher.from_weights("people")
     pair, _ = matcher.pair(*homolog.demo_shapes())
-    tilt = torch.from_numpy(rotation_about(0, 90)).float()
+    tilt = torch.from_numpy(rotation_about(0, -90)).float()
     wrong = getattr(pair, side).turned(tilt, pair.extractor)
     wrong = replace(wrong, orientations=(Orientation(tilt, misfit=0.2),))
     found = orient(replace(pair, **{side: wrong}))
@@ -155,6 +156,15 @@ def test_a_mirror_image_is_named_and_can_be_reflected(blobs, method):
     told = homolog.match(shape, image, method=method, mirror="target")
     assert not any("mirror image" in warning for warning in told.warnings)
     assert (told.source_to_target == np.arange(shape.n_points)).mean() > 0.9
+
+
+def test_a_mirror_image_is_named_in_a_pose_that_no_orienter_found():
+    matcher = homolog.Matcher.from_weights("people")
+    shape = homolog.demo_shapes()[0]
+    pair, _ = matcher.pair(shape, mirrored(shape))
+    assert mirror_warnings(pair)
+    tilted = pair.target.turned(torch.from_numpy(rotation_about(0, 90)).float(), pair.extractor)
+    assert mirror_warnings(replace(pair, target=tilted))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from homolog.geometry import some_points
 from homolog.maps import closest_point_rotations
-from homolog.pairs import Pair
+from homolog.pairs import Pair, PreprocessedShape
 
 _FEW, _MANY = 500, 2000
 # Samples of one surface, drawn apart, have about these mean squared distances: twice the square of half a spacing.
@@ -32,7 +32,7 @@ def mirror_warnings(pair: Pair) -> tuple[str, ...]:
     x, y = pair.source.operators.points, pair.target.operators.points
     reflected = x * x.new_tensor([-1.0, 1, 1])
     # Upright shapes are reflected in their own plane of symmetry; of others, any rotation may follow.
-    starts = torch.eye(3).to(x)[None] if pair.source.orientations else None
+    starts = torch.eye(3).to(x)[None] if _stands(pair.source) and _stands(pair.target) else None
     rotation, misfit = closest_point_rotations(_samples(reflected, _FEW), _samples(y, _FEW), starts=starts)[0]
     if misfit > _SAME_FEW or (misfit := _misfit(reflected, y, rotation)) > _SAME_MANY:
         return ()
@@ -40,6 +40,11 @@ def mirror_warnings(pair: Pair) -> tuple[str, ...]:
     if misfit > _CLEARLY_BETTER * _misfit(x, y, rotation):
         return ()
     return ("the source seems to be the mirror image of the target; reflect one of them, by mirror='source'",)
+
+
+def _stands(shape: PreprocessedShape) -> bool:
+    """Whether a shape stands as its features' orienter would have it: the search may have taken another pose."""
+    return any(torch.equal(found.rotation, shape.rotation) for found in shape.orientations)
 
 
 def _misfit(x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], start: Float[Tensor, "3 3"]) -> float:
