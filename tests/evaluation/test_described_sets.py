@@ -1,5 +1,6 @@
 """Sets of parts and of clouds by the protocol, against direct computation, with matchers told what to answer."""
 
+import json
 import weakref
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import dijkstra
 
-from homolog.core.errors import DataError
+from homolog.core.errors import ArgumentError, DataError
 from homolog.datasets import ShapeFolder
 from homolog.evaluation import Detection, Protocol, evaluate
 from homolog.matching import Match, Matcher
@@ -57,7 +58,7 @@ class Stub:
         self.frames.append((scale, centre))
         return Ready(shape, "cloud" if as_cloud else "mesh")
 
-    def method_of(self, source, target):
+    def method_of(self, source, target, *, parts=False):
         return SimpleNamespace(name="nearest-features")
 
     def paired(self, source, target, options):
@@ -186,6 +187,85 @@ def test_common_points_tell_what_a_part_lacks(tmp_path, make):
 
     found = evaluate(Stub(lambda s, t: np.zeros(42, int), forth), ShapeFolder.open(tmp_path), Protocol(partial=True))
     assert found.missing == Detection(found=2, true=2, both=1)
+
+
+def test_the_overlap_of_two_parts(tmp_path, make):
+    """Of five common points one is missing on a, another one on b, and one on both; both maps err once."""
+    (tmp_path / "off").mkdir()
+    (tmp_path / "corres").mkdir()
+    for name, lines in (("a", "5 6 7 -1 -1"), ("b", "1 -1 3 4 -1")):
+        write_shape(tmp_path / "off" / f"{name}.off", make.sphere(1))
+        (tmp_path / "corres" / f"{name}.vts").write_text(lines.replace(" ", "\n"))
+    (tmp_path / "pairs.txt").write_text("a,b\n")
+
+    def forth(source, target):
+        found = np.zeros(42, int)
+        found[[4, 20]] = -1  # a common point that b has, too
+        return found
+
+    def back(source, target):
+        found = np.full(42, -1)
+        found[[0, 2]] = 4, 6
+        return found
+
+    protocol = Protocol(partial="both")
+    stub = Stub(back, forth)
+    found = evaluate(stub, ShapeFolder.open(tmp_path), protocol)
+    # Common points of a: 4 and 6, which b has, and 5; of b: 0 and 2, which a has, and 3.
+    assert found.overlap == Detection(found=2 + 2, true=2 + 2, both=1 + 2)
+    assert found.overlap_iou == pytest.approx(3 / 5)
+    figures = found.to_dict()
+    assert figures["overlap"]["mean_iou"] == pytest.approx(3 / 5)
+    assert figures["pairs"][0]["overlap"]["iou"] == pytest.approx(3 / 5)
+    assert found.missing is None and "without_counterpart" not in figures
+    assert np.all(found.errors == 0) and len(found.errors) == 2
+    assert evaluate(stub, ShapeFolder.open(tmp_path), Protocol(partial=True)).overlap is None
+
+
+@pytest.mark.parametrize(("partial", "told"), [("one", "true or false, or 'both'"), (3, "true or false, or 'both'")])
+def test_what_is_partial(partial, told):
+    with pytest.raises(ArgumentError, match=rf"partial holds {partial!r}, but must be {told}"):
+        Protocol(partial=partial)
+
+
+def test_parts_in_other_units(views_set):
+    """Targets alone are multiplied, as the part that they are; the truth stays."""
+    folder = ShapeFolder.open(views_set, "views")
+    stub = Stub(lambda source, target: np.zeros(target.shape.n_points, int))
+    evaluate(stub, folder, Protocol(partial=True, part_units=0.01))
+    for shape in stub.prepared:
+        own = folder.shape(Path(shape.name).stem)
+        factor = 0.01 if Path(shape.name).stem.startswith("view") else 1
+        np.testing.assert_allclose(shape.points, factor * own.points)
+    with pytest.raises(ArgumentError, match=r"part_units is 0\.01, but partial is False"):
+        Protocol(part_units=0.01)
+
+
+def test_pairs_of_views(tmp_path, make):
+    """Both views show one blob, whose every vertex is a common point; as a cloud the target has points of its own."""
+    (tmp_path / "in" / "off").mkdir(parents=True)
+    (tmp_path / "in" / "corres").mkdir()
+    for name in "abcde":
+        blob = make.blob()
+        write_shape(tmp_path / "in" / "off" / f"{name}.off", blob)
+        (tmp_path / "in" / "corres" / f"{name}.vts").write_text("\n".join(str(i + 1) for i in range(blob.n_points)))
+    settings = ViewSettings(pixels=(24, 18))
+    write_view_dataset(tmp_path / "in", tmp_path / "out", views=5, seed=3, settings=settings, apart=70.0)
+    folder = ShapeFolder.open(tmp_path / "out", "view_pairs")
+    (pair,) = folder.pairs("test")
+    assert pair == ("view_000004_a", "view_000004_b")
+    cloud, source = folder.cloud(pair[1]), folder.shape(pair[0])
+    there = np.load(tmp_path / "out" / "truth" / f"{pair[1]}.npz")["cloud_to_full"]
+    seen = there >= 0
+    assert 0 < seen.sum() < len(there)
+    full = folder.shape(json.loads((tmp_path / "out" / "truth" / f"{pair[1]}.json").read_text())["viewed"])
+    edge = np.linalg.norm(full.points[full.faces[:, 0]] - full.points[full.faces[:, 1]], axis=1).max()
+    assert np.linalg.norm(cloud.points[seen] - source.points[there[seen]], axis=1).max() < edge
+    # What is not seen by the first camera is no corner that its view has.
+    assert np.linalg.norm(cloud.points[~seen, None] - source.points, axis=2).min(axis=1).mean() > 0
+    found = evaluate(Stub(lambda s, t: there), folder, Protocol(partial="both", modality="mesh-to-cloud"))
+    assert np.all(found.errors == 0) and len(found.errors) == seen.sum()
+    assert found.overlap is not None
 
 
 @pytest.fixture

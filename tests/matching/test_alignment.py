@@ -5,11 +5,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from homolog.features import DiffusionNet
+from homolog.features import DiffusionNet, FeatureInfo
 from homolog.geometry import compute_operators, some_points, unit_frame
 from homolog.geometry.tangent import normals_of
 from homolog.maps import best_rotation
-from homolog.matching import Matcher, align_partial, best_alignment
+from homolog.matching import Matcher, align_partial, best_alignment, unit_warnings
 from homolog.pairs import AlignmentSettings, MatcherSettings
 from homolog.shapes import Shape
 
@@ -196,3 +196,42 @@ def test_what_is_nearly_as_alike_elsewhere_does_not_tempt(upper):
     found = best_alignment(basis, features_of, whole, torch.tensor([1.0, 0.0]).expand(len(whole), 2), search=True)
     assert found.scale == 1
     assert torch.equal(found.points, basis.points)
+
+
+@pytest.mark.parametrize("factor", [0.01, 100.0])
+@pytest.mark.parametrize("pre_aligned", [True, False])
+def test_a_part_in_unknown_units_is_brought_to_the_size_of_its_whole(upper, factor, pre_aligned):
+    """A network that knows the points of parts of about the right size and place, and sees of others where they lie."""
+    body, part, kept = upper
+    frame = unit_frame(body)
+    whole = torch.from_numpy(frame.to_unit(body.points)).float()
+    places = whole[kept]
+    waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
+
+    class Network(Trained):
+        def forward(self, inputs, operators):
+            if len(inputs) == body.n_points:
+                return torch.cat([torch.sin(2 * inputs @ waves), torch.cos(2 * inputs @ waves)], dim=1)
+            known = places if len(inputs) == len(kept) else places[some_points(len(kept), len(inputs))]
+            apart = (inputs - inputs.mean(dim=0)).norm(dim=1).mean() / (known - known.mean(dim=0)).norm(dim=1).mean()
+            seen = known * apart if abs(apart - 1) < 0.25 else inputs + 9.0
+            return torch.cat([torch.sin(2 * seen @ waves), torch.cos(2 * seen @ waves)], dim=1)
+
+    info = FeatureInfo(name="parts", licence="none", upright=False, partial=True)
+    matcher = Matcher(Network(), info)
+    scaled = Shape(part.points * factor, part.faces)
+    pair, _ = matcher.pair(body, scaled, partial="target", pre_aligned=pre_aligned)
+    found = align_partial(pair)
+    assert found.alignment.scale * factor == pytest.approx(1, abs=0.04)
+    middled = [points - points.mean(dim=0) for points in (found.y.operators.points, places)]
+    assert (middled[0] - middled[1]).norm(dim=1).mean() < 0.02
+    if pre_aligned:
+        assert (found.y.operators.points - places).norm(dim=1).mean() < 0.1
+    # Operators are those of the right size: gradients are fitted in units that count.
+    expected = compute_operators(part, scale=frame.scale)
+    ratio = found.y.operators.eigenvalues[1:10] / expected.eigenvalues[1:10]
+    assert (ratio - 1).abs().max() < 0.1
+    (warning,) = unit_warnings(pair)
+    assert "their units seem to differ; its size is estimated; give partial_scale" in warning
+    told, _ = matcher.pair(body, scaled, partial="target", pre_aligned=pre_aligned, partial_scale=1 / factor)
+    assert unit_warnings(told) == ()

@@ -24,7 +24,7 @@ from homolog.maps.registration import (
     registered_surfaces,
     registration_start,
 )
-from homolog.maps.rigid import Similarity, best_similarity, closest_point_similarity, rigid_motion
+from homolog.maps.rigid import Similarity, best_similarity, closest_point_similarity, composed, rigid_motion
 from homolog.maps.rotations import (
     best_rotation,
     closest_point_rotations,
@@ -51,6 +51,7 @@ __all__ = [
     "best_similarity",
     "closest_point_rotations",
     "closest_point_similarity",
+    "composed",
     "confidence",
     "coverage",
     "coverage_density",

@@ -79,6 +79,20 @@ def best_similarity(
     return Similarity(rotation, float(scale), target - scale * rotation @ middle)
 
 
+def composed(second: Similarity, first: Similarity) -> Similarity:
+    """First one similarity transform, then the other.
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import Similarity, composed
+        >>> twice, moved = Similarity(torch.eye(3), 2.0, torch.zeros(3)), Similarity(torch.eye(3), 1.0, torch.ones(3))
+        >>> composed(twice, moved)(torch.zeros(1, 3))
+        tensor([[2., 2., 2.]])
+    """
+    rotation, scale = second.rotation @ first.rotation, second.scale * first.scale
+    return Similarity(rotation, scale, second(first.shift[None])[0])
+
+
 @takes_arrays
 def closest_point_similarity(
     points_x: Float[Tensor, "n 3"],

@@ -20,7 +20,7 @@ from torch import Tensor
 from homolog.features import FeatureExtractor
 from homolog.geometry import Basis, Operators, some_points
 from homolog.maps import Similarity, best_rotation, best_similarity, most_similar, normalised, rigid_motion
-from homolog.matching.units import has_unknown_units, part_areas
+from homolog.matching.units import LIKELY_SHARE, has_unknown_units, in_likely_units
 from homolog.pairs import AlignmentSettings, Pair, PreprocessedShape, Preprocessor
 from homolog.shapes import rotation_about
 
@@ -58,9 +58,10 @@ def align_partial(pair: Pair) -> Pair:
     settings, extractor = pair.settings.alignment, pair.extractor
     if not pair.is_partial or settings is None or extractor is None or not extractor.info.follows_pose:
         return pair
+    unknown = has_unknown_units(pair)
+    pair = in_likely_units(pair) if unknown else pair
     full, partial = pair.x, pair.y
     basis, given = partial.operators.basis, partial.points_as_given
-    unknown = has_unknown_units(pair)
     starts = tuple(_oriented_starts(full, partial, given, settings, _of_landmarks(pair)))
     found = best_alignment(
         basis,
@@ -77,19 +78,21 @@ def align_partial(pair: Pair) -> Pair:
     operators = placed(partial.operators, found.points, found.scale)
     features = Preprocessor(extractor=extractor).features(operators, shape=partial.name)
     alignment = best_similarity(given, found.points)
+    units = full.operators.scale / (partial.operators.scale * pair.options.partial_scale)  # 1 where they are known
+    alignment = replace(alignment, scale=alignment.scale * units)
     aligned = pair.with_y(replace(partial, operators=operators, features=features))
     return replace(aligned, alignment=alignment)
 
 
 def _sized_starts(pair: Pair, settings: AlignmentSettings) -> Iterator[Start]:
     """A partial shape in unknown units in the sizes that a part may have."""
-    areas, given = part_areas(pair), pair.y.points_as_given
-    origin = given.mean(dim=0)
-    if pair.options.pre_aligned:  # in one frame, but for the unit: sizes are about the origin of the files
-        origin = -(pair.x.operators.centre / pair.x.operators.scale).to(given)
+    given, full = pair.y.points_as_given, pair.x.operators
+    own = (pair.y.operators.centre / pair.y.operators.scale).to(given)
     for share in settings.shares:
-        scale = math.sqrt(share * areas.full / areas.partial)
-        yield scale * (given - origin) + origin, scale
+        scale = math.sqrt(share / LIKELY_SHARE)
+        # In one frame but for the unit, sizes are about the origin of the files.
+        shift = scale * own - (full.centre / full.scale).to(given) if pair.options.pre_aligned else 0.0
+        yield scale * given + shift, scale
 
 
 def _of_landmarks(pair: Pair) -> Similarity | None:

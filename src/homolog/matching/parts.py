@@ -24,6 +24,7 @@ from homolog.geometry.projection import SurfaceProjector
 from homolog.maps import (
     Similarity,
     best_similarity,
+    composed,
     coverage_density,
     cycle_error,
     nearest_neighbour,
@@ -32,7 +33,7 @@ from homolog.maps import (
 )
 from homolog.matching.alignment import align_partial, placed
 from homolog.pairs import Pair, PartsFit, PartsSettings, PointMaps, PreprocessedShape, Preprocessor
-from homolog.shapes import Shape
+from homolog.shapes import Shape, rotation_about
 
 # Fewer pairs of points tell no motion.
 _FEWEST_PAIRS = 10
@@ -145,6 +146,12 @@ class _Points:
         normals = None if shape.surface is None else torch.from_numpy(shape.surface.vertex_normals).to(points)
         return cls(points, shape.unit_features(), normals)
 
+    def sampled(self, count: int, seed: int) -> _Points:
+        """Some of them."""
+        kept = some_points(len(self.points), count, seed=seed).to(self.points.device)
+        normals = None if self.normals is None else self.normals[kept]
+        return _Points(self.points[kept], self.features[kept], normals)
+
     def moved(self, motion: Similarity) -> _Points:
         """The same points moved, with the features that they had."""
         normals = None if self.normals is None else self.normals @ motion.rotation.T
@@ -206,7 +213,7 @@ class _Search:
         at_x, found = x.at(start.x, self.extractor), start
         for reach in self.settings.reaches:
             motion, agreeing = self._motion(at_x, y.at(found.y, self.extractor), reach, rigid=start.one_scale)
-            found = _Found(start.x, _after(motion, found.y), agreeing)
+            found = _Found(start.x, composed(motion, found.y), agreeing)
         return found
 
     def finished(self, found: _Found) -> Pair:
@@ -214,7 +221,7 @@ class _Search:
         pair, extractor = self.pair, self.extractor
         x, y = _moved_to(pair.x, found.x, extractor), _moved_to(pair.y, found.y, extractor)
         motion = self._closest(_Points.of(x), _Points.of(y), max(_spacing(x), _spacing(y)), rigid=found.one_scale)
-        nearer = _moved_to(pair.y, _after(motion, found.y), extractor)
+        nearer = _moved_to(pair.y, composed(motion, found.y), extractor)
         fit = self._fit(x, nearer)
         y = nearer if fit.rigid else y
         alignment = best_similarity(pair.y.points_as_given, found.x.inverse()(y.operators.points))
@@ -243,11 +250,38 @@ class _Search:
         return _motion_between(starts, ends, rigid=rigid), float(torch.cat([good_y, good_x]).float().mean())
 
     def _closest(self, x: _Points, y: _Points, spacing: float, *, rigid: bool) -> Similarity:
-        """The motion that brings y nearest to x, by closest points within ever fewer spacings."""
-        motion = _nothing(x.points)
+        """The motion that brings y nearest to x, by closest points within ever fewer spacings.
+
+        Features may be wrong alike everywhere, so it begins from some turns as well, on samples.
+        """
+        some_x, some_y = x.sampled(self.settings.samples, 0), y.sampled(self.settings.samples, 1)
+        ways = (self._followed(some_x, some_y, start, rigid=rigid) for start in _turns(y, self.settings.turn))
+        motion = max(ways, key=lambda way: _share_near(some_x, some_y.moved(way), self.settings.reaches[-1]))
         for spacings in self.settings.closest:
-            motion = _after(_closest(x, y.moved(motion), spacings * spacing, rigid=rigid), motion)
+            motion = composed(_closest(x, y.moved(motion), spacings * spacing, rigid=rigid), motion)
         return motion
+
+    def _followed(self, x: _Points, y: _Points, motion: Similarity, *, rigid: bool) -> Similarity:
+        """Where closest points lead from a start."""
+        for reach in self.settings.reaches:
+            motion = composed(_closest(x, y.moved(motion), reach, rigid=rigid), motion)
+        return motion
+
+
+def _turns(y: _Points, degrees: float) -> Iterator[Similarity]:
+    """No motion, and turns about the middle of a part, to either side of each axis."""
+    yield _nothing(y.points)
+    middle = y.points.mean(dim=0)
+    for axis, sign in product(range(3), (-1, 1)):
+        turn = torch.from_numpy(rotation_about(axis, sign * degrees)).to(middle)
+        yield Similarity(turn, 1.0, middle - turn @ middle)
+
+
+def _share_near(x: _Points, y: _Points, reach: float) -> float:
+    """The share of the points of both that have a near one on the other which faces the same way."""
+    at_x, at_y = _embedded(x, y, reach, normals=1.0)
+    near = [nearest_neighbour(*both).value < 1 for both in ((at_x, at_y), (at_y, at_x))]
+    return float(torch.cat(near).float().mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +340,9 @@ def _on_each_other(
     x: PreprocessedShape, y: PreprocessedShape, settings: PartsSettings
 ) -> tuple[Bool[Tensor, " n"], Bool[Tensor, " m"]]:
     """Which points of either part lie on the other's surface."""
-    reach = settings.overlap * max(_spacing(x), _spacing(y))
+    are_meshes = x.surface is not None and y.surface is not None
+    spacings = settings.overlap if are_meshes else settings.overlap_of_clouds
+    reach = spacings * max(_spacing(x), _spacing(y))
     return _above(x, y) < reach, _above(y, x) < reach
 
 
@@ -327,8 +363,3 @@ def _spacing(shape: PreprocessedShape) -> float:
 
 def _nothing(like: Tensor) -> Similarity:
     return Similarity(torch.eye(3), 1.0, torch.zeros(3)).to(like)
-
-
-def _after(second: Similarity, first: Similarity) -> Similarity:
-    """First one, then the other."""
-    return Similarity(second.rotation @ first.rotation, second.scale * first.scale, second(first.shift[None])[0])

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from scipy.spatial import KDTree
 
-from homolog.geometry import surface_area
-from homolog.pairs import Pair, PreprocessedShape
+from homolog.geometry import OperatorSettings, compute_operators, surface_area
+from homolog.maps import Similarity, composed
+from homolog.pairs import Pair, PreprocessedShape, Preprocessor
+
+LIKELY_SHARE = 0.35
+"""The share of the full shape's area that a part in unknown units is taken to have until its size is found."""
 
 # Shares of the full shape's area that a partial shape may have. One of more than all can only be an estimate that is
 # off, by a few per cent between clouds; less than a hundredth shows nothing that could be recognised.
@@ -45,13 +51,39 @@ def part_areas(pair: Pair) -> PartAreas:
     Outliers make areas of any size, but hardly move a median: where there are some, lengths are compared as well.
     """
     partial, full = pair.y, pair.x.operators.scale
-    own = partial.repaired.report.area  # of the faces, also where they are not used otherwise
-    area = (full / partial.operators.scale) ** 2 * (surface_area(partial.repaired.shape) if own is None else own)
+    area = pair.options.partial_scale**2 * _own_area(partial)
     too_large, too_small = area > _LARGEST_SHARE * full**2, area < _SMALLEST_SHARE * full**2
     if (too_large and _has_outliers(partial)) or (too_small and _has_outliers(pair.x)):
         size = _half_size(partial) / _half_size(pair.x)
         too_large, too_small = too_large and size > _LARGEST_SIZE, too_small and size < _SMALLEST_SIZE
     return PartAreas(area, full**2, not (too_large or too_small))
+
+
+def _own_area(shape: PreprocessedShape) -> float:
+    """The area in the file's units: of the faces, also where they are not used otherwise."""
+    own = shape.repaired.report.area
+    return surface_area(shape.repaired.shape) if own is None else own
+
+
+def in_likely_units(pair: Pair) -> Pair:
+    """A pair whose partial shape is in unknown units, with operators in units in which it may be a part.
+
+    Operators of a shape that is much too large or small are not those of the right size, only larger: where the
+    gradients of functions are fitted, lengths count as they are.
+    """
+    y, old = pair.y, pair.y.operators
+    scale = math.sqrt(_own_area(y) / LIKELY_SHARE)
+    settings = pair.settings.operators or OperatorSettings()
+    new = compute_operators(y.repaired.shape, settings=settings, scale=scale).to(old.points.device)
+    # From the new positions to the old ones, about which the orienter spoke.
+    to_old = Similarity(torch.eye(3), scale / old.scale, ((new.centre - old.centre) / old.scale).float())
+    orientations = tuple(
+        each if each.upright is None else replace(each, upright=composed(each.upright, to_old.to(each.upright.shift)))
+        for each in y.orientations
+    )
+    operators = new.turned(y.rotation)
+    features = Preprocessor(extractor=pair.extractor).features(operators, shape=y.name)
+    return pair.with_y(replace(y, operators=operators, features=features, orientations=orientations))
 
 
 def has_unknown_units(pair: Pair) -> bool:

@@ -132,8 +132,10 @@ class PartsSettings(Settings):
         features: weight of features of unit norm.
         normals: weight of normals.
         least_home: a counterpart counts that leads home within half the reach, or within this.
-        closest: the reaches of closest points, in spacings of the points.
-        overlap: a point lies on the other part that is within so many spacings of its surface.
+        turn: degrees by which the target is turned about each axis, where closest points begin anew.
+        closest: the last reaches of closest points, in spacings of the points.
+        overlap: a point of a mesh lies on another mesh that is within so many spacings of its surface.
+        overlap_of_clouds: the same where either is a cloud, whose points may be noisy.
         agreeing: it does so rightly that is within this distance of its counterpart by features.
         least_rigid: share of each part that does from which on both are taken for parts of one rigid body.
         bent_reach: distance that weighs as much as a difference of one in weighted features in the maps of others.
@@ -147,8 +149,10 @@ class PartsSettings(Settings):
     features: NotNegative = 6.0
     normals: NotNegative = 0.5
     least_home: NotNegative = 0.03
+    turn: NotNegative = 25.0
     closest: tuple[Positive, ...] = (4.0, 3.0, 2.0, 2.0, 1.5, 1.5, 1.0, 1.0)
-    overlap: Positive = 0.35
+    overlap: Positive = 0.5
+    overlap_of_clouds: Positive = 1.0
     agreeing: Positive = 0.1
     least_rigid: Share = 0.2
     bent_reach: Positive = 0.15

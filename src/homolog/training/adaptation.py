@@ -115,10 +115,12 @@ def adapt_to_pair(
         A matcher with the adapted network, and the pair with its features, turned and aligned as it was trained on.
 
     Raises:
-        ArgumentError: if the pair's features come from no network.
+        ArgumentError: if the pair's features come from no network, or both shapes are parts.
         TrainingError: if a loss is not finite.
     """
     _network_features(pair)
+    if pair.are_parts:
+        raise ArgumentError("partial is 'both', but a network is adapted to full shapes, or to a part and its whole")
     pair = align_partial(orient(pair))
     adapted = _adapted(matcher, [pair], settings, listener)
     return matcher.with_extractor(adapted), pair.with_extractor(adapted)

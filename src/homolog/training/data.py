@@ -70,6 +70,11 @@ class TrainingSet:
         data, partial, validation, seed = recipe.data, recipe.partial, recipe.validation, recipe.seed
         up = data.up or "y"
         described = None if description is None else ShapeFolder.without_truth(root, description, up=up)
+        if described is not None and described.description.partial == "both":
+            raise DataError(
+                f"{described.description.name} is a dataset of pairs of parts, which are for evaluation; train on "
+                "parts and full shapes, as homolog synth views makes them without --apart"
+            )
         if described is not None and described.description.partial and partial is None:
             raise ArgumentError(
                 f"{described.description.name} is a dataset of partial shapes, but the recipe {recipe.name!r} has no "
