@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -288,10 +288,7 @@ def evaluate(
     _check_maps(context, maps, base)
     check_inputs(weights=weights)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
-    if both_partial and partial is not None:
-        raise ArgumentError("--both-partial and --partial or --full are both given; give one of them")
-    whole_pairs = description.partial if partial is None else partial
-    parts = "both" if both_partial else whole_pairs
+    parts = _partial(description, partial, both=both_partial)
     protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
         split=split,
@@ -314,19 +311,27 @@ def evaluate(
     without = [name for name, wanted in (("refinement", refinement), ("alignment", alignment)) if not wanted]
     matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=without)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
+    scored = None if maps is None else homolog.evaluation.MapsFolder(maps, base=base)
+    match_pair = None if matcher is None else _adapting(matcher, adapt)
     with progress_bar(quiet=quiet) as progress:
         evaluation = homolog.evaluation.evaluate(
-            matcher,
-            folder,
-            protocol,
-            match=None if maps is None else homolog.evaluation.MapsFolder(maps, base=base),
-            match_pair=None if matcher is None else _adapting(matcher, adapt),
-            progress=progress,
+            matcher, folder, protocol, match=scored, match_pair=match_pair, progress=progress
         )
     figures = {**evaluation.to_dict(), **_setup(folder, protocol), **_made_by(matcher, maps, adapt)}
     _write(evaluation, folder, figures, json, csv, plot)
     if not quiet:
         _tell(evaluation, figures, _title(folder, protocol), table=not on_stdout(json))
+
+
+def _partial(
+    description: homolog.datasets.DatasetDescription, partial: bool | None, *, both: bool
+) -> bool | Literal["both"]:
+    """Which shapes of each pair are partial: as the dataset has it, unless an option says otherwise."""
+    if both and partial is not None:
+        raise ArgumentError("--both-partial and --partial or --full are both given; give one of them")
+    if both:
+        return "both"
+    return description.partial if partial is None else partial
 
 
 def _made_by(matcher: Matcher | None, maps: Path | None, adapt: int) -> dict[str, Any]:
