@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -89,7 +89,7 @@ def fit(
         with timings.measure(f"read the model {model}"):
             body = homolog.fitting.PeopleModel()
         matcher = build_matcher(weights, "auto", device, no_cache=no_cache)
-        options = {"orient": orient, "clutter": clutter, "target_up": up}
+        options: dict[str, Any] = {"orient": orient, "clutter": clutter, "target_up": up}
         match = matcher.match(body.template, scan, timings=timings, **options)
         found = homolog.fitting.fit_to_match(match, body, unit=unit, progress=progress)
         paths = homolog.fitting.write_fit(output, found)

@@ -107,7 +107,7 @@ class Fit:
 
     def points(self, model: ArticulatedModel) -> Float[np.ndarray, "n 3"]:
         """The model's surface, in metres."""
-        return self.scale * model.points(self.build[None], self.rotations)[0] + self.shift
+        return np.asarray(self.scale * model.points(self.build[None], self.rotations)[0] + self.shift)
 
 
 class Goal(NamedTuple):
@@ -238,10 +238,10 @@ class _Problem:
         return found
 
     def _away(self, now: Fit, points: Float[np.ndarray, "r 3"]) -> Float[np.ndarray, "r 3"]:
-        return now.scale * points + now.shift - self.goal.positions
+        return np.asarray(now.scale * points + now.shift - self.goal.positions)
 
     def _measured(self, rows: Float[np.ndarray, "r 3 u"]) -> Float[np.ndarray, "r 3 u"]:
-        return rows if self.metric is None else self.metric @ rows
+        return rows if self.metric is None else np.asarray(self.metric @ rows)
 
     def _jacobian(self, now: Fit, pose: Pose) -> Float[np.ndarray, "r 3 u"]:
         """Derivatives of the points by turns, shape parameters, shift and scale."""

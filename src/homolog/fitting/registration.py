@@ -251,8 +251,12 @@ def _to_scan(model: BodyTemplate, now: Fit, scan: SurfaceProjector, per_metre: f
 
 def _joined(one: Goal, other: Goal) -> Goal:
     assert one.normals is not None and other.normals is not None
-    pairs = zip(one[:4], other[:4], strict=True)
-    return Goal(*(np.concatenate([first, second]) for first, second in pairs))
+    return Goal(
+        np.concatenate([one.rows, other.rows]),
+        np.concatenate([one.positions, other.positions]),
+        np.concatenate([one.weights, other.weights]),
+        np.concatenate([one.normals, other.normals]),
+    )
 
 
 def fit_body(
