@@ -92,6 +92,21 @@ def test_what_is_open_of_the_placement_counts(model):
     assert (found.variances > np.diag(covariance_of(fixed)).reshape(12, 3).sum(axis=1)).all()
 
 
+def test_the_prior_counts_as_much_with_a_placement(model, make):
+    """Where the model lies at the end, the shape is that of conditioning there, wherever the iteration began."""
+    random = np.random.default_rng(4)
+    indices = np.arange(8)
+    true = Placement(make.rotation(2), np.array([1.0, 2.0, 3.0]))
+    positions = true(model.mean[indices]) + random.standard_normal((8, 3))
+    seen = Observations.of_points(indices, positions, 1.0)
+    found = placed_posterior(model, seen, true, rounds=200)
+    other = placed_posterior(model, seen, true, coefficients=np.array([2.0, -2.0, 1.0, 2.0, -1.0]), rounds=200)
+    np.testing.assert_allclose(other.coefficients, found.coefficients, atol=1e-5)
+    back = (positions - found.placement.shift) @ found.placement.rotation
+    there = posterior_model(model, Observations.of_points(indices, back, 1.0))
+    np.testing.assert_allclose(found.placement(there.mean), found.points, atol=1e-5)
+
+
 def test_too_few_points_are_refused(model):
     seen = Observations.of_points(np.array([0, 1]), model.mean[:2], 0.1)
     with pytest.raises(ArgumentError, match="needs 3 or more"):
