@@ -209,7 +209,7 @@ def test_progress_is_one_count_of_pairs(data, output):
 
 def test_only_some_shapes_are_tested(data, output):
     reproduce("parts_of_it", data, output)
-    listed = output / "parts_of_it" / "blobs-pairs.txt"
+    listed = output / "parts_of_it" / "blobs-d-g-pairs.txt"
     assert listed.read_text() == "cat,dog\ndog,dog\n"
     cell = cells(output, "parts_of_it")["to dogs", "ours"]
     assert cell["figures"]["pairs"] == 2
