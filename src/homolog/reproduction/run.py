@@ -24,7 +24,7 @@ from homolog.matching import Match, Matcher, features_of_weights
 from homolog.pairs import MatcherSettings
 from homolog.pairs import Pair as ShapePair
 from homolog.reproduction.cell_plans import CellPlan, figures_of
-from homolog.reproduction.cells import cell_file, stored_cell, write_cell
+from homolog.reproduction.cells import cell_file, slug, stored_cell, write_cell
 from homolog.reproduction.experiments import (
     COLUMNS,
     DataPlace,
@@ -308,7 +308,7 @@ class _Run:
         chosen = tuple(pair for pair in pairs if fnmatchcase(pair[1], row.names))
         if not chosen:
             raise _EmptyCellError(f"{folder.root} has no shapes {row.names}; get the dataset again")
-        file = self.folder / f"{row.data}-pairs.txt"
+        file = self.folder / f"{row.data}-{slug(row.names)}-pairs.txt"
         with atomic_path(file) as temporary, open_text(temporary) as lines:
             lines.writelines(f"{source},{target}\n" for source, target in chosen)
         return chosen, str(file)
