@@ -271,7 +271,8 @@ def _clustered(points: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         plane = _FittedPlanes.of(own[near], np.exp(-((away / width[rest, None]) ** 2)) + 1e-9)
         off = plane.distances(points[rest]) - _PLANE_THICKNESS * plane.thickness
         surface[rest[(away[:, 0] <= _STEP * width[rest]) & (off < _NEAR_PLANE * width[rest])]] = True
-    return ~surface
+    clustered: np.ndarray = ~surface
+    return clustered
 
 
 def _in_large_pieces(indices: Int[np.ndarray, "n j"], linked: Bool[np.ndarray, "n i"]) -> Bool[np.ndarray, " n"]:
