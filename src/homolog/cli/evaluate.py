@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -48,8 +48,9 @@ from homolog.methods import AUTO
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from homolog.datasets import ShapeFolder
+    from homolog.datasets import DatasetDescription, ShapeFolder
     from homolog.evaluation import Detection, Evaluation, Protocol
+    from homolog.evaluation.protocol import PartialPairs
     from homolog.matching import Match, Matcher
     from homolog.pairs import Pair
 
@@ -288,15 +289,14 @@ def evaluate(
     _check_maps(context, maps, base)
     check_inputs(weights=weights)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
-    parts = _partial(description, partial, both=both_partial)
     protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
         split=split,
         pairs_file=None if pairs is None else str(pairs),
         n_pairs=n_pairs,
-        partial=parts,
+        partial=_partial_pairs(description, partial, both_partial=both_partial),
         part_units=part_units,
-        pre_aligned=(description.pre_aligned and bool(parts)) if pre_aligned is None else pre_aligned,
+        pre_aligned=(description.pre_aligned and partial is not False) if pre_aligned is None else pre_aligned,
         noise=noise,
         outliers=outliers,
         outlier_kind=outlier_kind,
@@ -308,8 +308,8 @@ def evaluate(
         landmarks=landmarks,
         seed=seed,
     )
-    without = [name for name, wanted in (("refinement", refinement), ("alignment", alignment)) if not wanted]
-    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=without)
+    left_out = [*([] if refinement else ["refinement"]), *([] if alignment else ["alignment", "parts"])]
+    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=left_out)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     scored = None if maps is None else homolog.evaluation.MapsFolder(maps, base=base)
     match_pair = None if matcher is None else _adapting(matcher, adapt)
@@ -323,15 +323,12 @@ def evaluate(
         _tell(evaluation, figures, _title(folder, protocol), table=not on_stdout(json))
 
 
-def _partial(
-    description: homolog.datasets.DatasetDescription, partial: bool | None, *, both: bool
-) -> bool | Literal["both"]:
-    """Which shapes of each pair are partial: as the dataset has it, unless an option says otherwise."""
-    if both and partial is not None:
+def _partial_pairs(description: DatasetDescription, partial: bool | None, *, both_partial: bool) -> PartialPairs:
+    """Which shapes of a pair are partial: as the options say, or the dataset."""
+    if both_partial and partial is not None:
         raise ArgumentError("--both-partial and --partial or --full are both given; give one of them")
-    if both:
-        return "both"
-    return description.partial if partial is None else partial
+    told = description.partial if partial is None else partial
+    return "both" if both_partial else told
 
 
 def _made_by(matcher: Matcher | None, maps: Path | None, adapt: int) -> dict[str, Any]:
