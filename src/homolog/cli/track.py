@@ -114,12 +114,9 @@ def _files(frames: list[Path]) -> list[Path]:
     files = [path for path in frames[0].iterdir() if path.suffix.lower() in suffixes]
     if len(files) < 2:
         raise ArgumentError(f"{frames[0]} holds {len(files)} shapes, but a track needs two frames or more")
-    return sorted(files, key=lambda path: [int(part) if part.isdecimal() else part for part in _parts(path)])
-
-
-def _parts(path: Path) -> list[str]:
-    """A name as texts and numbers in turn."""
-    return re.split(r"(\d+)", path.name)
+    return sorted(
+        files, key=lambda path: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
+    )
 
 
 def _tell(frame: TrackedFrame) -> None:

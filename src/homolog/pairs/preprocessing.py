@@ -266,7 +266,8 @@ class Preprocessor:
             mask.check_fits(shape)
         timings = timings or Timings()
         if shape.n_points >= _MANY and proxy != "never":
-            _say_memory(shape, label)
+            needs = (_OF_ITSELF + _PER_POINT * shape.n_points) / 2**30
+            _log.warning("the %s has %d points: matching it needs some %.0f GB of memory", label, shape.n_points, needs)
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
@@ -356,12 +357,6 @@ class Preprocessor:
         except ArgumentError as error:
             raise ArgumentError(f"{shape}: {error}" if shape else str(error)) from (error.__cause__ or error)
         return found * operators.in_main_component[:, None]
-
-
-def _say_memory(shape: Shape, label: str) -> None:
-    """Say in advance how much memory a large shape needs."""
-    gigabytes = (_OF_ITSELF + _PER_POINT * shape.n_points) / 2**30
-    _log.warning("the %s has %d points: matching it needs some %.0f GB of memory", label, shape.n_points, gigabytes)
 
 
 def _best_rotation(orientations: Sequence[Orientation]) -> Float[Tensor, "3 3"]:

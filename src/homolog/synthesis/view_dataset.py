@@ -159,27 +159,20 @@ def _write_view(planned: PlannedView, root: Path, settings: ViewSettings, partne
             vertices = folder.template_correspondence(planned.viewed)
             _write_vertices(root, planned.name, _positions(found.mesh.full_index, vertices))
         truth = _truth(planned, found, folder)
+        if partner is not None:  # correspondences to the other view, in place of those to the full shape
+            seen = _seen(partner, root, settings).mesh.full_index
+            truth |= {name: _positions(seen, at) for name, at in truth.items() if name.endswith("_to_full")}
         with atomic_path(root / "truth" / f"{planned.name}.npz") as temporary:
-            np.savez_compressed(
-                temporary,
-                allow_pickle=False,
-                **(truth if partner is None else _to_partner(truth, _seen(partner, root, settings))),
-            )
+            np.savez_compressed(temporary, allow_pickle=False, **truth)
         counts = {"mesh_points": found.mesh.shape.n_points, "cloud_points": found.cloud.shape.n_points}
-        seen = {"visible_share": found.visible_share, **counts, "camera": asdict(found.camera)}
+        figures = {"visible_share": found.visible_share, **counts, "camera": asdict(found.camera)}
         described = {name: value for name, value in asdict(planned).items() if name != "apart" or value}
-        write_json(record_file, {**described, **seen})
+        write_json(record_file, {**described, **figures})
 
 
 def _seen(planned: PlannedView, root: Path, settings: ViewSettings) -> View:
     full = read_shape(root / "off" / f"{planned.viewed}.off")
     return view(full, settings, seed=planned.seed, apart=planned.apart)
-
-
-def _to_partner(truth: dict[str, np.ndarray], partner: View) -> dict[str, np.ndarray]:
-    """The truth of a view with correspondences to the view that it is paired with, in place of the full shape's."""
-    seen = partner.mesh.full_index
-    return {name: _positions(seen, found) if name.endswith("_to_full") else found for name, found in truth.items()}
 
 
 def _truth(planned: PlannedView, found: View, folder: ShapeFolder | None) -> dict[str, np.ndarray]:

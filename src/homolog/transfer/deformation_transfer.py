@@ -73,7 +73,10 @@ class DeformationTransfer:
         if np.shape(offsets) != self.map.target.given.points.shape:
             count = self.map.target.given.n_points
             raise ArgumentError(f"offsets has shape {np.shape(offsets)}, but must have shape ({count}, 3)")
-        pulled = self._carried(offsets)
+        # The counterparts' offsets, turned and scaled as the map is; zero without a counterpart.
+        rotations, scales = self._similarities
+        at_points = np.nan_to_num(self.map.surface_points.interpolate(offsets)[self._kept])
+        pulled = np.einsum("nji,nj->ni", rotations, at_points) / scales[:, None]
         largest = float(np.linalg.norm(pulled, axis=1).max(initial=0.0))
         still = self._known & (np.linalg.norm(pulled, axis=1) <= _STILL * largest)
         found = np.zeros_like(pulled)
@@ -97,12 +100,6 @@ class DeformationTransfer:
         return rest.local_similarities(
             positions, self._known[rest.ends].all(axis=0), self.map.target.unit / self.map.source.unit
         )
-
-    def _carried(self, offsets: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """The counterparts' offsets, turned and scaled as the map is; zero without a counterpart."""
-        rotations, scales = self._similarities
-        at_points = np.nan_to_num(self.map.surface_points.interpolate(offsets)[self._kept])
-        return np.asarray(np.einsum("nji,nj->ni", rotations, at_points) / scales[:, None])
 
     @cached_property
     def _areas(self) -> Float[np.ndarray, " m"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -81,7 +81,11 @@ def write_glb(
     else:
         pieces = [_Piece(np.arange(shape.n_points), shape.faces)]
     normals = _normals(projector, shape.points)
-    movers = [] if blend_shapes is None else [*_movers(projector, shape.points, normals, blend_shapes)]
+    # What each blend shape adds to positions and normals.
+    movers = [
+        {"POSITION": offsets, "NORMAL": _normals(projector, shape.points + offsets) - normals}
+        for offsets in ([] if blend_shapes is None else blend_shapes.offsets)
+    ]
     primitives = list[dict[str, Any]]()
     for piece in pieces:
         attributes = _attributes(glb, piece, shape.points, normals, colours, skin)
@@ -133,17 +137,6 @@ def _normals(projector: SurfaceProjector, points: Float[np.ndarray, "n 3"]) -> F
     normals = unit(projector.repaired.to_original(moved.vertex_normals, fill=0.0))
     normals[~normals.any(axis=1)] = 0.0, 1.0, 0.0  # glTF demands length one of all
     return normals
-
-
-def _movers(
-    projector: SurfaceProjector,
-    points: Float[np.ndarray, "n 3"],
-    normals: Float[np.ndarray, "n 3"],
-    shapes: BlendShapes,
-) -> Iterator[dict[str, Float[np.ndarray, "n 3"]]]:
-    """What each blend shape adds to positions and normals."""
-    for offsets in shapes.offsets:
-        yield {"POSITION": offsets, "NORMAL": _normals(projector, points + offsets) - normals}
 
 
 def _add_animations(glb: GlbWriter, animations: Sequence[Animation], node: int) -> None:

@@ -82,7 +82,8 @@ def _skin_of(file: Gltf, number: int, skinned: list[int], shape: Shape) -> Skin:
     # The shape is as its joints pose it in the file.
     frames = np.stack([file.world(joint) for joint in joints])
     names = tuple(str(file.nodes[joint].get("name", f"joint {joint}")) for joint in joints)
-    parents, frames = _parents(file, joints), _unscaled(frames)
+    frames[:, :3, :3] = nearest_rotations(frames[:, :3, :3])  # without scales
+    parents = _parents(file, joints)
     animations = joint_animations(file, joints, parents, frames)
     return Skin(names, parents, frames, _at_points(shape, vertices, weights), animations)
 
@@ -112,12 +113,6 @@ def _parents(file: Gltf, joints: list[int]) -> Int[np.ndarray, " j"]:
         while step is not None and step not in joints:
             step = file.parents.get(step)
         found[number] = -1 if step is None else joints.index(step)
-    return found
-
-
-def _unscaled(frames: Float[np.ndarray, "j 4 4"]) -> Float[np.ndarray, "j 4 4"]:
-    found = np.tile(np.eye(4), (len(frames), 1, 1))
-    found[:, :3, :3], found[:, :3, 3] = nearest_rotations(frames[:, :3, :3]), frames[:, :3, 3]
     return found
 
 

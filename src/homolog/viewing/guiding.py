@@ -50,7 +50,10 @@ def guide_of(match: Match, *, alternatives: int = 1) -> Guide:
         match: whose landmarks are there to begin with.
         alternatives: so many maps are to be made again.
     """
-    files, systems = _file_names(match), _systems(match)
+    files = _file_names(match)
+    # Files of landmarks are taken to be in LPS where the shapes' files state no system.
+    source, target = (match.report.get("inputs", {}).get(side, {}).get("space") for side in SIDES)
+    systems = source or "LPS", target or "LPS"
     command = _command(match, alternatives, files)
     return Guide(files, systems, tuple(_known(match, systems)), shlex.join(command))
 
@@ -60,12 +63,6 @@ def _file_names(match: Match) -> tuple[str, str]:
     plain = [_SPECIAL.sub("_", stem) for stem in stems]
     first, second = SIDES if plain[0] == plain[1] else plain
     return _FILE.format(first), _FILE.format(second)
-
-
-def _systems(match: Match) -> tuple[System, System]:
-    """Those that files of landmarks are taken to be in, where the shapes' files state none: LPS."""
-    source, target = (match.report.get("inputs", {}).get(side, {}).get("space") for side in SIDES)
-    return source or "LPS", target or "LPS"
 
 
 def _known(match: Match, systems: tuple[System, System]) -> list[tuple[str, int, int]]:
