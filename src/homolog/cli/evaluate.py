@@ -308,7 +308,7 @@ def evaluate(
         landmarks=landmarks,
         seed=seed,
     )
-    without = [name for name, wanted in (("refinement", refinement), ("alignment", alignment)) if not wanted]
+    without = [*([] if refinement else ["refinement"]), *([] if alignment else ["alignment", "parts"])]
     matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=without)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     scored = None if maps is None else homolog.evaluation.MapsFolder(maps, base=base)

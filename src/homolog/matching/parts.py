@@ -10,16 +10,17 @@ others may belong to what the other part lacks.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from homolog.features import FeatureExtractor
-from homolog.geometry import Basis, some_points
+from homolog.geometry import Basis, Surface, some_points
 from homolog.geometry.projection import SurfaceProjector
 from homolog.maps import (
     Similarity,
@@ -37,6 +38,12 @@ from homolog.shapes import Shape, rotation_about
 
 # Fewer pairs of points tell no motion.
 _FEWEST_PAIRS = 10
+# By which another start must bring a larger share of the points together.
+_CLEARLY = 0.02
+# The least barycentric coordinate within a triangle; less is on its edge.
+_ON_EDGE = 1e-6
+# A point at a boundary lies on the surface that is within this share of what is allowed elsewhere.
+_ON_BOUNDARY = 0.1
 
 
 @torch.no_grad()
@@ -53,8 +60,12 @@ def align_parts(pair: Pair) -> Pair:
     if settings is None or extractor is None or not extractor.info.follows_pose:
         return pair
     search = _Search(pair, extractor, settings)
-    best = max(map(search.coarse, _starts(pair, settings)), key=lambda found: found.agreeing)
-    return search.finished(best)
+    ranked = sorted(map(search.coarse, _starts(pair, settings)), key=lambda found: -found.agreeing)
+    ways = (search.finished(found) for found in ranked[: settings.followed])
+    first = next(ways)
+    if first.fit is not None and first.fit.rigid:
+        return first
+    return next((way for way in ways if way.fit is not None and way.fit.rigid), first)
 
 
 @torch.no_grad()
@@ -255,17 +266,24 @@ class _Search:
         Features may be wrong alike everywhere, so it begins from some turns as well, on samples.
         """
         some_x, some_y = x.sampled(self.settings.samples, 0), y.sampled(self.settings.samples, 1)
-        ways = (self._followed(some_x, some_y, start, rigid=rigid) for start in _turns(y, self.settings.turn))
-        motion = max(ways, key=lambda way: _share_near(some_x, some_y.moved(way), self.settings.reaches[-1]))
+        reaches = [max(reach, 2 * spacing) for reach in self.settings.reaches]
+        motion, best = _nothing(x.points), -1.0
+        for number, start in enumerate(_turns(y, self.settings.turn)):
+            # Within a wide reach, what a part lacks draws it away from where features put it.
+            way = _followed(some_x, some_y, start, reaches if number else reaches[-1:], rigid=rigid)
+            share = _share_near(some_x, some_y.moved(way), reaches[-1])
+            if share > best + _CLEARLY:  # the first start is that of features
+                motion, best = way, share
         for spacings in self.settings.closest:
             motion = composed(_closest(x, y.moved(motion), spacings * spacing, rigid=rigid), motion)
         return motion
 
-    def _followed(self, x: _Points, y: _Points, motion: Similarity, *, rigid: bool) -> Similarity:
-        """Where closest points lead from a start."""
-        for reach in self.settings.reaches:
-            motion = composed(_closest(x, y.moved(motion), reach, rigid=rigid), motion)
-        return motion
+
+def _followed(x: _Points, y: _Points, motion: Similarity, reaches: Sequence[float], *, rigid: bool) -> Similarity:
+    """Where closest points within each reach lead from a start."""
+    for reach in reaches:
+        motion = composed(_closest(x, y.moved(motion), reach, rigid=rigid), motion)
+    return motion
 
 
 def _turns(y: _Points, degrees: float) -> Iterator[Similarity]:
@@ -343,17 +361,34 @@ def _on_each_other(
     are_meshes = x.surface is not None and y.surface is not None
     spacings = settings.overlap if are_meshes else settings.overlap_of_clouds
     reach = spacings * max(_spacing(x), _spacing(y))
-    return _above(x, y) < reach, _above(y, x) < reach
+    return _lies_on(x, y, reach), _lies_on(y, x, reach)
 
 
-def _above(one: PreprocessedShape, other: PreprocessedShape) -> Float[Tensor, " n"]:
-    """How far the points of a part are from the other part's surface that faces the same way."""
-    points = one.operators.points
+def _lies_on(one: PreprocessedShape, other: PreprocessedShape, reach: float) -> Bool[Tensor, " n"]:
+    """Which points of a part are within reach of the other part's surface that faces the same way.
+
+    Points beyond its boundary have a point of the boundary for nearest one.
+    """
+    points = one.operators.points.double().cpu().numpy()
     surface = SurfaceProjector(Shape(other.operators.points.double().cpu().numpy(), other.repaired.shape.faces))
     normals = None if one.surface is None else one.surface.vertex_normals
-    nearest = surface.positions(surface.project(points.double().cpu().numpy(), normals))
-    away: Tensor = (points - torch.from_numpy(nearest).to(points)).norm(dim=1)
-    return away
+    nearest = surface.project(points, normals)
+    away = np.linalg.norm(points - surface.positions(nearest), axis=1)
+    lies = away < reach
+    if other.surface is not None:
+        within = nearest.weights > _ON_EDGE
+        beyond = ~within.all(axis=1) & (_on_boundary(other.surface)[nearest.corners] | ~within).all(axis=1)
+        lies &= ~beyond | (away < _ON_BOUNDARY * reach)
+    return torch.from_numpy(lies).to(one.operators.points.device)
+
+
+def _on_boundary(surface: Surface) -> Bool[np.ndarray, " n"]:
+    """Which vertices of a mesh lie on its boundary: those of edges of one triangle alone."""
+    edges = np.sort(surface.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    unique, counts = np.unique(edges, axis=0, return_counts=True)
+    found = np.zeros(len(surface.vertices), dtype=bool)
+    found[unique[counts == 1]] = True
+    return found
 
 
 def _spacing(shape: PreprocessedShape) -> float:

@@ -127,6 +127,7 @@ class PartsSettings(Settings):
     Args:
         samples: points of each part that are compared at first.
         starts: of how many combinations of both parts' orientations the search begins.
+        followed: how many of these are followed to the end, until one fits as a rigid body.
         same_units: by what factor the sizes may differ that the orienter finds, for both parts to be of one scale.
         reaches: distances that weigh as much as a difference of one in what else is compared, one after the other.
         features: weight of features of unit norm.
@@ -143,7 +144,8 @@ class PartsSettings(Settings):
     """
 
     samples: Count = 1200
-    starts: Count = 4
+    starts: Count = 6
+    followed: Count = 3
     same_units: Annotated[float, Ge(1)] = 1.4
     reaches: tuple[Positive, ...] = (0.3, 0.2, 0.12, 0.08, 0.05, 0.03)
     features: NotNegative = 6.0
