@@ -20,7 +20,7 @@ PUBLISHED = {
     "surreal_5k": (5000, 5000, 0, 0),
     "lungs": (48, 32, 16, 256),
 }
-MADE_HERE = {"own", "views", "lung_slices"}
+MADE_HERE = {"own", "views", "view_pairs", "lung_slices"}
 WANTED = {*PUBLISHED, *MADE_HERE, "shrec19_maps", "shrec16_cuts", "shrec16_holes", "tosca", "surreal_pv", "luna16"}
 
 

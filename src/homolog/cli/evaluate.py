@@ -308,8 +308,8 @@ def evaluate(
         landmarks=landmarks,
         seed=seed,
     )
-    left_out = [*([] if refinement else ["refinement"]), *([] if alignment else ["alignment", "parts"])]
-    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=left_out)
+    without = [*([] if refinement else ["refinement"]), *([] if alignment else ["alignment", "parts"])]
+    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=without)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     scored = None if maps is None else homolog.evaluation.MapsFolder(maps, base=base)
     match_pair = None if matcher is None else _adapting(matcher, adapt)

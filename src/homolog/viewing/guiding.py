@@ -53,7 +53,7 @@ def guide_of(match: Match, *, alternatives: int = 1) -> Guide:
     files = _file_names(match)
     # Files of landmarks are taken to be in LPS where the shapes' files state no system.
     source, target = (match.report.get("inputs", {}).get(side, {}).get("space") for side in SIDES)
-    systems = source or "LPS", target or "LPS"
+    systems: tuple[System, System] = source or "LPS", target or "LPS"
     command = _command(match, alternatives, files)
     return Guide(files, systems, tuple(_known(match, systems)), shlex.join(command))
 
