@@ -117,12 +117,8 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
     others = [found for found in all_of_them if not any(found.is_like(other) for other in likely)]
     samples = Samples.of(pair)
     ranked = _given_first(samples.ranked(likely), settings.margin)
-    return [*_handed_first(samples, ranked, _worse_known(*both)), *samples.ranked(others)]
-
-
-def _worse_known(source: tuple[Orientation, ...], target: tuple[Orientation, ...]) -> Side:
-    """The shape that the orienter knows less well."""
-    return "source" if source[0].misfit > target[0].misfit else "target"
+    less_known: Side = "source" if pair.source.orientations[0].misfit > pair.target.orientations[0].misfit else "target"
+    return [*_handed_first(samples, ranked, less_known), *samples.ranked(others)]
 
 
 def _handed_first(samples: Samples, ranked: list[Hypothesis], side: Side) -> list[Hypothesis]:
@@ -255,8 +251,8 @@ class Samples:
     def judged(self, hypothesis: Hypothesis) -> Hypothesis:
         """The hypothesis with what its coarse map adds to its misfit."""
         x, y = self.x.turned(hypothesis.source.to(self.x.points)), self.y.turned(hypothesis.target.to(self.y.points))
-        maps = self._coarse_maps(x, y)
-        kept = self._handedness(x.points, y.points, *maps)
+        x_to_y, y_to_x = maps = self._coarse_maps(x, y)
+        kept = float(handedness(x.points, y.points[x_to_y]) + handedness(y.points, x.points[y_to_x])) / 2
         told = self._misfit(x.points, y.points, *maps) - self.handedness * kept
         return replace(hypothesis, misfit=hypothesis.misfit + told, handedness=kept)
 
@@ -293,12 +289,6 @@ class Samples:
         displacement = (x - y[x_to_y]).norm(dim=1).mean() + (y - x[y_to_x]).norm(dim=1).mean()
         cycle = cycle_error(x, x_to_y, y_to_x).mean() + cycle_error(y, y_to_x, x_to_y).mean()
         return float(displacement + settings.cycle * cycle) + self._missed(x, y, x_to_y, y_to_x)
-
-    @staticmethod
-    def _handedness(
-        x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]
-    ) -> float:
-        return float(handedness(x, y[x_to_y]) + handedness(y, x[y_to_x])) / 2
 
     def _missed(
         self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]

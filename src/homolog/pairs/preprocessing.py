@@ -280,14 +280,14 @@ class Preprocessor:
                 raise ShapeError(f"{repaired.shape.name}: {severe} (refused as strict)")
             repaired = replace(repaired, shape=_facing_outward(repaired.shape))
         with timings.measure(f"proxy of {label}"):
-            is_part = partial or mask is not None  # openings stay
-            repaired = with_proxy(repaired, proxy, self.proxies, as_cloud=as_cloud, partial=is_part)
+            is_open = partial or mask is not None
+            repaired = with_proxy(repaired, proxy, self.proxies, as_cloud=as_cloud, partial=is_open)
         with timings.measure(f"operators of {label}"):
             operators = self.operators(repaired.shape, as_cloud=as_cloud, scale=scale)
             operators = operators if centre is None else operators.around(_position("centre", centre))
         with timings.measure(f"orientation of {label}"):
-            is_known = orient == "given" or features is not None or centre is not None
-            orientations = () if is_known else self.orientations(operators, partial=partial)
+            turns = orient == "auto" and features is None and centre is None
+            orientations = self.orientations(operators, partial=partial) if turns else ()
             rotation = _best_rotation(orientations)
             operators = operators.turned(rotation)
         with timings.measure(f"features of {label}"):

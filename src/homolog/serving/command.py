@@ -102,14 +102,17 @@ def _landmarks_of(given: Any) -> LandmarkPairs | None:
     """
     if given is None:
         return None
-    whole = isinstance(given, dict) and given.keys() == {*SIDES} and all(map(_are_indices, given.values()))
+    whole = (
+        isinstance(given, dict)
+        and given.keys() == {*SIDES}
+        and all(
+            isinstance(indices, list) and all(type(index) is int and 0 <= index < _MOST_POINTS for index in indices)
+            for indices in given.values()
+        )
+    )
     if not whole or len({len(indices) for indices in given.values()}) > 1:
         raise ArgumentError("landmarks must be two lists, source and target, of as many indices of points")
     return LandmarkPairs(**given)
-
-
-def _are_indices(given: Any) -> bool:
-    return isinstance(given, list) and all(type(index) is int and 0 <= index < _MOST_POINTS for index in given)
 
 
 @dataclass(frozen=True)
