@@ -158,6 +158,22 @@ def test_a_mirror_image_is_named_and_can_be_reflected(blobs, method):
     assert (told.source_to_target == np.arange(shape.n_points)).mean() > 0.9
 
 
+def test_mirror_auto_reflects_a_mirror_image_and_nothing_else():
+    shape, other = homolog.demo_shapes()
+    found = homolog.match(turned(mirrored(shape), odd(7)), shape, mirror="auto")
+    assert found.report["options"]["mirror"] == "source"
+    assert not any("mirror image" in warning for warning in found.warnings)
+    assert (found.source_to_target == np.arange(shape.n_points)).mean() > 0.9
+    assert homolog.match(shape, other, mirror="auto").report["options"]["mirror"] is None
+
+
+def test_whether_to_mirror_is_decided_before_shapes_are_preprocessed():
+    matcher = homolog.Matcher.from_weights("people")
+    shapes = [matcher.preprocess(shape) for shape in homolog.demo_shapes()]
+    with pytest.raises(ArgumentError, match="mirror is 'auto', but the shapes are preprocessed"):
+        matcher.paired(*shapes, PairOptions(mirror="auto"))
+
+
 def test_a_mirror_image_is_named_in_a_pose_that_no_orienter_found():
     matcher = homolog.Matcher.from_weights("people")
     shape = homolog.demo_shapes()[0]

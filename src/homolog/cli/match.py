@@ -37,7 +37,7 @@ from homolog.cli.options import (
 )
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say
 from homolog.cli.wording import in_options
-from homolog.core.choices import AsCloud, Parts, Side, System, Up
+from homolog.core.choices import AsCloud, Mirror, Parts, Side, System, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import refuse_overwriting_inputs, remove
 from homolog.core.method_names import AUTO
@@ -96,8 +96,12 @@ def match(
     ] = None,
     orient: OrientOption = "auto",
     mirror: Annotated[
-        Side | None,
-        typer.Option(help="This shape is a mirror image: reflect it before it is matched.", rich_help_panel=INPUT),
+        Mirror | None,
+        typer.Option(
+            help="This shape is a mirror image: reflect it before it is matched. auto: the source, if it is one of the "
+            "target.",
+            rich_help_panel=INPUT,
+        ),
     ] = None,
     clutter: ClutterOption = "remove",
     proxy: UseProxyOption = "auto",

@@ -6,6 +6,8 @@ Side = Literal["source", "target"]
 """One of the two shapes of a match."""
 Parts = Literal["source", "target", "both"]
 """Which of the two shapes of a match are partial."""
+Mirror = Literal["source", "target", "auto"]
+"""Which of the two shapes of a match is reflected first: one of them, or the source where they are mirror images."""
 AsCloud = Literal["source", "target", "both"]
 """Whose faces are dropped."""
 Device = Literal["auto", "cpu", "cuda"]

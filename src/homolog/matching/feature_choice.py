@@ -11,6 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from homolog.core.arguments import check_choice, check_kind
+from homolog.core.errors import ArgumentError
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo, on_device
 from homolog.matching.choice import (
@@ -22,7 +23,9 @@ from homolog.matching.choice import (
     operators_expected,
 )
 from homolog.matching.inputs import check_two_arrays, options_of
+from homolog.matching.mirror import are_mirror_images
 from homolog.matching.recognition import SeenShapes, choose
+from homolog.matching.search import orient
 from homolog.pairs import (
     SIDES,
     Candidate,
@@ -137,13 +140,24 @@ class FeatureChoice:
             features=None if self.warnings else features,  # they are left aside
             timings=timings,
         )
-        return self.best_for([pair], timings)[0]
+        pair = self.best_for([pair], timings)[0]
+        if options.mirror != "auto":
+            return pair
+        if not are_mirror_images(orient(pair)):
+            return replace(pair, options=replace(pair.options, mirror=None))
+        options = replace(options, mirror="source")
+        return self.pair_of(source, target, options, features=features, timings=timings)
 
     def usual_pair(
         self, source: PreprocessedShape, target: PreprocessedShape, options: PairOptions | None = None
     ) -> Pair:
         """Two preprocessed shapes as a pair, with the usual features; see ``Matcher.paired``."""
         options = options_of(options, {})
+        if options.mirror == "auto":
+            raise ArgumentError(
+                "mirror is 'auto', but the shapes are preprocessed; give mirror=True to Matcher.preprocess for one "
+                "that is a mirror image, and leave out the option"
+            )
         for side, shape in zip(SIDES, (source, target), strict=True):
             check_kind(side, shape, PreprocessedShape)
         extractor = self.preprocess.extractor

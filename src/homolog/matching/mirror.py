@@ -17,29 +17,35 @@ _SAME_FEW, _SAME_MANY = 2e-3, 5e-4
 _CLEARLY_BETTER = 0.25
 
 
-@torch.no_grad()
 def mirror_warnings(pair: Pair) -> tuple[str, ...]:
-    """Say if two shapes are one and the same, but for a reflection.
-
-    Args:
-        pair: two full shapes, turned as they were matched.
+    """Say if two shapes are one and the same, but for a reflection; see ``are_mirror_images``.
 
     Returns:
-        At most one line.
+        At most one line; none where one of them was reflected.
     """
-    if pair.is_partial or pair.options.mirror is not None:
+    if pair.options.mirror is not None or not are_mirror_images(pair):
         return ()
+    return ("the source seems to be the mirror image of the target; reflect one of them, by mirror='source'",)
+
+
+@torch.no_grad()
+def are_mirror_images(pair: Pair) -> bool:
+    """Whether two shapes are one and the same, but for a reflection; two that are symmetric are not.
+
+    Args:
+        pair: two shapes, turned as they are matched; of partial ones it cannot be told.
+    """
+    if pair.options.partial is not None:
+        return False
     x, y = pair.source.operators.points, pair.target.operators.points
     reflected = x * x.new_tensor([-1.0, 1, 1])
     # Upright shapes are reflected in their own plane of symmetry; of others, any rotation may follow.
     starts = torch.eye(3).to(x)[None] if _stands(pair.source) and _stands(pair.target) else None
     rotation, misfit = closest_point_rotations(_samples(reflected, _FEW), _samples(y, _FEW), starts=starts)[0]
     if misfit > _SAME_FEW or (misfit := _misfit(reflected, y, rotation)) > _SAME_MANY:
-        return ()
+        return False
     rotation, _ = closest_point_rotations(_samples(x, _FEW), _samples(y, _FEW), starts=starts)[0]
-    if misfit > _CLEARLY_BETTER * _misfit(x, y, rotation):
-        return ()
-    return ("the source seems to be the mirror image of the target; reflect one of them, by mirror='source'",)
+    return misfit <= _CLEARLY_BETTER * _misfit(x, y, rotation)
 
 
 def _stands(shape: PreprocessedShape) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
-from homolog.core.choices import AsCloud, KeepClutter, Orient, Parts, Side, Up, UseProxy
+from homolog.core.choices import AsCloud, KeepClutter, Mirror, Orient, Parts, Side, Up, UseProxy
 from homolog.core.errors import ArgumentError
 from homolog.core.settings import Positive, Settings
 from homolog.pairs.landmarks import LandmarkPairs
@@ -29,7 +29,8 @@ class PairOptions(Settings):
         source_up: which axis of the source points up.
         target_up: which axis of the target.
         orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
-        mirror: which of the two is a mirror image of what it should be, if one is, and is reflected first.
+        mirror: which of the two is a mirror image of what it should be, if one is, and is reflected first. ``"auto"``
+            reflects the source where both are found to be mirror images of each other, full shapes in one pose.
         clutter: ``"remove"`` sets outliers, planes in the background and other objects apart, and their points get -1;
             ``"keep"`` takes them for parts of the shapes.
         proxy: ``"auto"`` matches one closed surface around a mesh in its place where the mesh is in loose shells; see
@@ -59,7 +60,7 @@ class PairOptions(Settings):
     source_up: Up = "y"
     target_up: Up = "y"
     orient: Orient = "auto"
-    mirror: Side | None = None
+    mirror: Mirror | None = None
     clutter: KeepClutter = "remove"
     proxy: UseProxy = "auto"
     strict: bool = False

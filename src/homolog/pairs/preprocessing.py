@@ -271,8 +271,7 @@ class Preprocessor:
         with timings.measure(f"repair {label}"):
             upright = stand_upright(shape, up)
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
-            if mask is not None:
-                repaired = masked(repaired, mask)
+            repaired = repaired if mask is None else masked(repaired, mask)
             if clutter == "remove":
                 repaired = set_apart(repaired, partial=partial)
             severe = next((each for each in repaired.report.findings if each.severity != "note"), None)
