@@ -288,8 +288,7 @@ class Preprocessor:
         with timings.measure(f"orientation of {label}"):
             is_known = orient == "given" or features is not None or centre is not None
             orientations = () if is_known else self.orientations(operators, partial=partial)
-            rotation = _best_rotation(orientations)
-            operators = operators.turned(rotation)
+            operators = operators.turned(rotation := _best_rotation(orientations))
         with timings.measure(f"features of {label}"):
             if features is None:
                 found = self.features(operators, shape=label)
