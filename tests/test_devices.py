@@ -74,9 +74,10 @@ FUNCTIONS = [
     (losses.registration_loss, (*FEATURES, *POINTS)),
     (losses.infonce_loss, (FEATURES[0], unit(50, 6, seed=9))),
 ]
-# These take operators, see below; surfaces, which are numpy, or their points; lists; or are no functions.
+# These take operators, see below; surfaces, which are numpy, or their points; transforms; lists; or are no functions.
 OTHERS = {
     "closest_point_rotations",
+    "composed",
     "registered_surfaces",
     "registration_start",
     "coverage",

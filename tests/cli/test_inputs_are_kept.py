@@ -30,7 +30,7 @@ def commands(group, words=()):
 READ = {
     *("source", "target", "result", "truth", "origin", "array", "labels", "landmarks", "template", "shapes"),
     *("data", "pairs", "maps", "clouds", "files", "file", "mask", "folder", "shape"),
-    *("source_mask", "target_mask", "symmetry", "fragment", "model", "collection", "groups", "frames"),
+    *("source_mask", "target_mask", "symmetry", "fragment", "model", "collection", "groups", "frames", "scan"),
 }
 
 

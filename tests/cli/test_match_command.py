@@ -127,7 +127,7 @@ def test_report(homolog, files, tmp_path):
     steps = [step["name"] for step in found["timings"]]
     assert steps[:2] == ["read source", "read target"]
     assert steps[-3:] == ["features of target", "map", "write"]
-    assert len(steps) == 12
+    assert len(steps) == 14
     for step in found["timings"]:
         assert 0 <= step["seconds"] < 600
         assert 10 < step["process_peak_mb"] < 1e6
@@ -210,7 +210,7 @@ def test_a_match_that_fails_for_its_units_says_so(homolog, files, tmp_path, monk
     monkeypatch.setattr(Matcher, "find", raising(ShapeError("it falls into pieces")))
     ended = homolog("match", files.mesh, tmp_path / "large.ply", "--partial", "target", "-o", tmp_path / "out")
     assert ended.is_one_line_of_complaint()
-    assert "their units seem to differ; give --partial-scale, by how much" in ended.err
+    assert "their units seem to differ; its size is estimated; give --partial-scale, by how much" in ended.err
     ended = homolog("match", files.mesh, files.other, "--partial", "target", "-o", tmp_path / "out")
     assert ended.err == "Error: it falls into pieces\n"
 
@@ -514,7 +514,7 @@ def test_out_is_a_file(homolog, files, tmp_path, monkeypatch, below):
         ["match"],
         ["match", "a.off"],
         ["match", "a.off", "b.off", "--as-cloud", "all"],
-        ["match", "a.off", "b.off", "--partial", "both"],
+        ["match", "a.off", "b.off", "--partial", "all"],
         ["match", "a.off", "b.off", "--device", "tpu"],
         ["match", "a.off", "b.off", "--up", "w"],
         ["--nonsense"],

@@ -76,6 +76,7 @@ def test_evaluate(homolog, data, tmp_path):
         "pairs_file": None,
         "n_pairs": None,
         "partial": False,
+        "part_units": 1.0,
         "pre_aligned": False,
         "noise": 0.0,
         "outliers": 0.0,

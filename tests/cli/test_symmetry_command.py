@@ -21,6 +21,7 @@ def egg(tmp_path):
     return tmp_path / "egg.ply", partner
 
 
+@pytest.mark.slow
 def test_partners_plane_and_mirrored_copy_are_written(homolog, egg, tmp_path):
     file, partner = egg
     page, picture = tmp_path / "egg.html", tmp_path / "egg.png"

@@ -223,7 +223,7 @@ def test_numbers_of_numpy_are_numbers(one: Any) -> None:
         (lambda: homolog.PairOptions(pre_aligned=1), "pre_aligned is 1, but must be true or false"),
         (lambda: FeatureInfo(n_eigenpairs=2.5), "n_eigenpairs is 2.5, but must be a whole number of at least 1"),
         (lambda: FeatureInfo(temperature=0), "temperature is 0, but must be a number above 0"),
-        (lambda: FeatureInfo(input=X), "input is 'x', but must be one of xyz, wks, hks, operators"),
+        (lambda: FeatureInfo(input=X), "input is 'x', but must be one of xyz, xyz+wks, wks, hks, operators"),
         (lambda: NetworkSettings(dropout=1), "dropout is 1, but must be a number of at least 0 and below 1"),
         (lambda: NetworkSettings(width=0), "width is 0, but must be a whole number of at least 1"),
         (lambda: homolog.MatcherSettings(method="zzz"), "method is 'zzz', but must be one of auto, axiomatic, "),

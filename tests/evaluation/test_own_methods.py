@@ -239,7 +239,7 @@ def test_the_curve_as_a_picture(folder, tmp_path, suffix, begins):
         ({"noise": "x"}, "noise is 'x', but must be a number of at least 0, in units of sqrt"),
         ({"n_pairs": 0}, "n_pairs is 0, but must be a whole number of at least 1, or None"),
         ({"seed": -1}, "seed is -1, but must be a whole number of at least 0"),
-        ({"partial": "yes"}, "partial is 'yes', but must be true or false"),
+        ({"partial": "yes"}, "partial holds 'yes', but must be true or false, or 'both'"),
         ({"pairs_file": 5}, "pairs_file is 5, but must be a text"),
     ],
 )

@@ -46,6 +46,7 @@ def test_what_a_mask_leaves_out_has_no_counterpart_and_the_rest_is_right(bean, s
     assert np.mean(found.target_to_source[place] == np.arange(bean.n_points)) > 0.98
 
 
+@pytest.mark.slow
 def test_without_the_mask_the_plate_misleads(bean, shuffled):
     scan, place = shuffled
     found = homolog.match(bean, scan, method="registration", clutter="keep")

@@ -88,6 +88,7 @@ def test_one_eigenpair_is_too_few_for_the_axiomatic_method(blobs):
         Matcher(settings=settings).match(blobs.source, blobs.target)
 
 
+@pytest.mark.slow
 def test_an_undetermined_map_is_blamed_on_what_it_comes_from(make, monkeypatch):
     def undetermined(*_args):
         raise ArgumentError("singular")

@@ -71,6 +71,7 @@ def test_views_and_cuts_of_bodies_look_like_parts(pair, demo):
         assert len(part_warnings(pair(part.shape, demo.boris))) == 1
 
 
+@pytest.mark.slow
 def test_full_shapes_do_not_look_like_parts(pair, make, demo):
     """Be they closed, with holes, both open, clouds, turned inside out in places, or in pieces."""
     blob = make.blob(3)
@@ -98,6 +99,7 @@ def in_pieces(shape, count=12):
     return Shape(shape.points[keys[1]] + 1e-3 * keys[0][:, None], corners.reshape(-1, 3))
 
 
+@pytest.mark.slow
 def test_loose_pieces_are_the_cause_where_they_are_many(pair, make):
     blob = make.blob(3)
     doubtful = Match(blob, blob, *[np.arange(blob.n_points)] * 2, *[np.full(blob.n_points, 0.1)] * 2, method="a")

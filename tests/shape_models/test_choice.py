@@ -41,6 +41,7 @@ def test_people_are_matched_by_the_weights_for_people(people, tmp_path):
     assert match.report["features"]["name"] == "people" and match.report["choice"] == []
 
 
+@pytest.mark.slow
 def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path, monkeypatch):
     """The best by the medians of what single matches have; later shapes follow without a question."""
     template, files, _ = family

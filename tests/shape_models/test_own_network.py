@@ -33,6 +33,7 @@ def files_of(root):
     return {path.name: path.read_bytes() for path in (root / "shapes").iterdir()}
 
 
+@pytest.mark.slow
 def test_the_better_of_both_maps_is_kept_for_each_shape(matcher, family, tmp_path):
     template, files, _ = family
     root = tmp_path / "out"

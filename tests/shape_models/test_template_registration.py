@@ -77,6 +77,7 @@ def test_the_misfit_of_a_map_has_the_weights_of_the_settings(family):
     assert found.figures.map_misfit == pytest.approx(np.log(found.figures.dirichlet_energy), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_clutter_and_proxies_are_as_the_settings_say(family, gathered, make, tmp_path):
     """What is beside a shape is set apart, or kept; a surface around a mesh is matched in its place, or never."""
     template, files, _ = family

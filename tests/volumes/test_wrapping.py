@@ -67,6 +67,7 @@ def test_triangles_may_face_either_way(ball, which):
     assert as_trimesh(found).volume == pytest.approx(4 / 3 * np.pi, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_coat_over_a_whole_body_is_left_out_and_kept_where_there_is_no_body(ball):
     height = ball.triangles_center[:, 2]
     coat = pieces_of(ball.copy().apply_scale(1.1), height > 0)
