@@ -5,9 +5,9 @@ Run from the root of the checkout, on a system with ``fork``::
     python tools/crash.py crashes --kills 100 --seed 0
 
 Each command first runs twice. What both give alike, byte by byte, a killed and repeated run must give as well; what
-differs between these two is not compared, nor are seconds, which they may have alike by chance. No file may be there
-that theirs have not, no process may be left, and a result must be one of the two or be refused. Exits with 1 where
-anything is wrong.
+differs between these two is not compared, nor are seconds and memory, which they may have alike by chance. No file may
+be there that theirs have not, no process may be left, and a result must be one of the two or be refused. Exits with 1
+where anything is wrong.
 """
 
 from __future__ import annotations
@@ -163,22 +163,24 @@ def _count_renames(die_at: int | None) -> Counter[str]:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """The hash of each file in a folder, hidden ones included; of tables and JSON without the seconds."""
+    """The hash of each file in a folder, hidden ones included; of tables and JSON without what was measured."""
     files = [path for path in folder.rglob("*") if path.is_file() and not path.name.startswith(_BY_TIME)]
-    return {path.relative_to(folder).as_posix(): hashlib.sha256(_without_seconds(path)).hexdigest() for path in files}
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(_without_measurements(path)).hexdigest() for path in files
+    }
 
 
-def _without_seconds(path: Path) -> bytes:
-    """What a file holds; of a table or of JSON without the columns and keys that say ``seconds``."""
+def _without_measurements(path: Path) -> bytes:
+    """What a file holds; of a table or of JSON without the columns and keys of seconds and of memory."""
 
-    def timeless(table: dict[str, Any]) -> dict[str, Any]:
-        return {key: value for key, value in table.items() if "seconds" not in key}
+    def kept(table: dict[str, Any]) -> dict[str, Any]:
+        return {key: value for key, value in table.items() if "seconds" not in key and "peak_mb" not in key}
 
     content = path.read_bytes()
     if path.suffix == ".json":
-        return json.dumps(json.loads(content, object_hook=timeless)).encode()
+        return json.dumps(json.loads(content, object_hook=kept)).encode()
     if path.suffix == ".csv":
-        return json.dumps([timeless(row) for row in csv.DictReader(content.decode().splitlines())]).encode()
+        return json.dumps([kept(row) for row in csv.DictReader(content.decode().splitlines())]).encode()
     return content
 
 

@@ -164,6 +164,8 @@ def give_for_readme(folder, make):
     body.visual.vertex_colors = np.full((len(body.vertices), 4), 200, dtype=np.uint8)
     body.export(folder / "scan.ply")
     body.export(folder / "template.obj")
+    for name, axis in (("front.ply", 2), ("side.ply", 0)):
+        body.submesh([body.face_normals[:, axis] > 0.1], append=True).export(folder / name)
     give_blobs(folder, make)
     ball = np.linalg.norm(np.indices((24, 24, 24)) - 11.5, axis=0) < 9
     SimpleITK.WriteImage(SimpleITK.GetImageFromArray(3 * ball.astype(np.uint8)), folder / "lungs.mhd")
