@@ -273,11 +273,10 @@ def _closer(
 def _rigid(
     points: Float[np.ndarray, "s p 3"],
     targets: Float[np.ndarray, "s p 3"],
-    weights: Float[np.ndarray, "s p"] | None = None,
+    weights: Float[np.ndarray, "s p"],
 ) -> tuple[Float[np.ndarray, "s 3 3"], Float[np.ndarray, "s 3"]]:
     """The rotation and shift of each start that take its points nearest to their targets (Kabsch, 1976)."""
-    shares = np.ones(points.shape[:2]) if weights is None else weights
-    shares = (shares / shares.sum(axis=1, keepdims=True))[:, :, None]
+    shares = (weights / weights.sum(axis=1, keepdims=True))[:, :, None]
     start, end = ((shares * each).sum(axis=1, keepdims=True) for each in (points, targets))
     left, _, right = np.linalg.svd((targets - end).transpose(0, 2, 1) @ (shares * (points - start)))
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
