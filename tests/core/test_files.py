@@ -21,6 +21,7 @@ from homolog.core.files import (
     sha256,
     write_csv,
     write_json,
+    written_together,
 )
 
 
@@ -193,3 +194,22 @@ def test_a_link_to_itself_is_named(tmp_path):
 def test_names_that_are_no_utf_8_keep_their_bytes_in_tables(tmp_path):
     write_csv(tmp_path / "table.csv", [[Path("b\udcff.ply"), "é", 1]])
     assert (tmp_path / "table.csv").read_bytes() == b"b\xff.ply,\xc3\xa9,1\n"
+
+
+def test_files_that_are_written_together_land_together_in_folders_that_are_made(tmp_path: Path) -> None:
+    with written_together(tmp_path / "result", ["report.json", "frames/one.json"]) as paths:
+        for path in paths:
+            write_json(path, {})
+        assert not any(path.exists() for path in paths)
+    assert all(path.is_file() for path in paths)
+
+
+def test_files_that_are_written_together_replace_no_input(tmp_path: Path) -> None:
+    (tmp_path / "report.json").write_text("mine")
+    inputs = [tmp_path / "report.json"]
+    with (
+        pytest.raises(ArgumentError, match="is an input"),
+        written_together(tmp_path, ["map.npz", "report.json"], inputs),
+    ):
+        raise AssertionError("nothing is to be done")
+    assert [path.name for path in tmp_path.iterdir()] == ["report.json"]

@@ -320,6 +320,33 @@ def all_or_nothing() -> Iterator[_Moves]:
             _removed(temporary)
 
 
+@contextmanager
+def written_together(
+    folder: str | Path, names: Iterable[str], inputs: Iterable[str | Path] = ()
+) -> Iterator[list[Path]]:
+    """Give the paths of a result's files; those that are written in this block land together, whole or not at all.
+
+    Args:
+        folder: where to; it is made, and so are folders within it that names have.
+        names: of the files, relative to it.
+        inputs: files that are read, which are not to be replaced.
+
+    Raises:
+        ArgumentError: if the folder cannot be made or written to, or a file in it is an input.
+
+    Examples:
+        >>> with written_together("result", ["points.npy", "report.json"]) as paths:  # doctest: +SKIP
+        ...     write_npy(paths[0], points)
+        ...     write_json(paths[1], {})
+    """
+    paths = [expanded(folder) / name for name in names]
+    refuse_overwriting_inputs(paths, inputs)
+    for parent in dict.fromkeys(path.parent for path in paths):
+        made_folder(parent)
+    with all_or_nothing():
+        yield paths
+
+
 def _land(moves: _Moves) -> None:
     with ExitStack() as always, ExitStack() as undo:
         # The last file needs no second name: once it has landed nothing is undone.

@@ -10,14 +10,7 @@ from scipy.spatial.transform import Rotation
 from typing_extensions import TypedDict
 
 from homolog.core.errors import DataError
-from homolog.core.files import (
-    all_or_nothing,
-    expanded,
-    made_folder,
-    refuse_overwriting_inputs,
-    write_json,
-    write_npy,
-)
+from homolog.core.files import expanded, write_json, write_npy, written_together
 from homolog.core.messages import shorten
 from homolog.core.records import read_record, record
 from homolog.core.versions import versions
@@ -60,9 +53,6 @@ def write_fit(folder: str | Path, found: BodyFit) -> list[Path]:
     Raises:
         ArgumentError: if the folder cannot be written to, or a file in it is an input.
     """
-    paths = [expanded(folder) / name for name in FIT_FILES]
-    refuse_overwriting_inputs(paths, given_files(found.match))
-    made_folder(folder)
     shares = {name: float(np.percentile(found.distances, share)) for name, share in _PERCENTILES.items()}
     content = {
         "model": found.model,
@@ -77,7 +67,7 @@ def write_fit(folder: str | Path, found: BodyFit) -> list[Path]:
         "versions": versions(),
         "match": dict(found.match.report),
     }
-    with all_or_nothing():
+    with written_together(folder, FIT_FILES, given_files(found.match)) as paths:
         write_json(paths[0], content)
         write_shape(paths[1], found.registered)
         write_npy(paths[2], found.distances)

@@ -21,13 +21,12 @@ from homolog.core.files import (
     all_or_nothing,
     atomic_path,
     expanded,
-    made_folder,
     opened,
     ordinary,
-    refuse_overwriting_inputs,
     resolved,
     sha256,
     write_json,
+    written_together,
 )
 from homolog.core.messages import shorten
 from homolog.core.progress import Timings
@@ -235,10 +234,7 @@ def write_folder(folder: str | Path, match: Match, *, timings: Timings | None = 
     Raises:
         ArgumentError: if the folder cannot be made or written to, or a shape was read from one of those files.
     """
-    folder = made_folder(folder)
-    paths = [folder / name for name in RESULT_FILES]
-    refuse_overwriting_inputs(paths, given_files(match))
-    with all_or_nothing() as moves:
+    with all_or_nothing() as moves, written_together(folder, RESULT_FILES, given_files(match)) as paths:
         with (timings or Timings()).measure("write"):
             source_colours, target_colours = matched_colours(match)
             write_maps(paths[0], match)

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from homolog.core.arguments import check_kind
 from homolog.core.choices import Orient, System
 from homolog.core.errors import ArgumentError, HomologError
-from homolog.core.files import all_or_nothing, expanded, made_folder, refuse_overwriting_inputs, write_csv, write_json
+from homolog.core.files import write_csv, write_json, written_together
 from homolog.core.progress import Timings
 from homolog.core.versions import versions
 from homolog.geometry import some_points
@@ -332,12 +332,9 @@ def write_completion(folder: str | Path, found: Completion, *, files: Sequence[s
         ArgumentError: if the folder cannot be written to, or a file in it is an input.
     """
     names = [name for name in COMPLETION_FILES if name != LANDMARKS or found.landmarks]
-    paths = [expanded(folder) / name for name in names]
-    refuse_overwriting_inputs(paths, files)
-    made_folder(folder)
     numbers = {"deviation": found.deviations, "observed": found.observed.astype(float)}
     heat = heat_layer("Deviation", "", {"source": found.deviations}, "")
-    with all_or_nothing():
+    with written_together(folder, names, files) as paths:
         write_shape(paths[0], found.shape, colours=heat.colours["source"], numbers=numbers)
         columns = np.column_stack([found.shape.points, found.deviations]).tolist()
         rows = [

@@ -13,15 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError, DataError, bad_choice
-from homolog.core.files import (
-    all_or_nothing,
-    expanded,
-    made_folder,
-    read_text,
-    refuse_overwriting_inputs,
-    write_csv,
-    write_json,
-)
+from homolog.core.files import expanded, read_text, write_csv, write_json, written_together
 from homolog.core.progress import Progress, ignore
 from homolog.core.reasons import reason_of
 from homolog.core.versions import versions
@@ -203,12 +195,10 @@ def write_comparison(folder: str | Path, found: ComparedGroups, *, files: Sequen
     Raises:
         ArgumentError: if the folder cannot be written to, or a file in it is an input.
     """
-    paths = [expanded(folder) / name for name in (COMPARISON, POINTS, *map(mean_file, found.groups), REPORT)]
-    refuse_overwriting_inputs(paths, files)
-    made_folder(folder)
+    names = (COMPARISON, POINTS, *map(mean_file, found.groups), REPORT)
     numbers = found.numbers()
     heat = heat_layer("", "", {"source": -np.log10(numbers["p_corrected"])}, "")
-    with all_or_nothing():
+    with written_together(folder, names, files) as paths:
         write_shape(paths[0], found.mean, colours=heat.colours["source"], numbers=numbers)
         columns = np.column_stack([*numbers.values()]).tolist()
         rows = [(point, *(value if np.isfinite(value) else None for value in row)) for point, row in enumerate(columns)]

@@ -17,15 +17,7 @@ from jaxtyping import Float
 from homolog.core.arguments import check_choice
 from homolog.core.choices import Orient, Up
 from homolog.core.errors import ArgumentError, HomologError
-from homolog.core.files import (
-    all_or_nothing,
-    expanded,
-    made_folder,
-    refuse_overwriting_inputs,
-    write_csv,
-    write_json,
-    write_npy,
-)
+from homolog.core.files import expanded, write_csv, write_json, write_npy, written_together
 from homolog.core.progress import Progress, ignore
 from homolog.core.versions import versions
 from homolog.geometry.projection import SurfaceProjector
@@ -239,15 +231,11 @@ def write_track(folder: str | Path, found: Track, *, files: Sequence[str | Path]
     Raises:
         ArgumentError: if the folder cannot be written to, or a file in it is an input.
     """
-    root = expanded(folder)
     matched = [frame for frame in found.frames if not frame.error]
-    meshes = [root / FRAMES / f"{frame.subject.name}.ply" for frame in matched]
-    paths = [root / name for name in TRACK_FILES]
-    refuse_overwriting_inputs([*paths, *meshes], files)
-    made_folder(root / FRAMES)
+    names = (*TRACK_FILES, *(f"{FRAMES}/{frame.subject.name}.ply" for frame in matched))
     faces, drift = drawable(found.first).faces, found.mean_drift
-    with all_or_nothing():
-        for path, frame in zip(meshes, matched, strict=True):
+    with written_together(folder, names, files) as paths:
+        for path, frame in zip(paths[len(TRACK_FILES) :], matched, strict=True):
             write_shape(path, Shape(frame.points, faces))
         write_npy(paths[0], found.points)
         write_csv(paths[1], _rows(found))
@@ -264,7 +252,7 @@ def write_track(folder: str | Path, found: Track, *, files: Sequence[str | Path]
             "versions": versions(),
         }
         write_json(paths[3], report)
-    return [root / FRAMES, *paths]
+    return [expanded(folder) / FRAMES, *paths[: len(TRACK_FILES)]]
 
 
 def _rows(found: Track) -> list[list[Any]]:

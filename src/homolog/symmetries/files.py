@@ -12,15 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from homolog.core.errors import DataError
-from homolog.core.files import (
-    all_or_nothing,
-    expanded,
-    made_folder,
-    read_text,
-    refuse_overwriting_inputs,
-    write_csv,
-    write_json,
-)
+from homolog.core.files import expanded, read_text, write_csv, write_json, written_together
 from homolog.core.reasons import reason_of
 from homolog.core.versions import versions
 from homolog.matching import Match, given_files
@@ -56,11 +48,8 @@ def write_symmetry(folder: str | Path, found: Symmetry) -> list[Path]:
     Raises:
         ArgumentError: if the folder cannot be written to, or a file in it is an input.
     """
-    paths = [expanded(folder) / name for name in SYMMETRY_FILES]
-    refuse_overwriting_inputs(paths, given_files(found.match))
-    made_folder(folder)
     shape, layers = drawable(found.shape), heat_layers(found)
-    with all_or_nothing():
+    with written_together(folder, SYMMETRY_FILES, given_files(found.match)) as paths:
         write_csv(paths[0], [_COLUMNS, *_rows(found)])
         for path, layer in zip(paths[1:3], layers, strict=True):
             write_shape(path, shape, colours=layer.colours["source"])

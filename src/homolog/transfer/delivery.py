@@ -11,15 +11,7 @@ from jaxtyping import UInt8
 
 from homolog.core.choices import TEXTURE_SIZE, Side, System
 from homolog.core.errors import ArgumentError, DataError
-from homolog.core.files import (
-    all_or_nothing,
-    atomic_path,
-    expanded,
-    made_folder,
-    refuse_overwriting_inputs,
-    write_json,
-    write_npy,
-)
+from homolog.core.files import atomic_path, expanded, write_json, write_npy, written_together
 from homolog.core.messages import shorten
 from homolog.core.progress import Progress, ignore
 from homolog.geometry.projection import SurfaceProjector
@@ -201,10 +193,8 @@ class Delivery:
         """
         self._progress = progress
         names = (*OUTPUT_NAMES, *(path.name for path in self._inputs))
-        refuse_overwriting_inputs([expanded(folder) / name for name in names], self._inputs)
-        with all_or_nothing():
-            files = dict[str, Any]()
-            root = made_folder(folder)
+        root, files = expanded(folder), dict[str, Any]()
+        with written_together(folder, names, self._inputs):
             for writer in self._writers:
                 files |= writer(root)
             target = {
