@@ -38,6 +38,21 @@ def test_without_weighting_it_is_least_squares():
     np.testing.assert_allclose(away.numpy(), targets.mean(axis=0) - expected.apply(points.mean(axis=0)), atol=1e-9)
 
 
+@pytest.mark.parametrize("rounds", [0, 5])
+def test_several_problems_at_once_are_solved_as_one_by_one_and_weights_count_as_copies(rounds):
+    random = torch.Generator().manual_seed(3)
+    points, targets = torch.randn(2, 4, 30, 3, generator=random, dtype=torch.float64)
+    weights = torch.randint(0, 3, (4, 30), generator=random).double()
+    rotations, shifts = rigid_motion(points, targets, weights=weights, rounds=rounds)
+    for number in range(4):
+        one, away = rigid_motion(points[number], targets[number], weights=weights[number], rounds=rounds)
+        torch.testing.assert_close(rotations[number], one)
+        torch.testing.assert_close(shifts[number], away)
+    copies = weights[0].long()
+    twice = rigid_motion(points[0].repeat_interleave(copies, 0), targets[0].repeat_interleave(copies, 0), rounds=0)
+    torch.testing.assert_close(rigid_motion(points[0], targets[0], weights=weights[0], rounds=0), twice)
+
+
 def test_never_a_reflection():
     points = torch.randn(100, 3, generator=torch.Generator().manual_seed(1))
     mirrored = points * torch.tensor([-1.0, 1.0, 1.0])

@@ -10,7 +10,7 @@ from homolog.core.errors import ArgumentError, DataError
 from homolog.matching import Match
 from homolog.shape_models import (
     Figures,
-    FitSettings,
+    ModelFitSettings,
     Outcome,
     Registered,
     ShapeModelFolder,
@@ -99,7 +99,7 @@ def test_a_stored_model_is_the_one_that_was_written(collection, stored):
 def test_a_fragment_in_any_place_is_completed(stored, case):
     """Without a match: its place is found as that of a rigid body, and what is missing follows from the model."""
     whole, used, fragment = case
-    found = complete(fragment, stored, settings=FitSettings(samples=150))
+    found = complete(fragment, stored, settings=ModelFitSettings(samples=150))
     away = np.linalg.norm(found.shape.points - whole, axis=1)
     missing = np.setdiff1d(np.arange(len(whole)), used)
     assert away[missing].mean() < 0.03 and away.max() < 0.1  # of a shape that is 2.8 long
@@ -115,13 +115,13 @@ def test_a_fragment_in_any_place_is_completed(stored, case):
 def test_another_size(stored, case):
     whole, _, fragment = case
     larger = Shape(1.15 * fragment.points, fragment.faces)
-    found = complete(larger, stored, settings=FitSettings(samples=150, scale=True))
+    found = complete(larger, stored, settings=ModelFitSettings(samples=150, scale=True))
     assert found.fit.posterior.placement.scale == pytest.approx(1.15, rel=0.03)
     np.testing.assert_allclose(found.shape.points, 1.15 * whole, atol=0.15)
 
 
 def test_as_given(stored, upright):
-    given = complete(upright, stored, settings=FitSettings(samples=150), orient="given")
+    given = complete(upright, stored, settings=ModelFitSettings(samples=150), orient="given")
     near = np.linalg.norm(given.shape.points[:, None] - upright.points, axis=2).min(axis=0)
     assert near.max() < 0.1 and given.misfit_elsewhere is None
     assert given.fit.misfit < 2 and given.warnings == ()
@@ -140,7 +140,7 @@ def test_a_match_gives_a_start(case, make, scale):
 
 def test_what_is_written_reads_back(stored, upright, tmp_path):
     (tmp_path / "known.csv").write_text(f"label,x,y,z\ntop,{','.join(map(str, TOP))}\nunknown,0,0,0\n")
-    settings = FitSettings(samples=100)
+    settings = ModelFitSettings(samples=100)
     found = complete(upright, stored, settings=settings, landmarks=tmp_path / "known.csv", orient="given")
     paths = write_completion(tmp_path / "out", found)
     assert [path.name for path in paths] == ["completed.ply", "points.csv", "landmarks.csv", "completion.json"]

@@ -120,7 +120,7 @@ def complete(
             shape,
             stored,
             matcher,
-            settings=models.FitSettings(scale=scale),
+            settings=models.ModelFitSettings(scale=scale),
             uncertainty=uncertainty,
             up=up,
             orient=orient,

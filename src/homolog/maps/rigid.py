@@ -158,8 +158,12 @@ def _closest_pairs(
 
 @takes_arrays
 def rigid_motion(
-    points: Float[Tensor, "n 3"], targets: Float[Tensor, "n 3"], *, rounds: int = 15
-) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"]]:
+    points: Float[Tensor, "*batch n 3"],
+    targets: Float[Tensor, "*batch n 3"],
+    *,
+    weights: Float[Tensor, "*batch n"] | None = None,
+    rounds: int = 15,
+) -> tuple[Float[Tensor, "*batch 3 3"], Float[Tensor, "*batch 3"]]:
     """Robust Kabsch alignment: the rotation R and shift t with ``points @ R.T + t`` near the targets, despite outliers.
 
     Least squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976), repeated with each
@@ -167,12 +171,13 @@ def rigid_motion(
     squares). A reflection is never returned.
 
     Args:
-        points: positions (n, 3).
-        targets: where each of them belongs (n, 3).
+        points: positions (n, 3), or those of several problems at once (batch, n, 3).
+        targets: where each of them belongs, likewise.
+        weights: of each pair (n,) or (batch, n), by which its weight from the residual is multiplied; by default 1.
         rounds: how often weights are computed anew, at least 0, which is plain least squares; 5 to 30 are sensible.
 
     Returns:
-        R (3, 3) and t (3,).
+        R (3, 3) and t (3,), or those of each problem.
 
     Examples:
         >>> import torch
@@ -186,18 +191,20 @@ def rigid_motion(
         (True, True)
     """
     start, end = points.double(), targets.double()
-    weights = torch.ones_like(start[:, 0])
+    given = torch.ones_like(start[..., 0]) if weights is None else weights.to(start)
+    trust = given
     for _ in range(rounds):
-        rotation, middle, target = _least_squares(start, end, weights)
-        residuals = ((start - middle) @ rotation.T + target - end).norm(dim=1)
-        weights = 1 / (1 + (residuals / residuals.median().clamp(min=_LEAST_RESIDUAL)) ** 2)
-    rotation, middle, target = _least_squares(start, end, weights)
-    return rotation.to(points), (target - rotation @ middle).to(points)
+        rotation, middle, target = _least_squares(start, end, trust)
+        residuals = ((start - middle[..., None, :]) @ rotation.mT + target[..., None, :] - end).norm(dim=-1)
+        scale = residuals.median(dim=-1, keepdim=True).values.clamp(min=_LEAST_RESIDUAL)
+        trust = given / (1 + (residuals / scale) ** 2)
+    rotation, middle, target = _least_squares(start, end, trust)
+    return rotation.to(points), (target - (rotation @ middle[..., None])[..., 0]).to(points)
 
 
 def _least_squares(
-    points: Float[Tensor, "n 3"], targets: Float[Tensor, "n 3"], weights: Float[Tensor, " n"]
-) -> tuple[Float[Tensor, "3 3"], Float[Tensor, " 3"], Float[Tensor, " 3"]]:
+    points: Float[Tensor, "*batch n 3"], targets: Float[Tensor, "*batch n 3"], weights: Float[Tensor, "*batch n"]
+) -> tuple[Float[Tensor, "*batch 3 3"], Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3"]]:
     """The best rotation about the centres of both, and these centres."""
-    shares = weights / weights.sum()
-    return best_rotation(points, targets, weights), shares @ points, shares @ targets
+    shares = (weights / weights.sum(dim=-1, keepdim=True))[..., None, :]
+    return best_rotation(points, targets, weights), (shares @ points)[..., 0, :], (shares @ targets)[..., 0, :]

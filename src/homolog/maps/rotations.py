@@ -67,16 +67,18 @@ def distinct_rotations(rotations: Iterable[Float[Tensor, "3 3"]], *, degrees: fl
 
 @takes_arrays
 def best_rotation(
-    points: Float[Tensor, "n 3"], targets: Float[Tensor, "n 3"], weights: Float[Tensor, " n"] | None = None
-) -> Float[Tensor, "3 3"]:
+    points: Float[Tensor, "*batch n 3"],
+    targets: Float[Tensor, "*batch n 3"],
+    weights: Float[Tensor, "*batch n"] | None = None,
+) -> Float[Tensor, "*batch 3 3"]:
     """The rotation R about both centres that takes ``points @ R.T`` nearest to ``targets``, in least squares.
 
     Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Crystallographica 1976.
 
     Args:
-        points: positions (n, 3).
-        targets: where each of them belongs (n, 3).
-        weights: of each pair (n,); by default all count alike.
+        points: positions (n, 3), or those of several problems at once (batch, n, 3).
+        targets: where each of them belongs, likewise.
+        weights: of each pair (n,) or (batch, n); by default all count alike.
 
     Examples:
         >>> import torch
@@ -89,13 +91,13 @@ def best_rotation(
     See Also:
         ``rigid_motion``, which shifts as well, and bears outliers.
     """
-    shares = (torch.ones_like(points[:, 0]) if weights is None else weights.to(points))[:, None]
-    shares = shares / shares.sum()
-    start, end = points - (shares * points).sum(dim=0), targets - (shares * targets).sum(dim=0)
-    left, _, right = torch.linalg.svd((shares * start).T @ end)
-    proper = torch.ones(3).to(points)
-    proper[2] = torch.linalg.det(left @ right).sign()  # a reflection gives way along the weakest direction
-    rotation: Tensor = (left * proper @ right).T
+    shares = (torch.ones_like(points[..., 0]) if weights is None else weights.to(points))[..., None]
+    shares = shares / shares.sum(dim=-2, keepdim=True)
+    start, end = (each - (shares * each).sum(dim=-2, keepdim=True) for each in (points, targets))
+    left, _, right = torch.linalg.svd((shares * start).mT @ end)
+    proper = torch.ones_like(left[..., 0])
+    proper[..., 2] = torch.linalg.det(left @ right).sign()  # a reflection gives way along the weakest direction
+    rotation: Tensor = (left * proper[..., None, :] @ right).mT
     return rotation
 
 

@@ -4,7 +4,6 @@ from homolog.shape_models.batch import register_all, settings_record
 from homolog.shape_models.build import BuiltModel, build
 from homolog.shape_models.choice import choice_for_all
 from homolog.shape_models.completion import COMPLETION_FILES, Completion, complete, write_completion
-from homolog.shape_models.fitting import Fit, FitSettings, ModelFitter, Part
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.groups import (
     COMPARISON_FILES,
@@ -14,6 +13,7 @@ from homolog.shape_models.groups import (
     write_comparison,
 )
 from homolog.shape_models.landmarks import TemplateLandmarks
+from homolog.shape_models.model_fit import ModelFit, ModelFitSettings, ModelFitter, PartSamples
 from homolog.shape_models.outputs import check_extra, write_outputs
 from homolog.shape_models.overview import MOST_SHOWN
 from homolog.shape_models.registered_shapes import ModelSettings, RegisteredShapes
@@ -32,12 +32,12 @@ __all__ = [
     "ComparedGroups",
     "Completion",
     "Figures",
-    "Fit",
-    "FitSettings",
+    "ModelFit",
+    "ModelFitSettings",
     "ModelFitter",
     "ModelSettings",
     "Outcome",
-    "Part",
+    "PartSamples",
     "Registered",
     "RegisteredShapes",
     "ShapeModelFolder",

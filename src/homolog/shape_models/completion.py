@@ -22,7 +22,7 @@ from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.maps import best_similarity, rigid_motion
 from homolog.matching import Match, Matcher
 from homolog.pairs import PairOptions
-from homolog.shape_models.fitting import Fit, FitSettings, ModelFitter, Part
+from homolog.shape_models.model_fit import ModelFit, ModelFitSettings, ModelFitter, PartSamples
 from homolog.shape_models.stored_model import StoredModel
 from homolog.shapes import Shape, Up, repair, write_shape
 from homolog.statistics import Observations, Placement, generalised_procrustes, placed_posterior, principal_modes
@@ -70,7 +70,7 @@ class Completion:
     shape: Shape
     deviations: Float[np.ndarray, " n"]
     observed: Bool[np.ndarray, " n"]
-    fit: Fit
+    fit: ModelFit
     misfit_elsewhere: float | None
     deviation: float
     calibration: float
@@ -129,7 +129,7 @@ def complete(
     stored: StoredModel,
     matcher: Matcher | None = None,
     *,
-    settings: FitSettings | None = None,
+    settings: ModelFitSettings | None = None,
     uncertainty: float | None = None,
     up: Up = "y",
     orient: Orient = "auto",
@@ -173,7 +173,7 @@ def complete(
         >>> found.shape.points, found.deviations  # doctest: +SKIP
     """
     check_kind("fragment", fragment, Shape)
-    timings, settings = timings or Timings(), settings or FitSettings()
+    timings, settings = timings or Timings(), settings or ModelFitSettings()
     known = _known_landmarks(fragment, stored, landmarks, axes)
     size = float(np.sqrt(((stored.mean.points - stored.mean.points.mean(axis=0)) ** 2).sum(axis=1).mean()))
     deviation = uncertainty or stored.deviation or _ASSUMED * size
@@ -199,7 +199,7 @@ def complete(
     return _completion(fragment, stored, fits, deviation, factor, known, match, warnings)
 
 
-def _calibration(stored: StoredModel, fit: Fit, deviation: float) -> float:
+def _calibration(stored: StoredModel, fit: ModelFit, deviation: float) -> float:
     """The ratio of errors to stated deviations where the collection's shapes are completed by models of the others."""
     if stored.deviation is None:
         return 1.0
@@ -220,7 +220,7 @@ def _calibration(stored: StoredModel, fit: Fit, deviation: float) -> float:
 def _completion(
     fragment: Shape,
     stored: StoredModel,
-    fits: Sequence[Fit],
+    fits: Sequence[ModelFit],
     deviation: float,
     factor: float,
     known: _Known,
@@ -254,7 +254,7 @@ def _completion(
     )
 
 
-def _fit_warnings(best: Fit, elsewhere: float | None) -> list[str]:
+def _fit_warnings(best: ModelFit, elsewhere: float | None) -> list[str]:
     told = []
     factor, difference = _NEARLY_AS_WELL
     if elsewhere is not None and elsewhere < max(factor * best.misfit, best.misfit + difference):
@@ -304,14 +304,14 @@ def _placement(match: Match, *, scale: bool) -> Placement:
     return Placement(turn, shift)
 
 
-def _part(fragment: Shape, match: Match | None, count: int) -> Part:
+def _part(fragment: Shape, match: Match | None, count: int) -> PartSamples:
     """Points of the fragment that are spread evenly, without those that were set apart, with normals of a mesh."""
     kept = repair(fragment).kept if match is None else np.flatnonzero(match.source_to_target >= 0)
     kept = kept[some_points(len(kept), _MOST_POINTS).numpy()]
     projector, normals = SurfaceProjector(fragment), None
     if projector.surface is not None:
         normals = projector.repaired.to_original(projector.surface.vertex_normals, fill=0.0)[kept]
-    return Part(fragment.points[kept], normals).sampled(count)
+    return PartSamples(fragment.points[kept], normals).sampled(count)
 
 
 def write_completion(folder: str | Path, found: Completion, *, files: Sequence[str | Path] = ()) -> list[Path]:

@@ -18,7 +18,7 @@ from homolog.core.settings import Count, Positive, Settings
 from homolog.geometry import Surface, unit
 from homolog.geometry.projection import SurfacePoints
 from homolog.geometry.surface import closest_weights
-from homolog.maps import cube_rotations, rotation_angle
+from homolog.maps import cube_rotations, rigid_motion, rotation_angle
 from homolog.shapes import farthest_points
 from homolog.statistics import Observations, PlacedPosterior, Placement, ShapeModel, placed_posterior
 
@@ -38,7 +38,7 @@ _SAME_DEGREES, _SAME_PLACE = 20.0, 0.2
 
 
 @dataclass(frozen=True)
-class FitSettings(Settings):
+class ModelFitSettings(Settings):
     """How a shape model is fitted to a part.
 
     Args:
@@ -60,7 +60,7 @@ class FitSettings(Settings):
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ModelFit:
     """A model fitted to a part.
 
     Args:
@@ -77,7 +77,7 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class PartSamples:
     """What is known of a shape.
 
     Args:
@@ -91,7 +91,7 @@ class Part:
     normals: Float[np.ndarray, "p 3"] | None = None
     known: Observations | None = None
 
-    def sampled(self, count: int) -> Part:
+    def sampled(self, count: int) -> PartSamples:
         """Fewer samples, spread evenly."""
         some = farthest_points(self.points, min(count, len(self.points)), seed=0)
         return replace(self, points=self.points[some], normals=None if self.normals is None else self.normals[some])
@@ -112,13 +112,13 @@ class ModelFitter:
         model: ShapeModel,
         faces: Int[np.ndarray, "m 3"] | None,
         deviation: float,
-        settings: FitSettings | None = None,
+        settings: ModelFitSettings | None = None,
     ) -> None:
         self.model, self.faces, self.deviation = model, faces, deviation
-        self.settings = settings or FitSettings()
+        self.settings = settings or ModelFitSettings()
         self._size = float(np.sqrt(3 * model.mean.var(axis=0).mean()))
 
-    def fits(self, part: Part, starts: Sequence[Placement] = (), *, search: bool = True) -> list[Fit]:
+    def fits(self, part: PartSamples, starts: Sequence[Placement] = (), *, search: bool = True) -> list[ModelFit]:
         """Fits from each start that lead to different places, the best first.
 
         Args:
@@ -127,13 +127,13 @@ class ModelFitter:
             search: whether to look for others, by closest points from all rotations.
         """
         likely = [*starts, *(self.likely_starts(part) if search else ())]
-        kept: list[Fit] = []
+        kept: list[ModelFit] = []
         for fit in sorted((self.fit(part, start) for start in likely), key=lambda each: each.misfit):
             if not any(self._alike(fit.posterior.placement, other.posterior.placement) for other in kept):
                 kept.append(fit)
         return kept
 
-    def likely_starts(self, part: Part) -> list[Placement]:
+    def likely_starts(self, part: PartSamples) -> list[Placement]:
         """The rigid starts from which a short fit of the first modes comes nearest to the part."""
         first = self._first_modes(_FIRST_MODES)
         short = replace(self.settings, rounds=_SHORT_ROUNDS)
@@ -151,7 +151,7 @@ class ModelFitter:
         apart = float(np.linalg.norm(one(middle) - other(middle))) / self._size
         return float(rotation_angle(one.rotation @ other.rotation.T)) < _SAME_DEGREES and apart < _SAME_PLACE
 
-    def fit(self, part: Part, start: Placement) -> Fit:
+    def fit(self, part: PartSamples, start: Placement) -> ModelFit:
         """The fit that rounds of closest points lead to from a placement."""
         settings, coefficients, placement = self.settings, np.zeros(0), start
         before, spread = np.full(self.model.mean.shape, np.inf), np.inf
@@ -175,11 +175,11 @@ class ModelFitter:
         far = settings.far * self.deviation
         robust = (away**2 / (1 + (away / far) ** 2)).mean() / self.deviation**2
         misfit = float(robust + (coefficients**2).sum() / settings.independent)
-        return Fit(found, seen, away, misfit)
+        return ModelFit(found, seen, away, misfit)
 
     def _seen(
         self,
-        part: Part,
+        part: PartSamples,
         places: SurfacePoints,
         normals: Float[np.ndarray, "p 3"] | None,
         away: Float[np.ndarray, " p"],
@@ -203,7 +203,7 @@ class ModelFitter:
         return Observations(both, positions, np.concatenate([precisions, known.precisions]))
 
     def _below(
-        self, points: Float[np.ndarray, "n 3"], part: Part
+        self, points: Float[np.ndarray, "n 3"], part: PartSamples
     ) -> tuple[SurfacePoints, Float[np.ndarray, "p 3"] | None, Float[np.ndarray, " p"]]:
         """The closest point of the placed model that faces as each sample does, its normal on a mesh, the distance."""
         samples = part.points
@@ -227,7 +227,7 @@ class ModelFitter:
         nearest = near[rows, best]
         return SurfacePoints(self.faces[nearest], weights[rows, best]), normals[nearest], offsets[rows, best]
 
-    def rigid_starts(self, part: Part) -> Iterator[Placement]:
+    def rigid_starts(self, part: PartSamples) -> Iterator[Placement]:
         """Where closest points put the part on the mean as a rigid body, from all rotations and many places."""
         part = part.sampled(_FEW)
         chosen = farthest_points(self.model.mean, min(_ON_MODEL, len(self.model.mean)), seed=0)
@@ -266,19 +266,6 @@ def _closer(
     asked = moved if across is None else np.concatenate([moved, across @ turns.transpose(0, 2, 1)], axis=2)
     distances, nearest = tree.query(asked)
     kept = distances <= np.quantile(distances, 0.9, axis=1, keepdims=True)
-    turn, shift = _rigid(np.tile(some, (len(turns), 1, 1)), targets[nearest], kept.astype(float))
+    starts = np.tile(some, (len(turns), 1, 1))
+    turn, shift = rigid_motion(starts, targets[nearest], weights=kept.astype(float), rounds=0)
     return turn, shift, (kept * distances**2).sum(axis=1) / kept.sum(axis=1)
-
-
-def _rigid(
-    points: Float[np.ndarray, "s p 3"],
-    targets: Float[np.ndarray, "s p 3"],
-    weights: Float[np.ndarray, "s p"],
-) -> tuple[Float[np.ndarray, "s 3 3"], Float[np.ndarray, "s 3"]]:
-    """The rotation and shift of each start that take its points nearest to their targets (Kabsch, 1976)."""
-    shares = (weights / weights.sum(axis=1, keepdims=True))[:, :, None]
-    start, end = ((shares * each).sum(axis=1, keepdims=True) for each in (points, targets))
-    left, _, right = np.linalg.svd((targets - end).transpose(0, 2, 1) @ (shares * (points - start)))
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
-    turn = left @ right
-    return turn, end[:, 0] - (turn @ start[:, 0, :, None])[:, :, 0]
