@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from typing import TypeVar
@@ -93,6 +93,14 @@ class Loss:
             found = f"shape {tuple(value.shape)}" if isinstance(value, Tensor) else type(value).__name__
             raise ArgumentError(f"the loss {self.name} returned {found}, but must return a scalar tensor")
         return self.weight * value
+
+
+def _there_and_back(
+    loss: LossFunction, there: Sequence[Tensor], back: Sequence[Tensor], *, partial: bool, **words: float
+) -> Float[Tensor, ""]:
+    """A loss of what leads from x to y, and back: not of a part's, whose functions lack a counterpart on the rest."""
+    found: Tensor = loss(*there, **words)
+    return found if partial else found + loss(*back, **words)
 
 
 BUILTIN_LOSSES: dict[str, Loss] = {}
@@ -247,9 +255,8 @@ def coupling(
     partial: bool,
 ) -> Float[Tensor, ""]:
     """The functional maps of the meshes are those of their soft maps; both learn from it."""
-    there = soft_formulas.coupling_loss(c_xy, mapped_to_y, pseudo_inverse_y)
-    # A part's functions have no counterpart on what it lacks.
-    return there if partial else there + soft_formulas.coupling_loss(c_yx, mapped_to_x, pseudo_inverse_x)
+    there, back = (c_xy, mapped_to_y, pseudo_inverse_y), (c_yx, mapped_to_x, pseudo_inverse_x)
+    return _there_and_back(soft_formulas.coupling_loss, there, back, partial=partial)
 
 
 @_builtin(weight=0.0)
@@ -261,8 +268,7 @@ def true_maps(
     partial: bool,
 ) -> Float[Tensor, ""]:
     """The functional maps are those of the ground truth; not self-supervised."""
-    there = soft_formulas.true_map_loss(c_xy, true_c_xy)
-    return there if partial else there + soft_formulas.true_map_loss(c_yx, true_c_yx)
+    return _there_and_back(soft_formulas.true_map_loss, (c_xy, true_c_xy), (c_yx, true_c_yx), partial=partial)
 
 
 @_builtin(weight=0.0)
@@ -276,8 +282,8 @@ def teacher(
 ) -> Float[Tensor, ""]:
     """The soft maps of the meshes resemble the refined point maps, which get no gradient."""
     x, y, temperature = unit_features_x, unit_features_y, settings.coupling_temperature
-    there = soft_formulas.teacher_loss(y, x, refined_y_to_x, temperature=temperature)
-    return there if partial else there + soft_formulas.teacher_loss(x, y, refined_x_to_y, temperature=temperature)
+    there, back = (y, x, refined_y_to_x), (x, y, refined_x_to_y)
+    return _there_and_back(soft_formulas.teacher_loss, there, back, partial=partial, temperature=temperature)
 
 
 @_builtin(weight=0.0)
