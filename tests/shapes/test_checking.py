@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from homolog.shapes import Shape, check
-from homolog.shapes.topology import topology
+from homolog.shapes.topology import half_edges, mesh_components, topology
 
 
 def shape_of(mesh, **name):
@@ -246,3 +246,14 @@ def test_topology_against_plain_loops(triples, random):
         fast.n_nonmanifold_edges,
         fast.n_nonmanifold_points,
     ) == slow
+
+
+def test_components_of_a_mesh_with_their_areas_and_its_half_edges():
+    big, small = trimesh.creation.box(extents=[2, 2, 2]), trimesh.creation.box(extents=[1, 1, 1])
+    faces = np.concatenate([small.faces + 8, big.faces])
+    points = np.concatenate([big.vertices, small.vertices + 5, [[9.0, 9, 9]]])  # the last is used by no face
+    component, areas = mesh_components(points, faces)
+    of_big, of_small = component[0], component[8]
+    assert (component[:8] == of_big).all() and (component[8:16] == of_small).all() and len(set(component)) == 3
+    assert areas[of_big] == pytest.approx(24) and areas[of_small] == pytest.approx(6) and areas[component[16]] == 0
+    assert half_edges(np.array([[4, 7, 2], [7, 4, 1]])).tolist() == [[4, 7], [7, 2], [2, 4], [7, 4], [4, 1], [1, 7]]

@@ -13,7 +13,17 @@ from homolog.core.arguments import check_kind
 from homolog.geometry.components import cloud_components, in_large_components
 from homolog.geometry.scale import cloud_area
 from homolog.geometry.tangent import normals_of
-from homolog.shapes import FEWEST_POINTS, Finding, Repaired, Shape, check, components, face_areas, repair
+from homolog.shapes import (
+    FEWEST_POINTS,
+    Finding,
+    Repaired,
+    Shape,
+    check,
+    components,
+    face_areas,
+    mesh_components,
+    repair,
+)
 
 # Neighbours whose distance tells how dense a cloud is, to whom a plane is fitted, and among whom the densest is found.
 _DENSITY, _FITTED, _AROUND = 8, 16, 30
@@ -492,8 +502,7 @@ def _mesh_objects(shape: Shape, left: Bool[np.ndarray, " n"]) -> Bool[np.ndarray
     """Points on components of a mesh that lie apart from the largest, and are smaller."""
     assert shape.faces is not None
     faces = shape.faces[left[shape.faces].all(axis=1)]
-    component = components(faces[:, 0], faces[:, 1], shape.n_points, faces[:, 2])
-    areas = np.bincount(component[faces[:, 0]], face_areas(shape.points, faces), minlength=component.max() + 1)
+    component, areas = mesh_components(shape.points, faces)
     if np.count_nonzero(areas) < 2:
         return np.zeros(shape.n_points, dtype=bool)
     corners = shape.points[faces]

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from homolog.core.arguments import check_kind
 from homolog.core.errors import ShapeError
 from homolog.geometry.tangent import nearest_neighbours
-from homolog.shapes import FEWEST_POINTS, Shape, components, face_areas
+from homolog.shapes import FEWEST_POINTS, Shape, components, mesh_components
 
 # Components with less than this share of the largest one's size are small.
 _SMALLEST_COMPONENT = 0.01
@@ -58,11 +58,7 @@ def main_points(shape: Shape, neighbours: Int[np.ndarray, "n j"] | None = None) 
     if shape.faces is None:
         main = in_large_components(*cloud_components(shape.points, neighbours))
         return main if main.mean() >= 1 - _MOST_IN_SMALL else np.ones(len(main), dtype=bool)
-    component = components(shape.faces[:, 0], shape.faces[:, 1], shape.n_points, shape.faces[:, 2])
-    areas = np.bincount(
-        component[shape.faces[:, 0]], face_areas(shape.points, shape.faces), minlength=component.max() + 1
-    )
-    return in_large_components(component, areas)
+    return in_large_components(*mesh_components(shape.points, shape.faces))
 
 
 def main_component(shape: Shape, main: Bool[np.ndarray, " n"]) -> Shape:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from homolog.core.memory import row_tiles
 from homolog.core.reprs import short_repr
 from homolog.geometry.grouping import FacesAround
-from homolog.shapes import face_vectors
+from homolog.shapes import face_vectors, half_edges
 
 # Projection tries this many nearest vertices for one whose normal agrees with the point's: a cosine above _SAME_SIDE.
 _NEAR = 16
@@ -114,8 +114,7 @@ def subdivided(surface: Surface) -> tuple[Surface, Int[np.ndarray, "v 2"]]:
         The finer surface, whose triangles 4i to 4i + 3 cover triangle i, and for each of its vertices the two coarse
         vertices that it is the midpoint of: the same one twice if it is a coarse vertex.
     """
-    half_edges = surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, edge_of = np.unique(np.sort(half_edges, axis=1), axis=0, return_inverse=True)
+    edges, edge_of = np.unique(np.sort(half_edges(surface.faces), axis=1), axis=0, return_inverse=True)
     count = len(surface.vertices)
     parents = np.concatenate([np.arange(count)[:, None].repeat(2, axis=1), edges])
     p, q, r = surface.faces.T

@@ -12,7 +12,7 @@ from homolog.matching.guidance import guidance_warnings
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.result import Match
 from homolog.pairs import SIDES, Pair, WarningSettings
-from homolog.shapes import Shape, components, face_areas, face_vectors
+from homolog.shapes import Shape, face_vectors, half_edges, mesh_components
 
 # Of 13 cuts of a body all but one have openings of 5 to 37 % of their area, and 13 views of 58 to 64 %; bodies with
 # holes have 1 to 3 %. The 120 full shapes of FAUST, SCAPE and SMAL that were looked at are closed.
@@ -50,7 +50,7 @@ def _openness(shape: Shape) -> float | None:
     """
     if shape.faces is None or _pieces(shape) >= _MANY_PIECES:
         return None
-    sides = np.concatenate([shape.faces[:, [0, 1]], shape.faces[:, [1, 2]], shape.faces[:, [2, 0]]])
+    sides = half_edges(shape.faces)
     if len(np.unique(sides, axis=0)) < len(sides):
         return None
     vectors = face_vectors(shape.points[shape.faces])
@@ -61,8 +61,7 @@ def _pieces(shape: Shape) -> int:
     """How many loose pieces a mesh has, if the largest is less than most of it; 1 otherwise."""
     if shape.faces is None:
         return 1
-    label = components(shape.faces[:, 0], shape.faces[:, 1], shape.n_points, shape.faces[:, 2])[shape.faces[:, 0]]
-    areas = np.bincount(label, face_areas(shape.points, shape.faces))
+    areas = mesh_components(shape.points, shape.faces)[1]
     largest = areas.max()
     return int((areas > _SMALL_PIECE * largest).sum()) if largest < _MOST_OF_IT * areas.sum() else 1
 

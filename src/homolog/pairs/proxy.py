@@ -12,7 +12,7 @@ from homolog.core.choices import UseProxy
 from homolog.core.errors import HomologError, MissingExtraError, ShapeError
 from homolog.geometry.proxy import Proxy, proxy_for
 from homolog.pairs.settings import ProxySettings
-from homolog.shapes import Finding, Repaired, Shape, components, face_areas, farthest_points, repair
+from homolog.shapes import Finding, Repaired, Shape, face_areas, farthest_points, half_edges, mesh_components, repair
 from homolog.volumes.surface import simplified
 from homolog.volumes.wrapping import wrapping_surface
 
@@ -89,12 +89,11 @@ def _sampled(points: Float[np.ndarray, "n 3"], count: int) -> Float[np.ndarray, 
 
 def _why(shape: Shape, faces: Int[np.ndarray, "m 3"], settings: ProxySettings) -> str:
     """Why a mesh needs a proxy; empty if it does not."""
-    label = components(faces[:, 0], faces[:, 1], shape.n_points, faces[:, 2])[faces[:, 0]]
-    areas = np.bincount(label, face_areas(shape.points, faces))
+    areas = mesh_components(shape.points, faces)[1]
     outside = 1 - areas.max() / areas.sum()
     if outside > settings.most_outside:
         return f"{100 * outside:.0f} % of its area is not on its largest component"
-    ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    ends = np.sort(half_edges(faces), axis=1)
     faces_of_edge = np.unique(ends[:, 0] * shape.n_points + ends[:, 1], return_counts=True)[1]
     broken = float((faces_of_edge != 2).mean())
     return f"{100 * broken:.0f} % of its edges do not join two faces" if broken > settings.most_broken else ""

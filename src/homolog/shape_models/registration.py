@@ -12,7 +12,7 @@ from homolog.core.choices import KeepClutter, Orient, UseProxy
 from homolog.core.errors import ShapeError
 from homolog.matching import Match, Matcher, map_misfit, orientation_warnings
 from homolog.pairs import PairOptions
-from homolog.shapes import Shape, Up, repair
+from homolog.shapes import Shape, Up, half_edges, repair
 from homolog.transfer import SurfaceMap, SurfaceProjector, surface_map, untangled
 
 # A ratio of lengths. Adults are less than three times as large as children, and units differ by ten or more.
@@ -241,10 +241,8 @@ def _figures(smooth: SurfaceMap, found: Match, misfit: float, *, adapted: bool |
 def _edge_spread(smooth: SurfaceMap) -> tuple[float, float]:
     """The 5th and 95th percentile of edge stretches, relative to the median."""
     shape = smooth.source.shape
-    if shape.faces is None:
-        edges = _neighbours(shape.points)
-    else:  # the sides of all triangles, those between two of them twice
-        edges = np.stack([shape.faces, np.roll(shape.faces, 1, axis=1)], axis=2).reshape(-1, 2)
+    # Of a mesh the sides of all triangles, those between two of them twice.
+    edges = _neighbours(shape.points) if shape.faces is None else half_edges(shape.faces)
     registered = smooth.positions[smooth.source.repaired.kept]
     now, before = (
         np.linalg.norm(np.diff(points[edges], axis=1)[:, 0], axis=1) for points in (registered, shape.points)

@@ -76,6 +76,20 @@ def components(
     return labels
 
 
+def mesh_components(
+    points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
+) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " p"]]:
+    """Components of a mesh, whose faces share points: a label per point (n,), and the areas of components (p,)."""
+    component = components(faces[:, 0], faces[:, 1], len(points), faces[:, 2])
+    areas = np.bincount(component[faces[:, 0]], face_areas(points, faces), minlength=component.max() + 1)
+    return component, areas
+
+
+def half_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "h 2"]:
+    """The sides of faces, each from its start to its end: those of face i are 3i to 3i + 2."""
+    return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+
+
 def face_vectors(triangles: Float[np.ndarray, "m 3 3"]) -> Float[np.ndarray, "m 3"]:
     """The normals of triangles given by their corners, as long as twice their areas."""
     p, q, r = np.moveaxis(triangles, 1, 0)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from homolog.core.errors import ShapeError
 from homolog.geometry.components import require_usable
-from homolog.shapes import FEWEST_POINTS, Shape, components, face_areas
+from homolog.shapes import FEWEST_POINTS, Shape, mesh_components
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def keep_faces(shape: Shape, kept: Bool[np.ndarray, " m"], *, advice: str) -> Pa
 def largest_component(shape: Shape, kept: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " m"]:
     """Of the kept faces, those of the connected component with the largest area; faces connect by shared points."""
     left = mesh_faces(shape)[kept]
-    component = components(left[:, 0], left[:, 1], shape.n_points, left[:, 2])[left[:, 0]]
+    component, areas = mesh_components(shape.points, left)
     largest = kept.copy()
-    largest[kept] = component == np.bincount(component, face_areas(shape.points, left), minlength=1).argmax()
+    largest[kept] = component[left[:, 0]] == areas.argmax()
     return largest

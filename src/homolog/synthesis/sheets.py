@@ -7,7 +7,7 @@ from jaxtyping import Int
 
 from homolog.core.errors import ShapeError
 from homolog.geometry.surface import Surface, unit
-from homolog.shapes.topology import components
+from homolog.shapes.topology import components, half_edges
 
 
 def separated_sheets(surface: Surface, name: str = "the mesh") -> tuple[Surface, Int[np.ndarray, " n"]]:
@@ -37,7 +37,7 @@ def separated_sheets(surface: Surface, name: str = "the mesh") -> tuple[Surface,
         (7, 8)
     """
     faces = surface.faces
-    start, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    start, end = half_edges(faces).T
     forward = start < end
     key = np.where(forward, start * len(surface.vertices) + end, end * len(surface.vertices) + start)
     edges, edge, n_triangles = np.unique(key, return_inverse=True, return_counts=True)

@@ -9,7 +9,7 @@ import trimesh
 from jaxtyping import Float, Int
 
 from homolog.geometry.surface import BarycentricPoints, Surface, closest_weights
-from homolog.shapes import farthest_points
+from homolog.shapes import farthest_points, half_edges
 
 # The template points are the same in all datasets.
 _SEED = 7
@@ -86,8 +86,7 @@ def _with_centres(values: np.ndarray, rims: tuple[np.ndarray, ...]) -> np.ndarra
 
 def boundary_loops(faces: Int[np.ndarray, "m 3"]) -> list[Int[np.ndarray, " r"]]:
     """The boundary loops of a triangle mesh, oriented as its triangles."""
-    half_edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    known = {(a, b) for a, b in half_edges.tolist()}
+    known = {(a, b) for a, b in half_edges(faces).tolist()}
     follows = {a: b for a, b in sorted(known) if (b, a) not in known}
     loops = []
     while follows:

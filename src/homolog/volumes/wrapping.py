@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, label, map_coordinates
 from homolog.core.arguments import check_count
 from homolog.core.errors import ShapeError
 from homolog.geometry import Surface, split_long, surface_area, unit
-from homolog.shapes import Shape, components, face_areas
+from homolog.shapes import Shape, components, half_edges, mesh_components
 from homolog.volumes.surface import check_points, isosurface
 
 # Inside, the winding number of a closed surface is 1, and outside 0.
@@ -178,7 +178,7 @@ def _largest_solid(winding: Float[np.ndarray, "i j k"]) -> Bool[np.ndarray, "i j
 
 def _in_accord(faces: Int[np.ndarray, "m 3"], n_points: int) -> Int[np.ndarray, "m 3"]:
     """The faces with the fewer ones turned round of those that share an edge and run against each other."""
-    sides = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    sides = half_edges(faces)
     edge = np.sort(sides, axis=1) @ np.array([n_points, 1])
     order, runs_up = np.argsort(edge, kind="stable"), sides[:, 0] < sides[:, 1]
     _, first, count = np.unique(edge[order], return_index=True, return_counts=True)
@@ -197,7 +197,7 @@ def _in_accord(faces: Int[np.ndarray, "m 3"], n_points: int) -> Int[np.ndarray, 
 def _facing_out(mesh: Shape, faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "m 3"]:
     """The faces with those components turned round whose back is to be seen from afar, and not their front."""
     grid = _Grid.around(mesh.points, _COARSE)
-    component = components(faces[:, 0], faces[:, 1], mesh.n_points, faces[:, 2])[faces[:, 0]]
+    component = mesh_components(mesh.points, faces)[0][faces[:, 0]]
     samples = _Samples.of(Surface(mesh.points, faces), grid.side)
     occupied = grid.spread(samples.middles, samples.areas) > 0
     free, _ = label(distance_transform_edt(~occupied) > _WALL)
@@ -240,10 +240,9 @@ def _without_layers(mesh: Shape, faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarra
 
 def _shells(mesh: Shape, faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, " m"]:
     """Which shell each face belongs to: the largest connected components, and all the others together."""
-    component = components(faces[:, 0], faces[:, 1], mesh.n_points, faces[:, 2])[faces[:, 0]]
-    areas = np.bincount(component, face_areas(mesh.points, faces))
+    component, areas = mesh_components(mesh.points, faces)
     order = np.argsort(-areas)
     is_large = np.arange(len(areas)) < np.minimum((areas > _SMALL * areas.sum()).sum(), _MOST_SHELLS)
     rank = np.empty(len(areas), dtype=np.int64)
     rank[order] = np.where(is_large, np.arange(len(areas)), is_large.sum())
-    return np.unique(rank[component], return_inverse=True)[1]
+    return np.unique(rank[component[faces[:, 0]]], return_inverse=True)[1]
