@@ -756,7 +756,7 @@ def test_masks_leave_points_out_of_a_match(homolog, files, tmp_path):
     ("content", "said"),
     [
         ("1\n0\n", "mask.csv has 2 numbers, but"),
-        ("one\n1\ntwo\n", "mask.csv cannot be read as a mask: line 3 is 'two'"),
+        ("one\n1\ntwo\n", "mask.csv cannot be read as a mask: the line 'two' should hold"),
         ("0\n" * 162, "mask.csv leaves every point out"),
         ("-1\n" * 162, "mask.csv holds -1"),
         ("inf\n" * 162, "mask.csv holds inf"),

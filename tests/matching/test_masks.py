@@ -204,6 +204,7 @@ def test_files_that_are_no_masks_are_refused_in_one_line(tmp_path):
     np.save(tmp_path / "two.npy", np.ones((4, 2)))
     (tmp_path / "damaged.npy").write_bytes(b"\x93NUMPY")
     (tmp_path / "words.txt").write_text("1\nyes\n")
+    (tmp_path / "pairs.csv").write_text("1\n1,2\n")
     (tmp_path / "nan.csv").write_text("1\nnan\n")
     (tmp_path / "negative.csv").write_text("1\n-2\n")
     (tmp_path / "none.txt").write_text("0\n0\n")
@@ -214,7 +215,8 @@ def test_files_that_are_no_masks_are_refused_in_one_line(tmp_path):
     for name, said in {
         "two.npy": "shape (4, 2)",
         "damaged.npy": "cannot be read as a mask",
-        "words.txt": "line 2 is 'yes', but must be one number",
+        "words.txt": "the line 'yes' should hold numbers",
+        "pairs.csv": "the line '1,2' has 2 values, but a mask has one a line",
         "nan.csv": "holds nan, but must hold finite numbers from 0",
         "negative.csv": "holds -2",
         "none.txt": "leaves every point out",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain, islice
 from os import PathLike
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,11 +14,12 @@ from jaxtyping import Bool, Float
 
 from homolog.core.array_files import ArrayFileError, read_npy
 from homolog.core.errors import ArgumentError, DataError
-from homolog.core.files import expanded, read_text
+from homolog.core.files import expanded
 from homolog.core.messages import shorten
 from homolog.core.reasons import reason_with_remedy
 from homolog.shapes.formats.parsing import UnreadableError
 from homolog.shapes.formats.ply import read_ply_colours, read_ply_property
+from homolog.shapes.formats.text_lines import number_rows, text_lines
 from homolog.shapes.shape import Shape
 
 MASK_SUFFIXES = (".npy", ".ply", ".txt", ".csv")
@@ -24,6 +27,7 @@ MASK_SUFFIXES = (".npy", ".ply", ".txt", ".csv")
 MASK_PROPERTIES = ("mask", "weight")
 """The properties of a PLY file's vertices that hold a mask."""
 
+_TRUTH_VALUES = {"true": "1", "false": "0"}
 # Channels that differ by more than a step of 8 bits are no grey.
 _GREY = 1.5 / 255
 
@@ -146,25 +150,22 @@ def mask_of(given: Any, name: str) -> Any:
 
 
 def _read_lines(path: Path) -> np.ndarray:
-    """A number a line; what follows a # is a comment."""
-    lines = [line.partition("#")[0].strip() for line in read_text(path).splitlines()]
-    numbered = [(number, line) for number, line in enumerate(lines, 1) if line]
-    if numbered and _number(numbered[0][1]) is None:
-        numbered = numbered[1:]
-    values = [_number(line) for _, line in numbered]
-    if None in values:
-        number, line = numbered[values.index(None)]
-        raise UnreadableError(f"line {number} is {shorten(line, 50)!r}, but must be one number")
-    return np.array(values, dtype=float)
-
-
-def _number(text: str) -> float | None:
-    if text.lower() in ("true", "false"):
-        return float(text.lower() == "true")
+    """A number, or truth value, a line; what follows a # is a comment."""
+    lines = text_lines(path)
+    first = list(islice(lines, 1))
     try:
-        return float(text)
-    except ValueError:
-        return None
+        number_rows(_single(first), (0,))
+    except UnreadableError:
+        first = []  # a heading
+    return number_rows(_single(chain(first, lines)), (0,))[:, 0]
+
+
+def _single(lines: Iterable[str]) -> Iterator[str]:
+    """Lines of one value each, truth values as numbers."""
+    for line in lines:
+        if (count := len(line.replace(",", " ").replace(";", " ").split())) > 1:
+            raise UnreadableError(f"the line {shorten(line, 50)!r} has {count} values, but a mask has one a line")
+        yield _TRUTH_VALUES.get(line.lower(), line)
 
 
 def _read_ply(path: Path) -> np.ndarray:
