@@ -24,6 +24,7 @@ from homolog.cli.options import (
     Processes,
     Quiet,
     Seed,
+    UpOfAll,
     UseProxyOption,
     Verbose,
     Weights,
@@ -33,7 +34,7 @@ from homolog.cli.options import (
     described,
     set_verbosity,
 )
-from homolog.cli.progress import progress_bar, say
+from homolog.cli.progress import progress_bar, say, tell_files
 from homolog.cli.wording import in_options
 from homolog.core.choices import System, Up
 
@@ -59,7 +60,7 @@ def collection(
             rich_help_panel=INPUT,
         ),
     ] = None,
-    up: Annotated[Up, typer.Option(help="The axis that points up in all files.", rich_help_panel=INPUT)] = "y",
+    up: UpOfAll = "y",
     template_up: Annotated[
         Up | None,
         typer.Option(help="The axis that points up in the template, if it differs.", rich_help_panel=INPUT),
@@ -228,5 +229,4 @@ def _summary(built: BuiltModel, warnings_of_all: Iterable[str]) -> None:
         say(f"contact_sheet.png shows the worst {most_shown} of {len(outcomes)} shapes.")
     failed = len(outcomes) - len(registered)
     say(f"Registered {len(registered)} of {len(outcomes)} shapes: {failed} failed, {len(warned)} with warnings.")
-    for path in built.files:
-        typer.echo(path)
+    tell_files(built.files)

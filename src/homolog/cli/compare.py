@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import INPUT, METHOD, OUTPUT, Quiet, Seed, check_folder
-from homolog.cli.progress import progress_bar, say
+from homolog.cli.options import INPUT, METHOD, Quiet, ResultOutput, Seed, check_folder
+from homolog.cli.progress import progress_bar, say, tell_files
 
 
 def compare(
@@ -42,9 +42,7 @@ def compare(
             rich_help_panel=METHOD,
         ),
     ] = 10_000,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
-    ] = Path("comparison"),
+    output: ResultOutput = Path("comparison"),
     seed: Seed = 0,
     quiet: Quiet = False,
 ) -> None:
@@ -72,8 +70,7 @@ def compare(
         paths = models.write_comparison(output, found, files=[groups])
     if not quiet:
         _summary(found, len(stored.names))
-        for path in paths:
-            typer.echo(path)
+        tell_files(paths)
 
 
 def _summary(found: homolog.shape_models.ComparedGroups, n_shapes: int) -> None:

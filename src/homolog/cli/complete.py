@@ -12,12 +12,12 @@ from homolog.cli.match import counted, has_choice
 from homolog.cli.options import (
     INPUT,
     METHOD,
-    OUTPUT,
     DeviceOption,
     MethodOption,
     NoCache,
     OrientOption,
     Quiet,
+    ResultOutput,
     Verbose,
     Weights,
     build_matcher,
@@ -25,7 +25,7 @@ from homolog.cli.options import (
     check_inputs,
     set_verbosity,
 )
-from homolog.cli.progress import progress_bar, say
+from homolog.cli.progress import progress_bar, say, tell_files
 from homolog.cli.wording import in_options
 from homolog.core.choices import System, Up
 from homolog.core.progress import Timings
@@ -82,9 +82,7 @@ def complete(
     ] = None,
     method: MethodOption = "auto",
     weights: Weights = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
-    ] = Path("completed"),
+    output: ResultOutput = Path("completed"),
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -137,5 +135,4 @@ def complete(
             f"{figures['observed_points']} of {figures['points']} points lie on the fragment; the others are expected "
             f"within {figures['missing_deviation'] or 0:.3g} (root mean square) of where they are."
         )
-        for path in paths:
-            typer.echo(path)
+        tell_files(paths)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import typer
 
 import homolog
-from homolog.cli.options import OUTPUT, Quiet, build_matcher, check_folder
-from homolog.cli.progress import progress_bar
+from homolog.cli.options import Quiet, ResultOutput, build_matcher, check_folder
+from homolog.cli.progress import progress_bar, tell_files
 from homolog.core.progress import Timings
 
 _SOURCE, _TARGET = "amber", "boris"
@@ -20,9 +19,7 @@ _LATERAL = 0.1
 
 
 def demo(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
-    ] = Path("homolog-demo"),
+    output: ResultOutput = Path("homolog-demo"),
     quiet: Quiet = False,
 ) -> None:
     """Match the two bodies that come with the package, and compare with the ground truth.
@@ -76,5 +73,4 @@ def _show(
     console = Console()
     console.print(table)
     console.print(f"Look at it: homolog view {output} --html view.html", highlight=False, soft_wrap=True)
-    for path in paths:
-        typer.echo(path)
+    tell_files(paths)

@@ -9,7 +9,7 @@ import typer
 
 import homolog
 from homolog.cli.options import INPUT, OUTPUT, Quiet, ResultFolder, check_files, check_folder
-from homolog.cli.progress import progress_bar, say
+from homolog.cli.progress import progress_bar, tell_files
 from homolog.core.choices import System
 from homolog.core.errors import ArgumentError
 from homolog.core.files import all_or_nothing
@@ -142,10 +142,7 @@ def export(
         if particles is not None:
             written += homolog.transfer.write_particles(particles, match)
     if not quiet:
-        for note in notes:
-            say(note)
-        for path in written:
-            typer.echo(path)
+        tell_files(written, notes)
 
 
 def _check(

@@ -12,19 +12,19 @@ from homolog.cli.match import counted
 from homolog.cli.options import (
     INPUT,
     METHOD,
-    OUTPUT,
     ClutterOption,
     DeviceOption,
     NoCache,
     OrientOption,
     Quiet,
+    ResultOutput,
     Verbose,
     build_matcher,
     check_folder,
     check_inputs,
     set_verbosity,
 )
-from homolog.cli.progress import progress_bar, say
+from homolog.cli.progress import progress_bar, say, tell_files
 from homolog.cli.wording import in_options
 from homolog.core.choices import Up
 from homolog.core.progress import Timings
@@ -60,9 +60,7 @@ def fit(
             rich_help_panel=METHOD,
         ),
     ] = "people",
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
-    ] = Path("fit"),
+    output: ResultOutput = Path("fit"),
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -104,5 +102,4 @@ def _summary(found: homolog.fitting.BodyFit, paths: list[Path]) -> None:
     unit = f"in {found.unit}" if found.unit != "free" else "in a unit of its own: the height is no metric one"
     say(f"The body lies {mean:.1f} mm from the scan on average; the scan is {unit}.")
     say("Parameters: " + ", ".join(f"{name} {value:.2f}" for name, value in found.parameters.items()) + ".")
-    for path in paths:
-        typer.echo(path)
+    tell_files(paths)

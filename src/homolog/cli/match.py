@@ -25,6 +25,7 @@ from homolog.cli.options import (
     PictureWidth,
     PreAligned,
     Quiet,
+    ResultOutput,
     UseProxyOption,
     Verbose,
     Weights,
@@ -35,7 +36,7 @@ from homolog.cli.options import (
     check_picture_file,
     set_verbosity,
 )
-from homolog.cli.progress import ProgressOption, Report, progress_bar, say
+from homolog.cli.progress import ProgressOption, Report, progress_bar, say, tell_files
 from homolog.cli.wording import in_options
 from homolog.core.choices import AsCloud, Mirror, Parts, Side, System, Up
 from homolog.core.errors import ArgumentError
@@ -157,9 +158,7 @@ def match(
             rich_help_panel=OUTPUT,
         ),
     ] = 1,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
-    ] = Path("match"),
+    output: ResultOutput = Path("match"),
     page: Page = None,
     picture: Picture = None,
     lines: Lines = 0,
@@ -337,8 +336,7 @@ def _summary(matches: list[Match], timings: Timings, paths: list[Path], *, verbo
     if match.report["adaptation"]:
         say(_of_adaptation(match.report["adaptation"]))
     say(f"Matched by {match.method}{_with_weights(match)} in {seconds:.1f} s (reading, matching and writing): {sides}.")
-    for path in paths:
-        typer.echo(path)
+    tell_files(paths)
 
 
 def _of_adaptation(told: dict[str, Any]) -> str:

@@ -14,7 +14,7 @@ import typer
 
 import homolog
 from homolog.cli.lazy import OTHER
-from homolog.core.choices import PICTURE_WIDTHS, Device, KeepClutter, Orient, UseProxy
+from homolog.core.choices import PICTURE_WIDTHS, Device, KeepClutter, Orient, Up, UseProxy
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved, write_json
 from homolog.core.pretrained import AUTO_WEIGHTS, weights_file
@@ -132,6 +132,10 @@ Changes = Annotated[
 ResultFolder = Annotated[
     Path, typer.Argument(metavar="RESULT", help="A folder that homolog match wrote.", show_default=False)
 ]
+ResultOutput = Annotated[
+    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
+]
+UpOfAll = Annotated[Up, typer.Option("--up", help="The axis that points up in all files.", rich_help_panel=INPUT)]
 Json = Annotated[
     Path | None,
     typer.Option(

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Protocol
 
 import typer
@@ -46,6 +47,14 @@ def say(line: str) -> None:
     console = stderr_console()
     # A line that is longer than the terminal would make the bar below it too long as well.
     console.print(line, markup=False, soft_wrap=not console.is_terminal)
+
+
+def tell_files(paths: Iterable[Path], notes: Iterable[str] = ()) -> None:
+    """Print what is to be noted of a result on stderr, and its files on stdout, a line each."""
+    for note in notes:
+        say(note)
+    for path in paths:
+        typer.echo(path)
 
 
 class Lines:

@@ -11,7 +11,6 @@ import homolog
 from homolog.cli.match import counted, has_choice
 from homolog.cli.options import (
     INPUT,
-    OUTPUT,
     PICTURE_WIDTH,
     ClutterOption,
     DeviceOption,
@@ -23,6 +22,7 @@ from homolog.cli.options import (
     Picture,
     PictureWidth,
     Quiet,
+    ResultOutput,
     Verbose,
     Weights,
     build_matcher,
@@ -32,7 +32,7 @@ from homolog.cli.options import (
     check_picture_file,
     set_verbosity,
 )
-from homolog.cli.progress import progress_bar, say
+from homolog.cli.progress import progress_bar, say, tell_files
 from homolog.cli.wording import in_options
 from homolog.core.choices import Up
 from homolog.core.progress import Timings
@@ -64,9 +64,7 @@ def symmetry(
     ] = False,
     method: MethodOption = "auto",
     weights: Weights = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
-    ] = Path("symmetry"),
+    output: ResultOutput = Path("symmetry"),
     page: Page = None,
     picture: Picture = None,
     lines: Lines = 0,
@@ -127,5 +125,4 @@ def _summary(found: homolog.symmetries.Symmetry, paths: list[Path]) -> None:
     )
     if figures["asymmetry_of_size"] > homolog.symmetries.BENT:
         say("Note: the shape is bent to one side, so that the stretch tells more of its form than the asymmetry.")
-    for path in paths:
-        typer.echo(path)
+    tell_files(paths)

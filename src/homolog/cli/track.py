@@ -12,12 +12,13 @@ import homolog
 from homolog.cli.options import (
     INPUT,
     METHOD,
-    OUTPUT,
     DeviceOption,
     MethodOption,
     NoCache,
     OrientOption,
     Quiet,
+    ResultOutput,
+    UpOfAll,
     Verbose,
     Weights,
     build_matcher,
@@ -25,9 +26,8 @@ from homolog.cli.options import (
     check_inputs,
     set_verbosity,
 )
-from homolog.cli.progress import progress_bar, say
+from homolog.cli.progress import progress_bar, say, tell_files
 from homolog.cli.wording import in_options
-from homolog.core.choices import Up
 from homolog.core.errors import ArgumentError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def track(
             show_default=False,
         ),
     ],
-    up: Annotated[Up, typer.Option(help="The axis that points up in all files.", rich_help_panel=INPUT)] = "y",
+    up: UpOfAll = "y",
     as_cloud: Annotated[
         bool, typer.Option("--as-cloud", help="Use only the points of the frames.", rich_help_panel=INPUT)
     ] = False,
@@ -58,9 +58,7 @@ def track(
     ] = "first",
     method: MethodOption = "auto",
     weights: Weights = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
-    ] = Path("track"),
+    output: ResultOutput = Path("track"),
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -100,8 +98,7 @@ def track(
         told = f" Drift: {100 * sum(shares) / len(shares):.1f} % of sqrt(area) on average." if shares else ""
         failed = sum(bool(frame.error) for frame in found.frames)
         say(f"Followed {found.first.n_points} points through {len(files) - failed} of {len(files)} frames.{told}")
-        for path in paths:
-            typer.echo(path)
+        tell_files(paths)
     if any(frame.error for frame in found.frames):
         raise typer.Exit(2)
 

@@ -9,14 +9,14 @@ import typer
 
 import homolog
 from homolog.cli.options import INPUT, OUTPUT, Quiet, ResultFolder, check_folder
-from homolog.cli.progress import progress_bar, say
+from homolog.cli.progress import progress_bar, say, tell_files
 from homolog.core.choices import TEXTURE_SIZE, Side, System
 from homolog.core.errors import ArgumentError, HomologError
 from homolog.core.files import refuse_overwriting_inputs
 from homolog.core.versions import versions
 
 if TYPE_CHECKING:
-    from homolog.transfer import Delivery, Kind, Original
+    from homolog.transfer import Kind, Original
 
 _WHAT = "What to transfer"
 
@@ -160,7 +160,7 @@ def transfer(
         progress(0, 1, "transfer")
         written = delivery.write(output, {"result": str(result), "from": side, "versions": versions()}, progress)
     if not quiet:
-        _tell(delivery, written)
+        tell_files(written, delivery.notes)
 
 
 def _target(match: homolog.Match, side: Side) -> Original | None:
@@ -170,10 +170,3 @@ def _target(match: homolog.Match, side: Side) -> Original | None:
     except HomologError as error:
         say(f"Note: the target's own look, skin and blend shapes are left out: {error}")
         return None
-
-
-def _tell(delivery: Delivery, written: list[Path]) -> None:
-    for note in delivery.notes:
-        say(note)
-    for path in written:
-        typer.echo(path)
