@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import psutil
 import pytest
 
 FUZZ = Path(__file__).parents[1] / "tools" / "fuzz.py"
@@ -65,3 +68,32 @@ def test_a_failure_is_printed_and_its_file_kept(tmp_path: Path) -> None:
     assert kept == ["crash-shape-0", "hang-shape-2", "memory-shape-3", "printed-shape-4", "traceback-shape-1"]
     assert (tmp_path / "out" / "failures" / "hang-shape-2" / "2.off").read_text() == "2"
     assert "5 failures" in done.stdout
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the memory of a worker is told on Linux")
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_the_campaign(tmp_path: Path, number: int) -> None:
+    """A worker that would hang for ten minutes, of a campaign that is ended from outside."""
+    (tmp_path / "hangs.py").write_text(
+        f"import sys; sys.path.insert(0, {str(FUZZ.parent)!r})\n"
+        "import os, time, fuzz\n"
+        "def read(file):\n"
+        f"    os.close(os.open({str(tmp_path)!r} + f'/{{os.getpid()}}.pid', os.O_CREAT))\n"
+        "    time.sleep(600)\n"
+        "fuzz.READERS['shape'] = read\n"
+        f"fuzz.main(['--seconds', '600', '--out', {str(tmp_path / 'out')!r}, '--files', {str(tmp_path / 'a.off')!r}])\n"
+    )
+    (tmp_path / "a.off").write_text("OFF")
+    (tmp_path / "temporary").mkdir()
+    environment = {**os.environ, "TMPDIR": str(tmp_path / "temporary")}
+    with subprocess.Popen([sys.executable, str(tmp_path / "hangs.py")], env=environment) as campaign:
+        while not (told := list(tmp_path.glob("*.pid"))):
+            assert campaign.poll() is None
+            time.sleep(0.1)
+        worker = psutil.Process(int(told[0].stem))
+        campaign.send_signal(number)
+    psutil.wait_procs([worker], timeout=60)
+    assert not worker.is_running()
+    if number == signal.SIGTERM:
+        assert not any((tmp_path / "temporary").iterdir())

@@ -7,7 +7,8 @@ Run from the root of the checkout; needs Linux and the extras of ``dev``::
 
 A reader may give a result or raise a ``HomologError`` of one line. A traceback, a crash, another message, printed
 lines, more than 10 s of the processor, or more memory than twice the file and 250 MB is a failure: it is printed, and
-the file is kept. The same seed makes the same mutants. Workers are ended with whatever they started.
+the file is kept. The same seed makes the same mutants. Workers are ended with whatever they started, and end by
+themselves where this process is killed.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ import homolog
 from fuzz_mutations import mutate
 from fuzz_seeds import OPERATORS, Seed, body, make_seeds
 from homolog import Match, OperatorCache
+from homolog.core.ends import end_with_parent
 from homolog.core.errors import HomologError
 from homolog.datasets import read_truth
 from homolog.datasets.description import read_description
@@ -179,8 +181,10 @@ class Task(NamedTuple):
 # ---- a worker: a fork that reads one file after the other, and tells of each
 
 
-def _work(tasks: Sequence[Task], pipe: int, folder: Path) -> None:
+def _work(tasks: Sequence[Task], pipe: int, folder: Path, parent: int) -> None:
     os.setsid()
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    end_with_parent(parent)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_AS, (12 * 2**30, 12 * 2**30))
     printed = folder / "printed"
@@ -249,6 +253,15 @@ def _peak_of_children(process: int) -> float:
 # ---- the campaign
 
 
+def _ended(worker: int) -> int:
+    """End a worker with whatever it started; its exit status."""
+    with suppress(ProcessLookupError, PermissionError):  # it may have ended, or not have a group of its own yet
+        os.killpg(worker, signal.SIGKILL)
+    with suppress(ProcessLookupError):
+        os.kill(worker, signal.SIGKILL)
+    return os.waitpid(worker, 0)[1]
+
+
 class Campaign:
     """Reads files in workers, one batch after the other, and keeps what fails below a folder."""
 
@@ -269,19 +282,19 @@ class Campaign:
         """Read files until one ends the worker; how many were read."""
         reading, writing = os.pipe()
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-            worker = os.fork()
+            parent, worker = os.getpid(), os.fork()
             if not worker:
                 os.close(reading)
                 try:
-                    _work(tasks, writing, Path(folder))
+                    _work(tasks, writing, Path(folder), parent)
                 finally:
                     os._exit(0)
             os.close(writing)
-            done, said = self._listen(reading, tasks, worker)
-            os.close(reading)
-            with suppress(ProcessLookupError):
-                os.killpg(worker, signal.SIGKILL)
-            _, status = os.waitpid(worker, 0)
+            try:
+                done, said = self._listen(reading, tasks, worker)
+            finally:  # also after Ctrl-C or SIGTERM
+                os.close(reading)
+                status = _ended(worker)
         if done < len(tasks):
             self._note(tasks[done], said or f"crash: signal {status & 127}, exit code {status >> 8}")
             done += 1
@@ -347,6 +360,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options: Any = parser.parse_args(arguments)
     # Of a pool of threads, a fork inherits the locks but not the threads: its first parallel step would wait for ever.
     torch.set_num_threads(1)
+    # As after Ctrl-C, blocks are left, so that no worker and no folder stays behind.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     campaign, began = Campaign(options.out, options.seconds), time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         if options.files:
