@@ -81,23 +81,27 @@ class Orienter:
         counts = ORIENTER_SAMPLES, _LAST_SAMPLES
         coarse, sampled = (basis.sampled(some_points(basis.n_points, n).to(basis.points.device)) for n in counts)
         few, seen = as_oriented(coarse), as_oriented(sampled)
-        found = self._distinct(self._step(few, rotation) for rotation in cube_rotations().to(few.points))
+        found = self._distinct(self._step(few, cube_rotations().to(few.points)))
         for _ in range(_STEPS - 1):
-            found = [self._step(seen, orientation.rotation) for orientation in found]
+            found = self._step(seen, torch.stack([orientation.rotation for orientation in found]))
         distinct = self._distinct(found)
-        answers = [self.network(seen.points @ orientation.rotation.T, seen) for orientation in distinct]
+        answers = self._answers(seen, torch.stack([orientation.rotation for orientation in distinct]))
         return tuple(
             replace(orientation, upright=best_similarity(sampled.points, answer, seen.mass))
             for orientation, answer in zip(distinct, answers, strict=True)
         )
 
-    def _step(self, basis: Basis, rotation: Float[Tensor, "3 3"]) -> Orientation:
-        """The rotation that the network answers to a pose, and by how much its points differ there from the answer."""
-        points = basis.points @ rotation.T
-        answer = self.network(points, basis)
-        further = best_rotation(points, answer, basis.mass)
-        distances = (points @ further.T - answer).norm(dim=1)
-        return Orientation(further @ rotation, float((basis.mass * distances).sum() / basis.mass.sum()))
+    def _step(self, basis: Basis, rotations: Float[Tensor, "s 3 3"]) -> list[Orientation]:
+        """The rotations that the network answers to poses, and by how much its points differ there from the answers."""
+        points, answers = basis.points @ rotations.mT, torch.stack(self._answers(basis, rotations))
+        further = best_rotation(points, answers, basis.mass.expand(len(rotations), -1))
+        distances = (points @ further.mT - answers).norm(dim=2)
+        misfits = (distances @ basis.mass / basis.mass.sum()).tolist()
+        return [Orientation(rotation, misfit) for rotation, misfit in zip(further @ rotations, misfits, strict=True)]
+
+    def _answers(self, basis: Basis, rotations: Float[Tensor, "s 3 3"]) -> list[Float[Tensor, "n 3"]]:
+        """Where the network puts the points of a shape in several poses."""
+        return self.network.several([basis.points @ rotation.T for rotation in rotations], [basis] * len(rotations))
 
     @staticmethod
     def _distinct(orientations: Iterable[Orientation]) -> list[Orientation]:

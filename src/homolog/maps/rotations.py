@@ -58,11 +58,14 @@ def distinct_rotations(rotations: Iterable[Float[Tensor, "3 3"]], *, degrees: fl
         >>> distinct_rotations([torch.eye(3), torch.eye(3)])
         [0]
     """
-    kept: list[tuple[int, Tensor]] = []
-    for number, rotation in enumerate(rotations):
-        if all(rotation_angle(rotation @ other.T) > degrees for _, other in kept):
-            kept.append((number, rotation))
-    return [number for number, _ in kept]
+    stacked = torch.stack([*rotations])
+    traces = torch.einsum("aij,bij->ab", stacked, stacked)
+    apart = torch.rad2deg(torch.acos(((traces - 1) / 2).clamp(-1, 1))) > degrees
+    kept: list[int] = []
+    for number, are_apart in enumerate(apart.tolist()):
+        if all(are_apart[other] for other in kept):
+            kept.append(number)
+    return kept
 
 
 @takes_arrays
@@ -169,8 +172,8 @@ def closest_point_rotations(
     """
     starts = cube_rotations().to(points_x) if starts is None else starts
     few_x, few_y = points_x[:_FEW], points_y[:_FEW]  # enough to tell where a start leads
-    found = _ranked(_iterated(few_x, few_y, start, steps) for start in starts)[:_FOLLOWED]
-    return _ranked(_iterated(points_x, points_y, rotation, last_steps) for rotation, _ in found)
+    found = _ranked(_iterated(few_x, few_y, starts, steps))[:_FOLLOWED]
+    return _ranked(_iterated(points_x, points_y, torch.stack([rotation for rotation, _ in found]), last_steps))
 
 
 def _ranked(found: Iterable[tuple[Float[Tensor, "3 3"], float]]) -> list[tuple[Float[Tensor, "3 3"], float]]:
@@ -251,13 +254,18 @@ def _spanning_tree(
 
 
 def _iterated(
-    x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], rotation: Float[Tensor, "3 3"], steps: int
-) -> tuple[Float[Tensor, "3 3"], float]:
+    x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], rotations: Float[Tensor, "s 3 3"], steps: int
+) -> list[tuple[Float[Tensor, "3 3"], float]]:
+    """Iterated closest points from several starts at once, and the misfit at the end of each."""
+    n, m = len(x), len(y)
+    targets = torch.cat([y.new_empty(len(rotations), n, 3), y.expand(len(rotations), m, 3)], dim=1)
     for _ in range(steps):
-        turned = x @ rotation.T
-        array = torch.cdist(turned, y).cpu().numpy()  # NumPy's argmin takes a tenth of PyTorch's time
-        forth, back = (torch.from_numpy(array.argmin(axis)).to(y.device) for axis in (1, 0))
-        rotation = best_rotation(torch.cat([turned, turned[back]]), torch.cat([y[forth], y])) @ rotation
-    distances = torch.cdist(x @ rotation.T, y)
-    misfit = distances.amin(dim=1).square().mean() + distances.amin(dim=0).square().mean()
-    return rotation, float(misfit)
+        turned = x @ rotations.mT
+        distances = torch.cdist(turned, y).cpu().numpy()  # NumPy's argmin takes a tenth of PyTorch's time
+        forth, back = (torch.from_numpy(distances.argmin(axis)).to(y.device) for axis in (2, 1))
+        targets[:, :n] = y[forth]
+        points = torch.cat([turned, turned.take_along_dim(back[..., None], dim=1)], dim=1)
+        rotations = best_rotation(points, targets) @ rotations
+    last = torch.cdist(x @ rotations.mT, y)
+    misfits = last.amin(dim=2).square().mean(dim=1) + last.amin(dim=1).square().mean(dim=1)
+    return list(zip(rotations, misfits.tolist(), strict=True))
