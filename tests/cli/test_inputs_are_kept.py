@@ -43,18 +43,26 @@ def test_every_parameter_is_known_as_read_or_written():
     assert found - {"return"} == READ | {*OUTPUTS}
 
 
-@pytest.fixture
-def place(tmp_path, make, monkeypatch):
+@pytest.fixture(scope="module")
+def contents(tmp_path_factory, make):
     """A folder with two shapes, a set, a result, arrays and a recipe."""
+    folder = tmp_path_factory.mktemp("contents")
+    for name in ("a", "b"):
+        write_shape(folder / f"{name}.ply", make.blob(2))
+    (folder / "set" / "off").mkdir(parents=True)
+    for name in ("a", "b"):
+        write_shape(folder / "set" / "off" / f"{name}.off", make.blob(2))
+    found = match(folder / "a.ply", folder / "b.ply", method="axiomatic")
+    write_folder(folder / "result", found)
+    np.save(folder / "values.npy", np.arange(make.blob(2).n_points))
+    return folder
+
+
+@pytest.fixture
+def place(tmp_path, contents, monkeypatch):
+    """A copy of that folder, to work in."""
+    shutil.copytree(contents, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    for name in ("a", "b"):
-        write_shape(tmp_path / f"{name}.ply", make.blob(2))
-    (tmp_path / "set" / "off").mkdir(parents=True)
-    for name in ("a", "b"):
-        write_shape(tmp_path / "set" / "off" / f"{name}.off", make.blob(2))
-    found = match(tmp_path / "a.ply", tmp_path / "b.ply", method="axiomatic")
-    write_folder(tmp_path / "result", found)
-    np.save(tmp_path / "values.npy", np.arange(make.blob(2).n_points))
     return tmp_path
 
 

@@ -66,18 +66,18 @@ def test_the_same_as_in_python(homolog, files, tmp_path, options):
 
 def test_default_folder(homolog, files, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert homolog("match", files.mesh, files.mesh).code == 0
+    assert homolog("match", files.mesh, files.mesh, "--method", "axiomatic").code == 0
     assert sorted(path.name for path in (tmp_path / "match").iterdir()) == sorted(NAMES)
 
 
 def test_quiet_is_silent(homolog, files, tmp_path):
-    ended = homolog("match", files.dirty, files.cloud, "-o", tmp_path / "out", "--quiet")
+    ended = homolog("match", files.dirty, files.cloud, "-o", tmp_path / "out", "--quiet", "--method", "axiomatic")
     assert (ended.code, ended.out, ended.err) == (0, "", "")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted(NAMES)
 
 
 def test_verbose_tells_each_step(homolog, files, tmp_path):
-    ended = homolog("match", files.mesh, files.other, "-o", tmp_path, "--verbose")
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path, "--verbose", "--method", "axiomatic")
     for step in ("read source", "operators of target", "map", "write"):
         assert f"{step} ..." in ended.err
     assert ended.err.count(" MB") >= 10
@@ -147,13 +147,14 @@ def test_report(homolog, files, tmp_path):
 
 
 def test_points_left_out_are_told_from_those_without_a_counterpart(homolog, files, tmp_path):
-    ended = homolog("match", files.dirty, files.other, "-o", tmp_path / "whole")
+    weights = ("--weights", files.weights)
+    ended = homolog("match", files.dirty, files.other, "-o", tmp_path / "whole", *weights)
     assert "source 165 points, 1 left out by repair, mean confidence" in ended.err
     assert "target 162 points, all matched, mean confidence" in ended.err
     clean = read_shape(files.mesh)
     upper = clean.faces[(clean.points[clean.faces, 1] > 0).all(axis=1)]
     write_shape(tmp_path / "upper.ply", Shape(clean.points, upper))
-    ended = homolog("match", files.dirty, tmp_path / "upper.ply", "-o", tmp_path, "--partial", "target")
+    ended = homolog("match", files.dirty, tmp_path / "upper.ply", "-o", tmp_path, "--partial", "target", *weights)
     matched = report(tmp_path)["matched"]
     missing = matched["source_points_without_counterpart"]
     assert missing == np.sum(maps(tmp_path)["source_to_target"] < 0) - 1 > 10
@@ -183,12 +184,12 @@ def test_part_scale(homolog, files, tmp_path):
     upper = clean.faces[(clean.points[clean.faces, 1] > 0).all(axis=1)]
     write_shape(tmp_path / "part.ply", Shape(clean.points, upper))
     write_shape(tmp_path / "part_mm.ply", Shape(1000 * clean.points, upper))
+    weights = ["--weights", files.weights, "--method", "nearest-features"]
     same, other = [
-        ("match", files.mesh, tmp_path / name, "--partial", "target") for name in ("part.ply", "part_mm.ply")
+        ("match", files.mesh, tmp_path / name, "--partial", "target", *weights) for name in ("part.ply", "part_mm.ply")
     ]
     assert "units" not in homolog(*same, "-o", tmp_path / "same").err
-    weights = ["--weights", files.weights, "--method", "nearest-features"]
-    ended = homolog(*other, "-o", tmp_path / "wrong", *weights)
+    ended = homolog(*other, "-o", tmp_path / "wrong")
     (warning,) = (line for line in ended.err.splitlines() if "units" in line)
     assert warning.startswith("Warning: the partial shape's area is ")
     assert "--partial-scale" in warning
@@ -208,10 +209,11 @@ def test_a_match_that_fails_for_its_units_says_so(homolog, files, tmp_path, monk
     clean = read_shape(files.other)
     write_shape(tmp_path / "large.ply", Shape(1000 * clean.points, clean.faces))
     monkeypatch.setattr(Matcher, "find", raising(ShapeError("it falls into pieces")))
-    ended = homolog("match", files.mesh, tmp_path / "large.ply", "--partial", "target", "-o", tmp_path / "out")
+    options = ("--partial", "target", "-o", tmp_path / "out", "--weights", files.weights)
+    ended = homolog("match", files.mesh, tmp_path / "large.ply", *options)
     assert ended.is_one_line_of_complaint()
     assert "their units seem to differ; its size is estimated; give --partial-scale, by how much" in ended.err
-    ended = homolog("match", files.mesh, files.other, "--partial", "target", "-o", tmp_path / "out")
+    ended = homolog("match", files.mesh, files.other, *options)
     assert ended.err == "Error: it falls into pieces\n"
 
 
@@ -379,12 +381,13 @@ def test_up(homolog, files, tmp_path, up, turn):
 
 def test_warnings_are_shown_and_kept(homolog, files, tmp_path, monkeypatch):
     monkeypatch.setattr(warnings_module, "orientation_warnings", lambda *args: ("it lies on its side",))
-    ended = homolog("match", files.mesh, files.other, "--orient", "given", "-o", tmp_path)
+    given = ("match", files.mesh, files.other, "--orient", "given", "--weights", files.weights)
+    ended = homolog(*given, "-o", tmp_path)
     assert ended.code == 0
     assert "Warning: it lies on its side\n" in ended.err
     assert report(tmp_path)["warnings"] == ["it lies on its side"]
-    assert homolog("match", files.mesh, files.other, "--orient", "given", "-o", tmp_path, "-q").err == ""
-    strict = homolog("match", files.mesh, files.other, "--orient", "given", "-o", tmp_path / "strict", "--strict")
+    assert homolog(*given, "-o", tmp_path, "-q").err == ""
+    strict = homolog(*given, "-o", tmp_path / "strict", "--strict")
     assert strict.is_one_line_of_complaint()
     assert "it lies on its side (refused as strict)" in strict.err
     assert not (tmp_path / "strict").exists()
@@ -401,7 +404,7 @@ def test_strict_stops_at_a_repair(homolog, files, tmp_path):
 
 
 def test_strict_lets_clean_shapes_pass(homolog, files, tmp_path):
-    given = ("--orient", "given")  # to the pretrained weights, which know people, these blobs have no right way round
+    given = ("--orient", "given", "--weights", files.weights)
     assert homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--strict", *given).code == 0
 
 
@@ -578,7 +581,7 @@ TROUBLES = {
 def test_what_the_machine_cannot_do_is_one_line(homolog, files, tmp_path, monkeypatch, trouble):
     fail, said = TROUBLES[trouble]
     monkeypatch.setattr(Matcher, "find", fail)
-    ended = homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out")
+    ended = homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out", "--method", "axiomatic")
     assert ended.is_one_line_of_complaint(), ended
     assert said in ended.err
     assert not (tmp_path / "out").exists()
@@ -587,7 +590,7 @@ def test_what_the_machine_cannot_do_is_one_line(homolog, files, tmp_path, monkey
 def test_a_mistake_of_the_program_itself_is_not_hidden(homolog, files, tmp_path, monkeypatch):
     monkeypatch.setattr(Matcher, "find", raising(RuntimeError("a shape mismatch")))
     with pytest.raises(RuntimeError, match="a shape mismatch"):
-        homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out")
+        homolog("match", files.mesh, files.mesh, "-o", tmp_path / "out", "--method", "axiomatic")
 
 
 def test_the_hash_is_that_of_the_bytes_read(homolog, files, tmp_path, monkeypatch):
@@ -601,7 +604,7 @@ def test_the_hash_is_that_of_the_bytes_read(homolog, files, tmp_path, monkeypatc
         return find(*args, **kwargs)
 
     monkeypatch.setattr(Matcher, "find", meddling)
-    assert homolog("match", source, files.other, "-o", tmp_path / "out").code == 0
+    assert homolog("match", source, files.other, "-o", tmp_path / "out", "--method", "axiomatic").code == 0
     assert report(tmp_path / "out")["inputs"]["source"]["sha256"] == hashlib.sha256(files.mesh.read_bytes()).hexdigest()
 
 
@@ -616,7 +619,7 @@ def gltf(files, tmp_path):
 
 
 def test_the_hash_of_a_gltf_is_that_of_all_its_files(homolog, files, gltf, tmp_path):
-    assert homolog("match", gltf[0], files.other, "-o", tmp_path / "out").code == 0
+    assert homolog("match", gltf[0], files.other, "-o", tmp_path / "out", "--method", "axiomatic").code == 0
     content = b"".join(file.read_bytes() for file in gltf)
     assert report(tmp_path / "out")["inputs"]["source"]["sha256"] == hashlib.sha256(content).hexdigest()
 
@@ -657,11 +660,12 @@ def test_an_input_that_changes_while_it_is_read_is_refused(homolog, files, tmp_p
 
 def test_cache_is_used_and_can_be_left_alone(homolog, files, tmp_path, monkeypatch):
     monkeypatch.setenv("HOMOLOG_CACHE", str(tmp_path / "cache"))
-    homolog("match", files.mesh, files.other, "-o", tmp_path / "first", "--no-cache")
+    match = ("match", files.mesh, files.other, "--method", "axiomatic", "-o")
+    homolog(*match, tmp_path / "first", "--no-cache")
     assert not (tmp_path / "cache").exists()
-    homolog("match", files.mesh, files.other, "-o", tmp_path / "second")
+    homolog(*match, tmp_path / "second")
     assert len(list((tmp_path / "cache").glob("*.safetensors"))) == 2
-    homolog("match", files.mesh, files.other, "-o", tmp_path / "third")
+    homolog(*match, tmp_path / "third")
     first, second, third = (maps(tmp_path / name) for name in ("first", "second", "third"))
     for name, array in first.items():
         np.testing.assert_array_equal(second[name], array)

@@ -18,10 +18,13 @@ from homolog.matching import Match
 from homolog.shapes import read_shape
 
 
+PLAIN = ("--method", "axiomatic", "--orient", "given")
+
+
 @pytest.fixture
 def result(homolog, files, tmp_path):
     """What a match of a mesh and a cloud wrote."""
-    assert homolog("match", files.mesh, files.other, "-o", tmp_path / "result").code == 0
+    assert homolog("match", files.mesh, files.other, *PLAIN, "-o", tmp_path / "result").code == 0
     return tmp_path / "result"
 
 
@@ -54,7 +57,7 @@ def test_page(homolog, result, tmp_path):
 def test_match_writes_the_same_page(homolog, result, files, tmp_path):
     of_view, of_match = tmp_path / "view.html", tmp_path / "match.html"
     assert homolog("view", result, "--html", of_view).code == 0
-    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "again", "--html", of_match)
+    ended = homolog("match", files.mesh, files.other, *PLAIN, "-o", tmp_path / "again", "--html", of_match)
     assert ended.code == 0 and ended.out.splitlines()[-1] == str(of_match)
     assert of_match.read_bytes() == of_view.read_bytes()
     ended = homolog(
@@ -198,8 +201,8 @@ def test_picture(homolog, result, files, tmp_path):
     assert (ended.code, ended.out, ended.err) == (0, f"{picture}\n", "")
     of_match = tmp_path / "match.png"
     ended = homolog(
-        "match", files.mesh, files.other, "-o", tmp_path / "again", "--picture", of_match, "--picture-width", 200,
-        "--lines", 3,
+        "match", files.mesh, files.other, *PLAIN, "-o", tmp_path / "again", "--picture", of_match,
+        "--picture-width", 200, "--lines", 3,
     )  # fmt: skip
     assert ended.code == 0 and str(of_match) in ended.out
     assert of_match.read_bytes() == picture.read_bytes()
