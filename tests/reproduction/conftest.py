@@ -1,11 +1,12 @@
 """Small experiments in place of the paper's, and datasets of a few blobs to run them on."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from homolog.reproduction import experiments, pictures
+from homolog.reproduction import experiments, pictures, reproduce
 from homolog.shapes import Shape, write_shape
 
 NAMES = ("ape", "bee", "cat", "dog")
@@ -115,10 +116,11 @@ def write_blobs(root: Path, make, *, bend: float = 0.0) -> None:
         (root / "corres" / f"{name}.vts").write_text("\n".join(map(str, np.argsort(order)[:100] + 1)))
 
 
-@pytest.fixture
-def data(tmp_path, make, monkeypatch):
-    """A folder with two datasets of blobs, and the experiments above in place of the paper's."""
-    place = tmp_path / "definitions"
+@pytest.fixture(scope="module")
+def templates(tmp_path_factory, make):
+    """A folder with two datasets of blobs, and one of the experiments above."""
+    root = tmp_path_factory.mktemp("templates")
+    place = root / "definitions"
     (place / "experiments").mkdir(parents=True)
     (place / "blobs.toml").write_text(DESCRIPTION)
     (place / "small.toml").write_text(RECIPE)
@@ -131,13 +133,36 @@ def data(tmp_path, make, monkeypatch):
     (place / "trainings.toml").write_text(TRAININGS.replace("RECIPE", (place / "small.toml").as_posix()))
     for name, text in EXPERIMENTS.items():
         (place / "experiments" / f"{name}.toml").write_text(text)
+    write_blobs(root / "data" / "blobs", make)
+    write_blobs(root / "data" / "more", make, bend=0.2)
+    return root
+
+
+@pytest.fixture
+def data(tmp_path, templates, monkeypatch):
+    """A folder with two datasets of blobs, and the experiments above in place of the paper's."""
     caches = experiments.read_experiment, experiments.trainings, experiments.data_places
     for cached in caches:
         cached.cache_clear()
-    monkeypatch.setattr(experiments, "_FOLDER", place / "experiments")
+    monkeypatch.setattr(experiments, "_FOLDER", templates / "definitions" / "experiments")
     monkeypatch.setattr(pictures, "_WIDTH", 100)
-    write_blobs(tmp_path / "data" / "blobs", make)
-    write_blobs(tmp_path / "data" / "more", make, bend=0.2)
+    shutil.copytree(templates / "definitions", tmp_path / "definitions")
+    shutil.copytree(templates / "data", tmp_path / "data")
     yield tmp_path / "data"
     for cached in caches:
         cached.cache_clear()
+
+
+@pytest.fixture
+def output(tmp_path):
+    """Where results go."""
+    return tmp_path / "out"
+
+
+@pytest.fixture
+def ready(data, output, templates):
+    """The output of the experiment ``plain`` on the data, which is run once for all tests of a file."""
+    if not (templates / "out").exists():
+        reproduce("plain", data, templates / "out")
+    shutil.copytree(templates / "out", output)
+    return output

@@ -14,6 +14,7 @@ from pathlib import Path
 _PACKAGES = ("homolog", "torch", "numpy", "scipy", "robust-laplacian", "trimesh", "safetensors")
 
 
+@cache
 def version_of(package: str) -> str | None:
     """The installed version of a distribution, or None if it is not installed."""
     try:

@@ -256,16 +256,22 @@ def _spanning_tree(
 def _iterated(
     x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], rotations: Float[Tensor, "s 3 3"], steps: int
 ) -> list[tuple[Float[Tensor, "3 3"], float]]:
-    """Iterated closest points from several starts at once, and the misfit at the end of each."""
-    n, m = len(x), len(y)
-    targets = torch.cat([y.new_empty(len(rotations), n, 3), y.expand(len(rotations), m, 3)], dim=1)
+    """Iterated closest points from several starts at once, each until its pairs are the same twice, with the misfits."""
+    n, rotations = len(x), rotations.clone()
+    moving = torch.arange(len(rotations), device=x.device)
+    pairs = torch.full((len(rotations), n + len(y)), -1, device=x.device)
     for _ in range(steps):
-        turned = x @ rotations.mT
+        turned = x @ rotations[moving].mT
         distances = torch.cdist(turned, y).cpu().numpy()  # NumPy's argmin takes a tenth of PyTorch's time
-        forth, back = (torch.from_numpy(distances.argmin(axis)).to(y.device) for axis in (2, 1))
-        targets[:, :n] = y[forth]
-        points = torch.cat([turned, turned.take_along_dim(back[..., None], dim=1)], dim=1)
-        rotations = best_rotation(points, targets) @ rotations
+        found = torch.cat([torch.from_numpy(distances.argmin(axis)).to(y.device) for axis in (2, 1)], dim=1)
+        changed = (found != pairs[moving]).any(dim=1)
+        moving, turned, found = moving[changed], turned[changed], found[changed]
+        if not len(moving):
+            break
+        pairs[moving] = found
+        points = torch.cat([turned, turned.take_along_dim(found[:, n:, None], dim=1)], dim=1)
+        targets = torch.cat([y[found[:, :n]], y.expand(len(moving), -1, 3)], dim=1)
+        rotations[moving] = best_rotation(points, targets) @ rotations[moving]
     last = torch.cdist(x @ rotations.mT, y)
     misfits = last.amin(dim=2).square().mean(dim=1) + last.amin(dim=1).square().mean(dim=1)
     return list(zip(rotations, misfits.tolist(), strict=True))

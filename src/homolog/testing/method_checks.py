@@ -83,9 +83,10 @@ class _Checked:
     def pair(self, source: Shape, target: Shape, **options: Any) -> Pair:
         return self.matcher().pair(source, target, PairOptions(**options))[0]
 
-    def match(self, source: Shape, target: Shape, *, refined: bool = False) -> Match:
-        matcher = self.matcher(refined=refined)
-        pair, _ = matcher.pair(source, target)
+    def match(self, source: Shape, target: Shape, *, by_default: bool = False) -> Match:
+        """A match of shapes that stand alike: refinement and the search for the way round are tried once, by default."""
+        matcher = self.matcher(refined=by_default)
+        pair, _ = matcher.pair(source, target, PairOptions(orient="auto" if by_default else "given"))
         with _asserted(f"{source.name} to {target.name}: "):
             return matcher.find(pair)
 
@@ -167,9 +168,9 @@ def _a_shape_is_mapped_to_itself(checked: _Checked) -> None:
 
 
 def _default_settings(checked: _Checked) -> None:
-    """What it finds is refined then, unless it says otherwise."""
+    """The way round is looked for then, and what it finds is refined, unless it says otherwise."""
     for _, source, target in checked.cases():
-        checked.match(source, target, refined=True)
+        checked.match(source, target, by_default=True)
 
 
 def _what_it_does_not_support_is_refused(checked: _Checked) -> None:
