@@ -484,7 +484,7 @@ def test_maps_may_be_arrays_or_lists(blobs, convert):
     for refinement in (False, True):
         supports = Supports(needs_features=False, refinement=refinement)
         found, expected = (
-            homolog.match(blobs.source, blobs.target, method=FunctionMethod("own", function, supports), device="cpu")
+            homolog.match(*blobs.of("mm"), method=FunctionMethod("own", function, supports), orient="given", device="cpu")
             for function in (converted, nearest_points)
         )
         assert_same(found, expected)

@@ -123,8 +123,8 @@ def test_a_damaged_cell_is_made_again(data, ready, caplog):
         assert json.loads(file.read_text())["figures"] == whole["figures"]
 
 
-def test_a_damaged_cell_is_left_out_of_the_table(data, ready, caplog):
-    output = ready
+def test_a_damaged_cell_is_left_out_of_the_table(data, output, caplog):
+    reproduce("plain", data, output, ReproductionSettings(only=("mesh",)))
     next((output / "plain" / "cells").glob("*mesh*--paper--*.json")).write_text("{}")
     reproduce("plain", data, output, ReproductionSettings(only=("cloud",)))
     assert "it is left out of the table" in caplog.text

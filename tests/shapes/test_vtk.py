@@ -286,7 +286,7 @@ def test_damaged_words_before_an_array_are_one_line(tmp_path):
 
 def test_elements_that_do_not_end_cost_no_more_than_their_number(tmp_path):
     for text in ("<Piece>", "<Piece ", "<DataArray ", "<AppendedData ", "<AppendedData>" + " " * 1000):
-        (tmp_path / "a.vtp").write_text(f'<VTKFile type="PolyData">{text * 100_000}</VTKFile>')
+        (tmp_path / "a.vtp").write_text(f'<VTKFile type="PolyData">{text * 30_000}</VTKFile>')
         with pytest.raises(ShapeError):
             read_shape(tmp_path / "a.vtp")
 
@@ -306,7 +306,8 @@ def test_counts_of_legacy_files(tmp_path, is_binary, is_grid):
     content = (tmp_path / "a.vtk").read_bytes()
     assert read_shape(tmp_path / "a.vtk").n_faces == 12
     assert content.count(b" 12 48\n") == 1
-    for counts in (b"11 48", b"13 48", b"12 47", b"12 44", b"12 49", b"12 52", b"6 24"):
+    wrong = (b"11 48", b"13 48", b"12 47", b"12 44", b"12 49", b"12 52", b"6 24")
+    for counts in wrong if is_binary == is_grid else wrong[1:3]:  # each is read by a process of its own
         (tmp_path / "b.vtk").write_bytes(content.replace(b" 12 48\n", b" %s\n" % counts))
         with pytest.raises(ShapeError, match=r"b\.vtk could not be read as VTK: "):
             read_shape(tmp_path / "b.vtk")
