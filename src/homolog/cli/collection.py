@@ -23,6 +23,7 @@ from homolog.cli.options import (
     OrientOption,
     Processes,
     Quiet,
+    ResumedOutput,
     Seed,
     UpOfAll,
     UseProxyOption,
@@ -126,10 +127,7 @@ def collection(
             rich_help_panel=INPUT,
         ),
     ] = None,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
-    ] = Path("collection"),
+    output: ResumedOutput = Path("collection"),
     scale: Annotated[
         bool,
         typer.Option("--scale", help="Remove size as well before the modes are computed.", rich_help_panel=OUTPUT),

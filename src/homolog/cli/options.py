@@ -135,6 +135,10 @@ ResultFolder = Annotated[
 ResultOutput = Annotated[
     Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
 ]
+ResumedOutput = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
+]
 UpOfAll = Annotated[Up, typer.Option("--up", help="The axis that points up in all files.", rich_help_panel=INPUT)]
 Json = Annotated[
     Path | None,

@@ -20,6 +20,7 @@ from homolog.core.records import record, stored_record
 from homolog.core.versions import versions
 from homolog.matching import RESULT_FILES, Match, write_folder
 from homolog.pairs import Candidate
+from homolog.shape_models.kept_choice import keep_choice, kept_choice
 from homolog.shape_models.registration import Figures, Registered
 from homolog.shape_models.subjects import Subject
 from homolog.shapes import Shape, drawable, files_of_shape, read_shape, write_shape
@@ -45,7 +46,6 @@ class _Manifest(TypedDict):
     """What is read of a collection's manifest."""
 
     what: str
-    choice: NotRequired[list[Candidate]]
     weights_sha256: NotRequired[str]
 
 
@@ -151,16 +151,11 @@ class ShapeModelFolder:
 
     def choice(self) -> tuple[Candidate, ...] | None:
         """The choice of features that was made for all shapes, empty where there was none; None where it is to come."""
-        stored = stored_record(self.root / MANIFEST, _Manifest)
-        if stored is None or "choice" not in stored:
-            return None
-        return tuple(Candidate(**candidate) for candidate in stored["choice"])
+        return kept_choice(self.root / MANIFEST)
 
     def keep_choice(self, choice: Sequence[Candidate]) -> None:
         """Keep the choice that was made for all shapes, so that those that come later are matched alike."""
-        manifest = stored_record(self.root / MANIFEST, _Manifest)
-        assert manifest is not None
-        write_json(self.root / MANIFEST, {**manifest, "choice": [asdict(candidate) for candidate in choice]})
+        keep_choice(self.root / MANIFEST, choice)
 
     def weights(self) -> Path | None:
         """The weights that were adapted to all shapes; None where there are none yet, or they are damaged."""
