@@ -77,6 +77,7 @@ CASES = (
     Case("evaluate", "evaluate {data} --method axiomatic -n 3 -q --json {out}/scores.json --csv {out}/pairs.csv"),
     Case("synth", "synth views {data} -n 5 --processes 1 -o {out}"),
     Case("collection", "collection {data}/off/s0.off {shapes} --method axiomatic --processes 1 -q -o {out}"),
+    Case("track", "track {shapes} --method axiomatic -q -o {out}"),
     Case("train", "train {data} --recipe {data}/recipe.toml --device cpu --resume -q -o {out}"),
     Case("two processes", "collection {data}/off/s0.off {shapes} --method axiomatic --processes 2 -q -o {out}"),
 )

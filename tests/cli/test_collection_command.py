@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from homolog.pairs import read_mask
 from homolog.shapes import Shape, read_shape, write_shape
 
 pytest.importorskip("h5py")
@@ -104,6 +105,28 @@ def test_landmarks_and_the_page_of_each_shape(homolog, shapes, tmp_path):
     ended = homolog("collection", *shapes, "-o", tmp_path / "no", *OPTIONS, "--landmarks", tmp_path / "none.csv")
     assert ended.is_one_line_of_complaint() and "none.csv cannot be read as landmarks" in ended.err
     assert not (tmp_path / "no").exists()
+
+
+def test_masks_of_the_template_and_of_shapes(homolog, shapes, tmp_path):
+    out, low = tmp_path / "out", read_shape(shapes[0]).points[:, 1] < 0.7
+    np.save(tmp_path / "low.npy", low)
+    (tmp_path / "masks").mkdir()
+    np.save(tmp_path / "masks" / "2.npy", np.ones(len(low)))
+    masks = ("--template-mask", tmp_path / "low.npy", "--masks", tmp_path / "masks")
+    ended = homolog("collection", *shapes, "-o", out, *OPTIONS, *masks)
+    assert ended.code == 0, ended.err
+    np.testing.assert_array_equal(read_mask(out / "model" / "mean.ply").kept, low)
+    report = json.loads((out / "report.json").read_text())
+    assert report["template"]["points_left_out"] == (~low).sum()
+    assert report["masks"] == {"2": str(tmp_path / "masks" / "2.npy")}
+    assert len(np.loadtxt(out / "shapeworks" / "particles" / "1_local.particles")) == low.sum()
+    for options, told in (
+        (("--template-mask", tmp_path / "none.npy"), "none.npy cannot be read as a mask"),
+        (("--masks", tmp_path), "has no mask of any of the shapes"),
+    ):
+        ended = homolog("collection", *shapes, "-o", tmp_path / "no", *OPTIONS, *options)
+        assert ended.is_one_line_of_complaint() and told in ended.err
+        assert not (tmp_path / "no").exists()
 
 
 def test_a_bad_shape_is_a_line_and_the_exit_code(homolog, shapes, files, tmp_path):

@@ -10,6 +10,7 @@ from homolog.core.errors import ArgumentError
 from homolog.features import FeatureInfo, Orientation
 from homolog.matching import Matcher, map_misfit
 from homolog.pairs import MatcherSettings, PairOptions
+from homolog.synthesis import view
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,10 +21,13 @@ class Positions:
     misfit: float
     tells: bool = True
     n_eigenpairs: int = 64
+    knows_parts: bool = False
 
     @property
     def info(self):
-        return FeatureInfo(name=self.name, n_eigenpairs=self.n_eigenpairs, near_isometric=False)
+        return FeatureInfo(
+            name=self.name, n_eigenpairs=self.n_eigenpairs, near_isometric=False, partial=self.knows_parts
+        )
 
     def orienter(self, operators):
         return (Orientation(torch.eye(3), self.misfit),)
@@ -45,6 +49,28 @@ def test_features_that_know_the_pair_are_taken_before_others_are_asked(blobs):
     pair = chosen([Positions("usual", 0.05), Positions("others", 0.01)], blobs)
     assert pair.extractor.info.name == "usual"
     assert [candidate.name for candidate in pair.choice] == ["usual"]
+
+
+@pytest.mark.parametrize(("partial", "first"), [(None, "usual"), ("source", "of parts"), ("both", "of parts")])
+def test_of_partial_pairs_those_that_know_parts_are_asked_first(blobs, partial, first):
+    """And of full ones last; those that know the pair better are taken all the same."""
+    usual, of_parts = Positions("usual", 0.05), Positions("of parts", 0.05, knows_parts=True)
+    options = PairOptions(partial=partial, orient="given")
+    pair = Matcher([usual, of_parts]).pair(blobs.source, blobs.target, options)[0]
+    assert pair.extractor.info.name == first and [candidate.name for candidate in pair.choice] == [first]
+    other = Matcher([usual, Positions("of parts", 0.3, knows_parts=True)]).pair(blobs.source, blobs.target, options)[0]
+    assert other.extractor.info.name == "usual"
+
+
+def test_the_pretrained_weights_of_parts_stand_in_for_those_with_their_orienter():
+    auto = Matcher.from_weights().feature_choice.extractors
+    assert [each.info.name for each in auto] == ["people", "animals", "hands", "views"]
+    source, target = homolog.demo_shapes()
+    full = Matcher.from_weights().pair(source, target)[0]
+    assert [candidate.name for candidate in full.choice] == ["people"]
+    seen = view(source, seed=1).mesh.shape
+    part = Matcher.from_weights().pair(seen, target, partial="source")[0]
+    assert [candidate.name for candidate in part.choice] == ["views"]
 
 
 @pytest.mark.parametrize("orient", ["auto", "given"])

@@ -14,7 +14,7 @@ from homolog.core.progress import Timings
 from homolog.datasets import demo_folder
 from homolog.features import Orientation
 from homolog.maps import rotation_angle
-from homolog.matching import low_confidence_warnings, orientation_warnings
+from homolog.matching import low_confidence_warnings, orientation_warnings, search
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.search import orient
 from homolog.pairs import PairOptions
@@ -165,6 +165,22 @@ def test_mirror_auto_reflects_a_mirror_image_and_nothing_else():
     assert not any("mirror image" in warning for warning in found.warnings)
     assert (found.source_to_target == np.arange(shape.n_points)).mean() > 0.9
     assert homolog.match(shape, other, mirror="auto").report["options"]["mirror"] is None
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_mirror_auto_searches_once_and_finds_what_is_found_without(blobs, monkeypatch, count):
+    shape, other = blobs.source, turned(blobs.target, odd(4))
+    matcher = homolog.Matcher(settings=homolog.MatcherSettings(method="registration"))
+    plain = matcher.alternatives(matcher.pair(shape, other)[0], count)
+    searches, ranked = [], search._ranked
+    monkeypatch.setattr(search, "_ranked", lambda pair, **words: [searches.append(pair), *ranked(pair, **words)][1:])
+    found = matcher.alternatives(matcher.pair(shape, other, mirror="auto")[0], count)
+    assert len(searches) == (1 if count == 1 else 2)  # further ways round are looked for on demand
+    assert len(found) == len(plain)
+    for one, same in zip(found, plain, strict=True):
+        np.testing.assert_array_equal(one.source_to_target, same.source_to_target)
+        np.testing.assert_array_equal(one.target_to_source, same.target_to_source)
+        assert one.report["orientation"] == same.report["orientation"]
 
 
 def test_whether_to_mirror_is_decided_before_shapes_are_preprocessed():

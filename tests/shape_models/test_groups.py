@@ -2,21 +2,29 @@
 
 import csv
 import json
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from homolog.core.errors import ArgumentError, DataError
-from homolog.shape_models import ModelSettings, compared_groups, read_groups, write_comparison
+from homolog.shape_models import (
+    ModelSettings,
+    ShapeModelFolder,
+    StoredModel,
+    compared_groups,
+    read_groups,
+    write_comparison,
+)
 from homolog.shapes import Shape, read_shape
 from homolog.shapes.formats.ply import read_ply_property
+from homolog.statistics import ShapeModel
 
 NAMES = tuple(f"bone{number}" for number in range(10))
 
 
 @pytest.fixture
-def stored(make):
+def stored(make, tmp_path):
     """As a stored model: ten turned and moved shapes; those of the second half have a bump."""
     blob, random = make.blob(2), np.random.default_rng(0)
     bump = np.exp(-((blob.points - blob.points[7]) ** 2).sum(axis=1) / 0.1)
@@ -28,7 +36,11 @@ def stored(make):
             for number in range(10)
         ]
     )
-    return SimpleNamespace(names=NAMES, settings=ModelSettings(), mean=blob, points=lambda: points, bump=bump)
+    model = ShapeModel(blob.points, np.zeros((0, 162, 3)), np.zeros(0))
+    found = StoredModel(ShapeModelFolder(tmp_path), NAMES, ModelSettings(), model, blob, None)
+    for name, value in {"points": lambda: points, "bump": bump}.items():
+        object.__setattr__(found, name, value)
+    return found
 
 
 @pytest.fixture
@@ -69,7 +81,7 @@ def test_the_order_of_the_groups_is_that_which_was_given(stored, table):
 
 
 def test_a_cloud_has_no_normals(stored, table):
-    stored.mean = Shape(stored.mean.points)
+    object.__setattr__(stored, "mean", Shape(stored.mean.points))
     found = compared_groups(stored, read_groups(table, NAMES))
     assert np.isnan(found.along_normals).all()
 
@@ -100,3 +112,20 @@ def test_groups_that_cannot_be(stored, tmp_path):
     with pytest.raises(ArgumentError, match="cannot be part of a file's name"):
         write_comparison(tmp_path / "out", found)
     assert not (tmp_path / "out").exists()
+
+
+def test_points_that_a_mask_leaves_out_are_compared_with_nothing_and_correct_nothing(stored, table, tmp_path):
+    """As if the template never had them: the same numbers, and the same correction."""
+    kept = stored.bump < 0.01
+    groups = read_groups(table, NAMES)
+    with_mask = replace(stored, weights=kept.astype(float))
+    object.__setattr__(with_mask, "points", stored.points)
+    masked = compared_groups(with_mask, groups)
+    assert np.isnan(masked.comparison.p[~kept]).all()
+    small = replace(stored, mean=Shape(stored.mean.points[kept]))
+    object.__setattr__(small, "points", lambda: stored.points()[:, kept])
+    without = compared_groups(small, groups).comparison
+    np.testing.assert_array_equal(masked.comparison.p_corrected[kept], without.p_corrected)
+    np.testing.assert_allclose(masked.comparison.difference[kept], without.difference, atol=1e-12)
+    assert masked.figures()["points"] == kept.sum() and masked.comparison.p_overall == without.p_overall
+    assert len(write_comparison(tmp_path / "out", masked)) == 5

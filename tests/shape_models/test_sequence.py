@@ -10,7 +10,7 @@ from without_weights import axiomatic
 
 from homolog.core.errors import ArgumentError
 from homolog.matching import Match
-from homolog.shape_models import sequence, track, write_track
+from homolog.shape_models import Template, sequence, track, write_track
 from homolog.shapes import Shape, read_shape, write_shape
 from homolog.shapes.formats.ply import read_ply_property
 
@@ -99,6 +99,67 @@ def test_what_is_written_reads_back(found, tmp_path):
     np.testing.assert_allclose(read_ply_property(paths[3], "drift"), found.mean_drift)
     with pytest.raises(ArgumentError, match="replaced"):
         write_track(tmp_path / "out", found, files=[paths[0] / "frame3.ply"])
+
+
+@pytest.fixture
+def registered(monkeypatch):
+    """The frames that the first one is registered to."""
+    names, registered_to = [], Template.registered_to
+
+    def counted(self, shape, **words):
+        names.append(shape.name)
+        return registered_to(self, shape, **words)
+
+    monkeypatch.setattr(Template, "registered_to", counted)
+    return names
+
+
+def contents(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_track_that_is_stopped_goes_on_and_ends_as_without(motion, registered, tmp_path):
+    files = motion[0][:3]
+
+    def run(name, **words):
+        found = track(files, axiomatic(), output=tmp_path / name, **words)
+        write_track(tmp_path / name, found)
+        return found
+
+    def stop(frame):
+        raise KeyboardInterrupt
+
+    whole = run("whole")
+    with pytest.raises(KeyboardInterrupt):
+        run("stopped", listener=stop)
+    resumed = run("stopped")
+    assert registered == [f"frame{number}.ply" for number in (1, 2, 1, 2)]
+    assert contents(tmp_path / "stopped") == contents(tmp_path / "whole")
+    np.testing.assert_array_equal(resumed.points, whole.points)
+    other = run("stopped", follow="previous")  # both ways are kept
+    assert len(registered) == 4 and other.follow == "previous" and not np.array_equal(other.points, whole.points)
+    with pytest.raises(ArgumentError, match="a track made in another way \\(matching\\)"):
+        run("stopped", orient="given")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("")
+    with pytest.raises(ArgumentError, match="holds other things"):
+        run("mine")
+
+
+def test_a_frame_that_changed_is_done_anew_with_those_after_it(motion, registered, tmp_path):
+    files = [tmp_path / file.name for file in motion[0]]
+    for file, given in zip(files, motion[0], strict=True):
+        file.write_bytes(given.read_bytes())
+    out = tmp_path / "out"
+    write_track(out, track(files[:3], axiomatic(), output=out))
+    track(files, axiomatic(), output=out)
+    assert registered == [f"frame{number}.ply" for number in (1, 2, 3)]
+    (tmp_path / "frame2.ply").write_bytes(b"ply")
+    found = track(files, axiomatic(), output=out)
+    assert registered[3:] == ["frame3.ply"]  # it is matched to frame 1 then
+    np.testing.assert_array_equal(found.points[3], track([files[0], files[1], files[3]], axiomatic()).points[2])
+    write_track(out, found)
+    assert sorted(path.name for path in (out / "frames").iterdir()) == ["frame0.ply", "frame1.ply", "frame3.ply"]
 
 
 def test_mistakes_are_named(motion, found):

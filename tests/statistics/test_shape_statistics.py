@@ -189,3 +189,45 @@ def test_equal_shapes_have_no_modes(shape):
 def test_refused(call, said):
     with pytest.raises(ArgumentError, match=said):
         call()
+
+
+@pytest.mark.parametrize("scale", [False, True])
+def test_weights_count_as_copies_of_points_and_none_as_absent_ones(shape, scale):
+    rng = np.random.default_rng(8)
+    points = moved(shape, 5, seed=1) + 0.2 * rng.standard_normal((5, 40, 3))
+    weights = rng.integers(0, 4, 40)
+    copies = np.repeat(np.arange(40), weights)
+    found = generalised_procrustes(points, scale=scale, start=shape, weights=weights.astype(float))
+    expected = generalised_procrustes(points[:, copies], scale=scale, start=shape[copies])
+    np.testing.assert_allclose(found.points[:, copies], expected.points, atol=1e-9)
+    np.testing.assert_allclose(found.rotations, expected.rotations, atol=1e-9)
+    np.testing.assert_allclose(found.distances, expected.distances, atol=1e-9)
+    again = found.scales[:, None, None] * points @ found.rotations.transpose(0, 2, 1) + found.shifts[:, None]
+    np.testing.assert_allclose(again, found.points, atol=1e-9)  # those that count nothing are moved with the others
+
+
+def test_weights_that_are_none_are_refused(shape):
+    points = moved(shape, 3)
+    for weights, said in ((-np.ones(40), "numbers from 0"), (np.ones(39), "each of the 40 points")):
+        with pytest.raises(ArgumentError, match=said):
+            generalised_procrustes(points, weights=weights)
+    with pytest.raises(ArgumentError, match="leave 2 points, but aligning needs three"):
+        generalised_procrustes(points, weights=np.arange(40) < 2.0)
+
+
+def test_modes_are_those_of_the_points_that_are_kept_and_the_others_follow(family):
+    shapes, _, _ = family
+    rng = np.random.default_rng(1)
+    kept = rng.random(shapes.shape[1]) < 0.6
+    noisy = shapes + 0.1 * rng.standard_normal(shapes.shape)  # eleven modes: as many as there can be
+    found, alone = principal_modes(noisy, kept), principal_modes(noisy[:, kept])
+    np.testing.assert_allclose(found.modes[:, kept], alone.modes, atol=1e-9)
+    np.testing.assert_allclose(found.variances, alone.variances)
+    coefficients = found.coefficients(noisy)
+    np.testing.assert_allclose(coefficients, alone.coefficients(noisy[:, kept]), atol=1e-9)
+    np.testing.assert_allclose(found.shapes(coefficients), noisy, atol=1e-8)
+    # With the first mode alone they follow as linear regression on its coefficients has it.
+    others = noisy[:, ~kept].reshape(len(noisy), -1)
+    slope = np.linalg.lstsq(coefficients[:, :1], others - others.mean(axis=0), rcond=None)[0]
+    np.testing.assert_allclose(found.modes[0, ~kept].ravel() * found.deviations[0], slope[0], atol=1e-9)
+    np.testing.assert_array_equal(found.of_kept().mean, alone.mean)

@@ -242,3 +242,18 @@ def test_values_of_any_type_and_infinite_ones_are_interpolated(make, recwarn, ki
     assert np.isinf(places.interpolate(np.full((cloud.n_points, 2), np.inf))).all()
     assert np.isinf(places.interpolate(np.full(cloud.n_points, np.longdouble("1e4000")))).all()
     assert not recwarn.list
+
+
+def test_what_has_no_counterpart_follows_the_rest_and_loose_parts_move_with_it_as_one_body(make, matched):
+    """A cap of the blob and a ball beside it are not matched; all of it is moved, turned and made larger."""
+    blob, ball = make.blob(3), make.sphere(1)
+    source = make.joined([blob, Shape(0.2 * ball.points + [0, 2.5, 0], ball.faces)])
+    points = 2 * source.points @ make.rotation(3).T + [5.0, 6, 7]
+    target = Shape(points[: blob.n_points], blob.faces)
+    known = np.append(blob.points[:, 1] < 0.8, np.zeros(ball.n_points, dtype=bool))
+    same = np.arange(source.n_points)
+    back = np.where(known, same, -1)[: blob.n_points]
+    found = surface_map(source, target, matched(source, target, np.where(known, same, -1), back))
+    assert np.isnan(found.positions[~known]).all()
+    np.testing.assert_allclose(found.positions[known], points[known], atol=1e-4)
+    np.testing.assert_allclose(found.extended[~known], points[~known], atol=1e-2)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -23,6 +23,7 @@ from homolog.cli.options import (
     OrientOption,
     Processes,
     Quiet,
+    ResumedOutput,
     Seed,
     UpOfAll,
     UseProxyOption,
@@ -109,10 +110,24 @@ def collection(
             rich_help_panel=INPUT,
         ),
     ] = None,
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
-    ] = Path("collection"),
+    template_mask: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="How much each point of the template counts, as --source-mask of homolog match has it. Points with 0 "
+            "are neither matched nor counted, and follow the others; others count by their number in the alignment.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    masks: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Masks of shapes, such as of scan edges: files named as their shapes. Shapes without one count fully.",
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
+    output: ResumedOutput = Path("collection"),
     scale: Annotated[
         bool,
         typer.Option("--scale", help="Remove size as well before the modes are computed.", rich_help_panel=OUTPUT),
@@ -147,6 +162,8 @@ def collection(
 
       homolog collection skull.ply skulls/*.ply -o skulls_model --symmetry skull-symmetry
 
+      homolog collection skull.ply skulls/*.ply -o skulls_model --template-mask no-teeth.npy --masks skull-masks
+
       homolog collection character.glb scans/*.ply -o characters --proxy always --clutter keep
 
       homolog collection lung.csv lungs/*.csv -o lungs_model --method registration --up z --scale
@@ -166,11 +183,13 @@ def collection(
         proxy=proxy,
         strict=strict,
         adapt=adapt,
+        template_mask=homolog.pairs.mask_of(template_mask, "template_mask"),
     )
     model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
     make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
     matcher = make_matcher()
     report = {"command": ["homolog", *sys.argv[1:]], **described(matcher, warnings="warnings_of_all")}
+    known: Any = {"landmarks": landmarks, "axes": axes, "symmetry": symmetry, "masks": masks}
     with progress_bar(quiet=quiet) as progress:
         built = models.build(
             template,
@@ -179,9 +198,7 @@ def collection(
             make_matcher,
             settings=settings,
             model=model,
-            landmarks=landmarks,
-            axes=axes,
-            symmetry=symmetry,
+            **known,
             processes=processes,
             progress=progress,
             listener=_tell,

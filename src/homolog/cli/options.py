@@ -33,7 +33,7 @@ Weights = Annotated[
         "--weights",
         metavar="NAME|FILE",
         help="Trained weights: the name of pretrained ones, a .safetensors file, or a .pth that the paper's authors "
-        "released. auto: of people or of animals, whichever know the two shapes, or none where neither do.",
+        "released. auto: those that know the two shapes, of people or parts of people, animals or hands, or none.",
         show_default=AUTO_WEIGHTS,
         rich_help_panel=METHOD,
     ),
@@ -134,6 +134,10 @@ ResultFolder = Annotated[
 ]
 ResultOutput = Annotated[
     Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for the result.", rich_help_panel=OUTPUT)
+]
+ResumedOutput = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
 ]
 UpOfAll = Annotated[Up, typer.Option("--up", help="The axis that points up in all files.", rich_help_panel=INPUT)]
 Json = Annotated[

@@ -9,16 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import homolog
-from homolog.cli.options import OUTPUT, set_verbosity
+from homolog.cli.options import ResumedOutput, set_verbosity
 from homolog.cli.progress import progress_bar
 
 if TYPE_CHECKING:
     from homolog.synthesis import BodyFolder
 
-Output = Annotated[
-    Path,
-    typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
-]
+Output = ResumedOutput
 NBodies = Annotated[int, typer.Option("--n-bodies", "-n", metavar="N", help="How many bodies.", min=1)]
 Vertices = Annotated[int, typer.Option(metavar="N", help="About how many vertices each mesh has.", min=500)]
 Stretch = Annotated[

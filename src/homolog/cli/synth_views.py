@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import ONE_PER_CORE, OUTPUT, Processes, Quiet, Seed
+from homolog.cli.options import ONE_PER_CORE, Processes, Quiet, ResumedOutput, Seed
 from homolog.cli.progress import progress_bar
 
 
@@ -19,10 +19,7 @@ def views(
             metavar="DATA", help="A folder of full meshes, or one with off/ and perhaps corres/.", show_default=False
         ),
     ],
-    output: Annotated[
-        Path,
-        typer.Option("--output", "-o", metavar="DIR", help="A new folder, or one to resume.", rich_help_panel=OUTPUT),
-    ] = Path("views"),
+    output: ResumedOutput = Path("views"),
     n_views: Annotated[
         int,
         typer.Option(

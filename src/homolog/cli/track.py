@@ -17,7 +17,7 @@ from homolog.cli.options import (
     NoCache,
     OrientOption,
     Quiet,
-    ResultOutput,
+    ResumedOutput,
     UpOfAll,
     Verbose,
     Weights,
@@ -58,7 +58,7 @@ def track(
     ] = "first",
     method: MethodOption = "auto",
     weights: Weights = None,
-    output: ResultOutput = Path("track"),
+    output: ResumedOutput = Path("track"),
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -74,6 +74,9 @@ def track(
     DIR/track.json. A frame that cannot be matched is one line on stderr and NaN in points.npy; the others are still
     written, and the exit code is 2.
 
+    The same command resumes where it was stopped, and redoes frames that changed, with those after them; more frames
+    can be given then, and another --follow.
+
     Examples:
       homolog track scans -o motion
 
@@ -87,7 +90,15 @@ def track(
     with progress_bar(quiet=quiet) as progress:
         matcher = build_matcher(weights, method, device, no_cache=no_cache)
         found = models.track(
-            files, matcher, follow=follow, up=up, as_cloud=as_cloud, orient=orient, progress=progress, listener=_tell
+            files,
+            matcher,
+            follow=follow,
+            up=up,
+            as_cloud=as_cloud,
+            orient=orient,
+            output=output,
+            progress=progress,
+            listener=_tell,
         )
         paths = models.write_track(output, found, files=files)
     if not quiet:

@@ -13,6 +13,8 @@ AUTO_WEIGHTS = "auto"
 """In place of a name: the pretrained weights of all kinds, of which those are used that know a pair best."""
 KINDS = ("people", "animals", "hands")
 """The names of the pretrained weights of these kinds, the usual ones first."""
+OF_PARTS = ("views",)
+"""The names of those that were trained on partial shapes of one of these kinds, and are for partial pairs."""
 
 _FOLDER = Path(__file__).parents[1] / "features" / "pretrained"
 

@@ -10,7 +10,7 @@ import torch
 
 from homolog.core.arguments import check_kind, given_or_default
 from homolog.core.errors import ArgumentError
-from homolog.core.pretrained import AUTO_WEIGHTS, KINDS, pretrained_weights
+from homolog.core.pretrained import AUTO_WEIGHTS, KINDS, OF_PARTS, pretrained_weights
 from homolog.features import FeatureExtractor, FeatureInfo, as_extractor, load_weights, on_device
 from homolog.geometry import OperatorSettings
 from homolog.methods import AUTO, as_method, find_method
@@ -111,7 +111,7 @@ def features_of_weights(
     if weights is None and not needs_features(settings):
         return None
     if weights is None or str(weights) == AUTO_WEIGHTS:
-        return tuple(load_weights(kind) for kind in KINDS if kind in pretrained_weights())
+        return tuple(load_weights(name) for name in (*KINDS, *OF_PARTS) if name in pretrained_weights())
     return load_weights(weights)
 
 

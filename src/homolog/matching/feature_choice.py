@@ -143,8 +143,10 @@ class FeatureChoice:
         pair = self.best_for([pair], timings)[0]
         if options.mirror != "auto":
             return pair
-        if not are_mirror_images(orient(pair)):
-            return replace(pair, options=replace(pair.options, mirror=None))
+        plain = replace(pair, options=replace(pair.options, mirror=None))
+        oriented = orient(plain)
+        if not are_mirror_images(oriented):
+            return replace(oriented, before_search=plain)
         options = replace(options, mirror="source")
         return self.pair_of(source, target, options, features=features, timings=timings)
 

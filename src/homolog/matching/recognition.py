@@ -11,6 +11,7 @@ import math
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from statistics import median
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import torch
@@ -83,9 +84,10 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
         shapes: of the pairs, with other features.
     """
     settings = pairs[0].settings.choice
-    ways = [_way(pairs)]
+    first, *others = _suited(extractors, pairs[0])
+    ways = [_way(pairs if first is extractors[0] else [shapes.seen(pair, first) for pair in pairs])]
     if _misfit_of(ways[0]) > settings.known:
-        ways += [_way([shapes.seen(pair, extractor) for pair in pairs]) for extractor in extractors[1:]]
+        ways += [_way([shapes.seen(pair, extractor) for pair in pairs]) for extractor in others]
         ways.sort(key=_misfit_of)
     # Maps of two parts contradict themselves wherever these do not overlap.
     if _misfit_of(ways[0]) > settings.known_best and not pairs[0].are_parts:
@@ -94,6 +96,33 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
         ways = sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]
     choice = tuple(way.candidate for way in ways)
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
+
+
+def _suited(extractors: Sequence[FeatureExtractor], pair: Pair) -> list[FeatureExtractor]:
+    """The features in the order in which they are asked: of partial pairs those that know parts come first.
+
+    Of those that have one orienter, and so know the same shapes, the first suit the pair.
+    """
+    wants_parts = pair.is_partial or pair.are_parts
+    found: list[FeatureExtractor] = []
+    for extractor in sorted(extractors, key=lambda each: each.info.partial != wants_parts):
+        if not any(_have_one_orienter(extractor, other) for other in found):
+            found.append(extractor)
+    return found
+
+
+def _have_one_orienter(one: FeatureExtractor, other: FeatureExtractor) -> bool:
+    networks: list[Any] = [getattr(_orienter_of(each), "network", None) for each in (one, other)]
+    if None in networks:  # an orienter of somebody's own
+        return False
+    first, second = (network.state_dict() for network in networks)
+    return first.keys() == second.keys() and all(torch.equal(first[name], second[name]) for name in first)
+
+
+def _orienter_of(extractor: FeatureExtractor) -> Orienter:
+    """Of features to choose from, which have one each."""
+    orienter: Orienter = extractor.orienter  # type: ignore[attr-defined]
+    return orienter
 
 
 def map_misfit(match: Match, settings: ChoiceSettings | None = None) -> float:
@@ -133,7 +162,7 @@ def _way(pairs: Sequence[Pair]) -> _Way:
     """Pairs with some features, and how little these know them: their orienter is asked where it was not before."""
     extractor = pairs[0].extractor
     assert extractor is not None
-    orienter: Orienter = extractor.orienter  # type: ignore[attr-defined]
+    orienter = _orienter_of(extractor)
     # Of a partial pair the full shape tells, or part and whole would have to be of one kind of orienter.
     misfits = [
         max(

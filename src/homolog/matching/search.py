@@ -84,6 +84,8 @@ def orientations(pair: Pair, count: int) -> list[Pair]:
     files. Upright weights without an orienter are trusted to have got upright shapes: other rotations mislead their
     features.
     """
+    if count > 1 and pair.before_search is not None:
+        pair = pair.before_search
     is_trusted = pair.orientation is not None or pair.options.orient == "given"
     if is_trusted or pair.options.partial is not None or not pair.follows_pose:
         return [pair]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 from os import PathLike
 from pathlib import Path
@@ -93,6 +93,17 @@ class Mask:
     def kept(self) -> Bool[np.ndarray, " n"]:
         """Which points take part."""
         return np.asarray(self.weights > 0)
+
+    def applied_to(self, shape: Shape) -> Shape:
+        """The shape without what is left out, its points in the same numbering: no face has them, or they are NaN.
+
+        Raises:
+            ArgumentError: if it has another number of points.
+        """
+        self.check_fits(shape)
+        if shape.faces is not None:
+            return replace(shape, faces=shape.faces[self.kept[shape.faces].all(axis=1)])
+        return replace(shape, points=np.where(self.kept[:, None], shape.points, np.nan))
 
     @property
     def is_graded(self) -> bool:

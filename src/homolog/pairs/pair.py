@@ -124,6 +124,7 @@ class Pair:
         choice: among which features and methods these were chosen, the chosen one first; empty where it was given.
         adaptation: what came of adapting a network to the pair; None where that was not asked for.
         orientation: which way round they were found to be; None where nothing was looked for.
+        before_search: the pair before it was turned, where other ways round may still be asked for; None elsewhere.
         alignment: what took the partial shape as it was given onto the full one, or of two parts the target onto the
             source, in normalised coordinates; None where it stays.
         fit: how well two parts lie on each other; None where that was not looked for.
@@ -142,6 +143,7 @@ class Pair:
     choice: tuple[Candidate, ...] = ()
     adaptation: PairAdaptation | None = None
     orientation: PairOrientation | None = None
+    before_search: Pair | None = None
     alignment: Similarity | None = None
     fit: PartsFit | None = None
 
@@ -294,13 +296,13 @@ class Pair:
 
     @torch.no_grad()
     def with_extractor(self, extractor: FeatureExtractor) -> Pair:
-        """The same with the features of another extractor."""
+        """The same with the features of another extractor, turned as it is for good."""
         preprocessor = Preprocessor(extractor=extractor, device=self.source.operators.points.device)
         source, target = (
             replace(shape, features=preprocessor.features(shape.operators, shape=shape.name))
             for shape in (self.source, self.target)
         )
-        return replace(self, source=source, target=target, extractor=extractor)
+        return replace(self, source=source, target=target, extractor=extractor, before_search=None)
 
     def __repr__(self) -> str:
         return f"Pair(source={self.source!r},\n     target={self.target!r})"

@@ -40,7 +40,7 @@ class TemplateSymmetry:
 
         Points without a partner are NaN in the arrays, and lie at the mean of the others in the shape.
         """
-        known = self.partners.valid
+        known = self.partners.valid & shapes.kept & shapes.kept[self.partners.corners].all(axis=1)
         partners = np.stack([self.partners.interpolate(points) for points in shapes.points])
         found = symmetric_components(shapes.points[:, known], partners[:, known], scale=shapes.settings.scale)
         self._components = found

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -34,9 +35,11 @@ def settings_record(template_sha256: str, matcher: Matcher, settings: ShapeModel
         matcher: that registers the template.
         settings: of the registration.
     """
+    mask = settings.template_mask
+    masked = {} if mask is None else {"mask_sha256": hashlib.sha256(mask.weights.tobytes()).hexdigest()}
     return {
-        "template": {"sha256": template_sha256},
-        "matching": asdict(settings),
+        "template": {"sha256": template_sha256, **masked},
+        "matching": settings.to_dict(),
         **{name: value for name, value in matcher.describe().items() if name != "device"},
     }
 
@@ -145,7 +148,11 @@ class _Registration:
         settings = self.settings
         shape, digest = read_hashed_shape(subject.file)
         registered = template.registered_to(
-            shape, up=settings.shapes_up, as_cloud=settings.shapes_as_cloud, strict=settings.strict
+            shape,
+            up=settings.shapes_up,
+            as_cloud=settings.shapes_as_cloud,
+            strict=settings.strict,
+            mask=subject.mask(),
         )
         files: dict[Side, dict[str, str]] = {"source": {}, "target": {"file": str(subject.file), "sha256": digest}}
         assert registered.match is not None
@@ -154,7 +161,9 @@ class _Registration:
         outcome = Outcome(
             subject, registered.figures, registered.warnings, seconds=seconds, matched_by=registered.matched_by
         )
-        self.folder.write(outcome, registered, template.projector.given, digest)
+        mask = settings.template_mask
+        weights = None if mask is None else mask.weights
+        self.folder.write(outcome, registered, template.projector.given, digest, weights)
         return outcome
 
 
@@ -177,6 +186,7 @@ def _prepared_template(registration: _Registration) -> Template:
         orient=settings.orient,
         clutter=settings.clutter,
         proxy=settings.proxy,
+        mask=settings.template_mask,
     )
 
 

@@ -53,6 +53,7 @@ def build(
     landmarks: str | Path | None = None,
     axes: System | None = None,
     symmetry: str | Path | None = None,
+    masks: str | Path | None = None,
     processes: int = 1,
     progress: Progress = ignore,
     listener: Callable[[Outcome], None] = ignore,
@@ -76,6 +77,8 @@ def build(
             files name, or LPS.
         symmetry: a folder that ``homolog.symmetries.write_symmetry`` or ``homolog symmetry`` wrote of the template, to
             take all shapes apart into symmetric and asymmetric components.
+        masks: a folder with a mask for some of the shapes, named as they are; see ``homolog.pairs.read_mask``. Points
+            with 0 are not matched. That of the template is ``settings.template_mask``.
         processes: number of worker processes.
         progress: called with the number of finished shapes, their total and the current shape's name.
         listener: called with each new outcome.
@@ -94,13 +97,16 @@ def build(
         (2, 5000, 3)
     """
     check_extra()
-    subjects, settings = subjects_of(files), settings or ShapeModelSettings()
-    root = expanded(output)
-    inputs = (template, *files, *(extra for extra in (landmarks, symmetry) if extra is not None))
+    subjects, settings = subjects_of(files, masks), settings or ShapeModelSettings()
+    root, mask = expanded(output), settings.template_mask
+    inputs = (template, *files, *(extra for extra in (landmarks, symmetry, masks) if extra is not None))
     refuse_inputs_inside(root, inputs)
     base, digest = read_hashed_shape(template)
     check_template(base)
-    carried = None if landmarks is None else TemplateLandmarks(landmarks, base, axes)
+    if mask is not None:
+        mask.check_fits(base)
+    kept = None if mask is None else mask.kept
+    carried = None if landmarks is None else TemplateLandmarks(landmarks, base, axes, kept)
     mirrored = None if symmetry is None else TemplateSymmetry(symmetry, base)
     refuse_overwriting_inputs(_outputs(root, subjects, carried), inputs)
     if isinstance(make_matcher, Matcher):
@@ -116,7 +122,9 @@ def build(
         )
         progress(len(subjects), len(subjects), "mean and modes")
         told = {"inputs": {"template": str(template), "sha256": digest}, "versions": versions(), **(report or {})}
-        written = write_outputs(folder, base, outcomes, model, landmarks=carried, symmetry=mirrored, report=told)
+        written = write_outputs(
+            folder, base, outcomes, model, landmarks=carried, symmetry=mirrored, mask=mask, report=told
+        )
     return BuiltModel(folder, outcomes, written, () if carried is None else carried.warnings)
 
 

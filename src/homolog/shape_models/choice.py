@@ -66,6 +66,7 @@ def pairs_with(
         orient=settings.orient,
         clutter="keep",
         proxy=settings.proxy,
+        mask=settings.template_mask,
         label="template",
     )
     asked = [subjects[number] for number in np.unique(np.linspace(0, len(subjects) - 1, most).astype(int))]
@@ -81,6 +82,7 @@ def pairs_with(
                     orient=settings.orient,
                     clutter=settings.clutter,
                     proxy=settings.proxy,
+                    mask=subject.mask(),
                 )
             )
     return [(base, shape) for shape in shapes]

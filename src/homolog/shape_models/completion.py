@@ -25,7 +25,7 @@ from homolog.pairs import PairOptions
 from homolog.shape_models.model_fit import ModelFit, ModelFitSettings, ModelFitter, PartSamples
 from homolog.shape_models.stored_model import StoredModel
 from homolog.shapes import Shape, Up, repair, write_shape
-from homolog.statistics import Observations, Placement, generalised_procrustes, placed_posterior, principal_modes
+from homolog.statistics import Observations, Placement, placed_posterior, principal_modes
 from homolog.transfer import read_landmarks, system_of
 from homolog.viewing import heat_layer
 
@@ -203,17 +203,17 @@ def _calibration(stored: StoredModel, fit: ModelFit, deviation: float) -> float:
     """The ratio of errors to stated deviations where the collection's shapes are completed by models of the others."""
     if stored.deviation is None:
         return 1.0
-    shapes = generalised_procrustes(stored.points(), scale=stored.settings.scale, start=stored.mean.points).points
+    shapes, kept = stored.aligned(), stored.kept
     asked = np.unique(np.linspace(0, len(shapes) - 1, _LEFT_OUT).astype(int))
     turn, scale = fit.posterior.placement.rotation, fit.posterior.placement.scale
     precisions = scale**2 * turn.T @ fit.seen.precisions @ turn  # in the model's coordinates
     here, ratios = Placement(np.eye(3), np.zeros(3)), list[float]()
     for number in asked:
-        others = principal_modes(np.delete(shapes, number, axis=0))
+        others = principal_modes(np.delete(shapes, number, axis=0), None if stored.weights is None else kept)
         seen = Observations(fit.seen.places, fit.seen.places.interpolate(shapes[number]), precisions)
         found = placed_posterior(others, seen, here, scale=len(fit.posterior.covariance) > 6 + len(stored.model.modes))
-        errors = ((found.points - shapes[number]) ** 2).sum(axis=1)
-        ratios.append(float(errors.mean() / (found.variances + 3 * deviation**2).mean()))
+        errors = ((found.points - shapes[number]) ** 2).sum(axis=1)[kept]
+        ratios.append(float(errors.mean() / (found.variances[kept] + 3 * deviation**2).mean()))
     return max(1.0, float(np.sqrt(np.mean(ratios))))
 
 

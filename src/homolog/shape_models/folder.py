@@ -20,6 +20,7 @@ from homolog.core.records import record, stored_record
 from homolog.core.versions import versions
 from homolog.matching import RESULT_FILES, Match, write_folder
 from homolog.pairs import Candidate
+from homolog.shape_models.kept_choice import keep_choice, kept_choice
 from homolog.shape_models.registration import Figures, Registered
 from homolog.shape_models.subjects import Subject
 from homolog.shapes import Shape, drawable, files_of_shape, read_shape, write_shape
@@ -29,6 +30,8 @@ _MAKING = 2
 _WEIGHTS = "weights.safetensors"
 _WHAT = "shapes with the points and faces of one template, made by homolog collection"
 _FOLDERS = ("shapes", "records", "matches")
+MASK = "mask"
+"""The property of PLY files that says how much each template point counts, where the template has a mask."""
 
 
 class _Outcome(TypedDict):
@@ -43,7 +46,6 @@ class _Manifest(TypedDict):
     """What is read of a collection's manifest."""
 
     what: str
-    choice: NotRequired[list[Candidate]]
     weights_sha256: NotRequired[str]
 
 
@@ -149,16 +151,11 @@ class ShapeModelFolder:
 
     def choice(self) -> tuple[Candidate, ...] | None:
         """The choice of features that was made for all shapes, empty where there was none; None where it is to come."""
-        stored = stored_record(self.root / MANIFEST, _Manifest)
-        if stored is None or "choice" not in stored:
-            return None
-        return tuple(Candidate(**candidate) for candidate in stored["choice"])
+        return kept_choice(self.root / MANIFEST)
 
     def keep_choice(self, choice: Sequence[Candidate]) -> None:
         """Keep the choice that was made for all shapes, so that those that come later are matched alike."""
-        manifest = stored_record(self.root / MANIFEST, _Manifest)
-        assert manifest is not None
-        write_json(self.root / MANIFEST, {**manifest, "choice": [asdict(candidate) for candidate in choice]})
+        keep_choice(self.root / MANIFEST, choice)
 
     def weights(self) -> Path | None:
         """The weights that were adapted to all shapes; None where there are none yet, or they are damaged."""
@@ -193,7 +190,14 @@ class ShapeModelFolder:
         """The file of a registered shape."""
         return self.root / "shapes" / f"{name}.ply"
 
-    def write(self, outcome: Outcome, registered: Registered, template: Shape, digest: str) -> None:
+    def write(
+        self,
+        outcome: Outcome,
+        registered: Registered,
+        template: Shape,
+        digest: str,
+        weights: Float[np.ndarray, " n"] | None = None,
+    ) -> None:
         """Write a registered shape; its record comes last, and without it the shape does not count.
 
         Args:
@@ -201,17 +205,20 @@ class ShapeModelFolder:
             registered: the template's points on the shape.
             template: whose faces are written.
             digest: hash of the shape's file.
+            weights: how much the template's points count, where it has a mask; 0 marks those that follow the others.
         """
         subject, figures = outcome.subject, outcome.figures
         assert figures is not None
         file = self.shape_file(subject.name)
         if registered.match is not None:
             write_folder(self.match_folder(subject.name), registered.match)
-        write_shape(file, Shape(registered.points, drawable(template).faces))
+        numbers = {} if weights is None else {MASK: weights}
+        write_shape(file, Shape(registered.points, drawable(template).faces), numbers=numbers)
         made = {
             "file": str(subject.file),
             **_stamp(subject.file),
             "sha256": digest,
+            "mask_sha256": _mask_hash(subject),
             "registered_sha256": sha256(file),
             "outcome": {
                 "figures": asdict(figures),
@@ -275,11 +282,20 @@ class ShapeModelFolder:
         registered = self.shape_file(subject.name)
         if not registered.is_file() or sha256(registered) != stored["registered_sha256"]:
             return False
+        if stored.get("mask_sha256", "") != _mask_hash(subject):
+            return False
         unchanged = all(stored.get(key) == value for key, value in _stamp(subject.file).items())
         return unchanged or sha256(*files_of_shape(subject.file)) == stored["sha256"]
 
     def _record_file(self, name: str) -> Path:
         return self.root / "records" / f"{name}.json"
+
+
+def _mask_hash(subject: Subject) -> str:
+    """Of the file of a shape's mask; empty where it has none, or none that can be read."""
+    with suppress(OSError):
+        return "" if subject.mask_file is None else sha256(subject.mask_file)
+    return ""
 
 
 def _stamp(file: Path) -> dict[str, Any]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import csv
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from homolog.core.errors import ArgumentError, DataError, bad_choice
 from homolog.core.files import expanded, read_text, write_csv, write_json, written_together
@@ -20,7 +20,7 @@ from homolog.core.versions import versions
 from homolog.geometry import Surface
 from homolog.shape_models.stored_model import StoredModel
 from homolog.shapes import Shape, write_shape
-from homolog.statistics import PERMUTATIONS, GroupComparison, compare_groups, generalised_procrustes
+from homolog.statistics import PERMUTATIONS, GroupComparison, compare_groups
 from homolog.viewing import heat_layer
 
 COMPARISON, POINTS, REPORT = "comparison.ply", "points.csv", "comparison.json"
@@ -75,10 +75,10 @@ class ComparedGroups:
             "is_exact": found.is_exact,
             "p_overall": found.p_overall,
             "level": _LEVEL,
-            "points": len(found.p),
+            "points": int(np.isfinite(found.p).sum()),
             "points_below_level_corrected": int((found.p_corrected <= _LEVEL).sum()),
             "points_below_level_of_false_discoveries": int((found.q <= _LEVEL).sum()),
-            "largest_difference": float(np.linalg.norm(found.difference, axis=1).max()),
+            "largest_difference": float(np.nanmax(np.linalg.norm(found.difference, axis=1))),
         }
 
 
@@ -153,10 +153,9 @@ def compared_groups(
         )
     first, second = (tuple(groups[name]) for name in chosen)
     rows = [stored.names.index(name) for name in (*first, *second)]
-    points, scale = stored.points()[rows], stored.settings.scale
-    aligned = generalised_procrustes(points, scale=scale, start=stored.mean.points).points
-    is_second = np.arange(len(rows)) >= len(first)
-    found = compare_groups(aligned, is_second, permutations=permutations, seed=seed, progress=progress)
+    aligned, is_second = stored.aligned(rows), np.arange(len(rows)) >= len(first)
+    found = compare_groups(aligned[:, stored.kept], is_second, permutations=permutations, seed=seed, progress=progress)
+    found = _with_others(found, stored.kept)
     faces = stored.mean.faces
     means = Shape(aligned[~is_second].mean(axis=0), faces), Shape(aligned[is_second].mean(axis=0), faces)
     along = np.full(stored.mean.n_points, np.nan)
@@ -164,6 +163,24 @@ def compared_groups(
         middle = Surface((means[0].points + means[1].points) / 2, faces)
         along = np.einsum("nk,nk->n", found.difference, middle.vertex_normals)
     return ComparedGroups((chosen[0], chosen[1]), (first, second), means, found, along)
+
+
+def _with_others(found: GroupComparison, kept: Bool[np.ndarray, " n"]) -> GroupComparison:
+    """The comparison with NaN at points that take no part."""
+
+    def every(own: Float[np.ndarray, "k ..."]) -> Float[np.ndarray, "n ..."]:
+        values = np.full((len(kept), *own.shape[1:]), np.nan)
+        values[kept] = own
+        return values
+
+    return replace(
+        found,
+        difference=every(found.difference),
+        t_squared=every(found.t_squared),
+        p=every(found.p),
+        p_corrected=every(found.p_corrected),
+        q=every(found.q),
+    )
 
 
 def mean_file(group: str) -> str:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from homolog.core.choices import System
 from homolog.core.files import expanded, made_folder, write_csv
 from homolog.shape_models.registered_shapes import RegisteredShapes
-from homolog.shapes import Shape, read_shape
+from homolog.shapes import Shape
 from homolog.transfer import FAR_LANDMARK, SurfaceProjector, read_landmarks, system_of
 from homolog.transfer.landmarks import repeated_names_warning
 
@@ -27,12 +26,19 @@ class TemplateLandmarks:
         template: as it was read.
         axes: the anatomical axes of all shapes, for landmark files that state theirs; None for those that the shapes'
             files name, or LPS.
+        kept: which of the template's points are matched (n,); landmarks on others get no position. By default all.
 
     Raises:
         DataError: if the file cannot be read.
     """
 
-    def __init__(self, file: str | Path, template: Shape, axes: System | None = None) -> None:
+    def __init__(
+        self,
+        file: str | Path,
+        template: Shape,
+        axes: System | None = None,
+        kept: Bool[np.ndarray, " n"] | None = None,
+    ) -> None:
         self.file, self.axes, self.landmarks = expanded(file), axes, read_landmarks(file)
         projector = SurfaceProjector(template)
         given = self.landmarks.points_in(system_of(template.space, axes))
@@ -41,6 +47,9 @@ class TemplateLandmarks:
         self.farthest = float(np.nanmax(distances)) if np.isfinite(distances).any() else None
         """The largest distance of a landmark from the template's surface, in its unit."""
         self._spacing = projector.spacing
+        if kept is not None:
+            nearest = np.nan_to_num(self.places.weights).argmax(axis=1)
+            self.places = self.places.masked(kept[self.places.corners[np.arange(len(nearest)), nearest]])
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -74,7 +83,7 @@ class TemplateLandmarks:
         made_folder(root / FOLDER)
         written: list[Path] = []
         for outcome, points in zip(shapes.registered, shapes.points, strict=True):
-            name, shape = outcome.subject.name, read_shape(outcome.subject.file)
+            name, shape = outcome.subject.name, outcome.subject.surface()
             positions = self.on(shape, points)
             written.append(root / self.file_of(name))
             self.landmarks.write_from(written[-1], positions, system_of(shape.space, self.axes))
@@ -84,11 +93,6 @@ class TemplateLandmarks:
             ]
         write_csv(root / TABLE, rows)
         return [*written, root / TABLE]
-
-    def _of_all(self, shapes: RegisteredShapes) -> Iterator[tuple[str, Shape, Float[np.ndarray, "p 3"]]]:
-        for outcome, points in zip(shapes.registered, shapes.points, strict=True):
-            shape = read_shape(outcome.subject.file)
-            yield outcome.subject.name, shape, self.on(shape, points)
 
     def to_dict(self) -> dict[str, Any]:
         """For the report."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,17 +32,18 @@ def write_model(shapes: RegisteredShapes, model: ShapeModel) -> list[Path]:
     """
     folder, scalismo, shapeworks = (made_folder(shapes.folder.root / name) for name in MODEL_FOLDERS)
     faces = shapes.template.faces
-    curves = Curves.of(model, shapes.aligned.points, seed=shapes.settings.seed)
-    write_shape(folder / "mean.ply", Shape(model.mean, faces), colours=shapes.colours)
+    curves = Curves.of(model.of_kept(), shapes.aligned.points[:, shapes.kept], seed=shapes.settings.seed)
+    write_shape(folder / "mean.ply", Shape(model.mean, faces), colours=shapes.colours, numbers=shapes.marks)
     write_npy(folder / "modes.npy", model.modes)
     _write_coefficients(folder / "coefficients.csv", shapes, model)
     curves.write_table(folder / "curves.csv")
     curves.write_picture(folder / "curves.png")
     with atomic_path(folder / "modes.html") as temporary:
         temporary.write_text(modes_page_of(_scene(shapes, model, curves)), encoding="utf-8")
-    write_scalismo(scalismo / "model.h5", model, faces)
+    write_scalismo(scalismo / "model.h5", model.of_kept(), shapes.kept_faces)
     meshes = None if faces is None else [shapes.folder.shape_file(name) for name in shapes.names]
-    particles = write_shapeworks(shapeworks, shapes.names, shapes.points, shapes.aligned, meshes)
+    aligned = replace(shapes.aligned, points=shapes.aligned.points[:, shapes.kept])
+    particles = write_shapeworks(shapeworks, shapes.names, shapes.points[:, shapes.kept], aligned, meshes)
     names = ("mean.ply", "modes.npy", "coefficients.csv", "curves.csv", "curves.png", "modes.html")
     return [*(folder / name for name in names), scalismo / "model.h5", *particles]
 

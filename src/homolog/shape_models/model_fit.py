@@ -116,6 +116,8 @@ class ModelFitter:
     ) -> None:
         self.model, self.faces, self.deviation = model, faces, deviation
         self.settings = settings or ModelFitSettings()
+        if faces is not None and model.kept is not None:  # no sample is compared with what the model was not made of
+            self.faces = faces[model.kept[faces].all(axis=1)]
         self._size = float(np.sqrt(3 * model.mean.var(axis=0).mean()))
 
     def fits(self, part: PartSamples, starts: Sequence[Placement] = (), *, search: bool = True) -> list[ModelFit]:
@@ -143,7 +145,7 @@ class ModelFitter:
         return [start for _, start in sorted(tried, key=lambda each: each[0])[:_FOLLOWED]]
 
     def _first_modes(self, count: int) -> ShapeModel:
-        return ShapeModel(self.model.mean, self.model.modes[:count], self.model.variances[:count])
+        return ShapeModel(self.model.mean, self.model.modes[:count], self.model.variances[:count], self.model.kept)
 
     def _alike(self, one: Placement, other: Placement) -> bool:
         """Whether two placements lead to the same fit."""
@@ -208,7 +210,9 @@ class ModelFitter:
         """The closest point of the placed model that faces as each sample does, its normal on a mesh, the distance."""
         samples = part.points
         if self.faces is None:
-            away, nearest = KDTree(points).query(samples)
+            own = np.arange(len(points)) if self.model.kept is None else np.flatnonzero(self.model.kept)
+            away, nearest = KDTree(points[own]).query(samples)
+            nearest = own[nearest]
             corners = np.pad(nearest[:, None], ((0, 0), (0, 2)))
             return SurfacePoints(corners, np.tile([1.0, 0.0, 0.0], (len(samples), 1))), None, away
         corners = points[self.faces]
@@ -230,7 +234,8 @@ class ModelFitter:
     def rigid_starts(self, part: PartSamples) -> Iterator[Placement]:
         """Where closest points put the part on the mean as a rigid body, from all rotations and many places."""
         part = part.sampled(_FEW)
-        chosen = farthest_points(self.model.mean, min(_ON_MODEL, len(self.model.mean)), seed=0)
+        own = np.arange(len(self.model.mean)) if self.model.kept is None else np.flatnonzero(self.model.kept)
+        chosen = own[farthest_points(self.model.mean[own], min(_ON_MODEL, len(own)), seed=0)]
         mean, some, across = self.model.mean[chosen], part.points, None
         tree = KDTree(mean)
         if self.faces is not None and part.normals is not None:

@@ -13,6 +13,7 @@ from typing_extensions import TypedDict
 from homolog.core.errors import DataError, needs_extra
 from homolog.core.files import all_or_nothing, resolved, write_json, write_npy
 from homolog.core.records import record, stored_record
+from homolog.pairs import Mask
 from homolog.shape_models.asymmetry import ASYMMETRY_FOLDER, TemplateSymmetry
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
 from homolog.shape_models.landmarks import FOLDER, TABLE, TemplateLandmarks
@@ -48,6 +49,7 @@ def write_outputs(
     *,
     landmarks: TemplateLandmarks | None = None,
     symmetry: TemplateSymmetry | None = None,
+    mask: Mask | None = None,
     report: Mapping[str, Any] | None = None,
 ) -> list[Path]:
     """Write points, table, contact sheet, statistics, exports and report; all files land together or none does.
@@ -62,6 +64,7 @@ def write_outputs(
         settings: of the statistics.
         landmarks: of the template, to be carried to all shapes.
         symmetry: of the template, by which shapes are taken apart into symmetric and asymmetric components.
+        mask: of the template: points with 0 are left out of alignment and statistics, and follow the others.
         report: further entries of ``report.json``.
 
     Returns:
@@ -72,7 +75,8 @@ def write_outputs(
         ArgumentError: if a file cannot be written.
         MissingExtraError: without the extra ``collection``.
     """
-    shapes = RegisteredShapes(folder, template, outcomes, settings or ModelSettings())
+    weights = None if mask is None else mask.weights
+    shapes = RegisteredShapes(folder, template, outcomes, settings or ModelSettings(), weights)
     root, before = folder.root, _earlier_files(folder.root)
     try:
         with all_or_nothing():
@@ -116,7 +120,12 @@ def _write(
 def _report(shapes: RegisteredShapes) -> dict[str, Any]:
     model = shapes.model
     return {
-        "template": {"points": shapes.template.n_points, "faces": shapes.template.n_faces},
+        "template": {
+            "points": shapes.template.n_points,
+            "faces": shapes.template.n_faces,
+            "points_left_out": int((~shapes.kept).sum()),
+        },
+        "masks": {one.subject.name: str(one.subject.mask_file) for one in shapes.outcomes if one.subject.mask_file},
         "choice": [asdict(candidate) for candidate in shapes.folder.choice() or ()],
         "adaptation": shapes.adaptation,
         "shapes": shapes.names,

@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 from scipy.stats import rankdata
 
 from homolog.core.settings import CountOrZero, Settings
 from homolog.matching import position_colours
-from homolog.shape_models.folder import Outcome, ShapeModelFolder
+from homolog.shape_models.folder import MASK, Outcome, ShapeModelFolder
 from homolog.shapes import Shape, Up, drawable, stand_upright
 from homolog.statistics import Aligned, ShapeModel, generalised_procrustes, principal_modes
 
@@ -43,12 +43,20 @@ class RegisteredShapes:
         template: as it was read.
         outcomes: of all shapes, registered or not.
         settings: of the statistics.
+        weights: how much the template's points count, 0 for those that take no part; by default all alike (n,).
     """
 
     def __init__(
-        self, folder: ShapeModelFolder, template: Shape, outcomes: Sequence[Outcome], settings: ModelSettings
+        self,
+        folder: ShapeModelFolder,
+        template: Shape,
+        outcomes: Sequence[Outcome],
+        settings: ModelSettings,
+        weights: Float[np.ndarray, " n"] | None = None,
     ) -> None:
         self.folder, self.template, self.outcomes, self.settings = folder, drawable(template), outcomes, settings
+        self.weights = weights
+        self.kept = np.ones(template.n_points, dtype=bool) if weights is None else weights > 0
         self.registered = [outcome for outcome in outcomes if outcome.figures is not None]
         self.names = [outcome.subject.name for outcome in self.registered]
         self.row_of = {name: row for row, name in enumerate(self.names)}
@@ -77,15 +85,30 @@ class RegisteredShapes:
     @cached_property
     def aligned(self) -> Aligned:
         """The shapes after generalised Procrustes alignment, in the orientation of the template."""
-        return generalised_procrustes(self.points, scale=self.settings.scale, start=self.template.points)
+        return generalised_procrustes(
+            self.points, scale=self.settings.scale, start=self.template.points, weights=self.weights
+        )
 
     @cached_property
     def model(self) -> ShapeModel | None:
         """The mean and principal modes; None for fewer than two different shapes."""
         if len(self.registered) < 2:
             return None
-        model = principal_modes(self.aligned.points)
+        model = principal_modes(self.aligned.points, None if self.weights is None else self.kept)
         return model if len(model.variances) else None
+
+    @property
+    def kept_faces(self) -> Int[np.ndarray, "m 3"] | None:
+        """The template's faces between points that take part, by their numbers among these; None for clouds."""
+        faces = self.template.faces
+        if faces is None:
+            return None
+        return np.asarray((np.cumsum(self.kept) - 1)[faces[self.kept[faces].all(axis=1)]])
+
+    @property
+    def marks(self) -> dict[str, Float[np.ndarray, " n"]]:
+        """Of each point for PLY files: how much it counts, where the template has a mask."""
+        return {} if self.weights is None else {MASK: self.weights}
 
     @cached_property
     def colours(self) -> UInt8[np.ndarray, "n 3"]:

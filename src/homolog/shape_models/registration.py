@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from homolog.core.choices import KeepClutter, Orient, UseProxy
 from homolog.core.errors import ShapeError
 from homolog.matching import Match, Matcher, map_misfit, orientation_warnings
-from homolog.pairs import PairOptions
+from homolog.pairs import Mask, PairOptions
 from homolog.shapes import Shape, Up, half_edges, repair
 from homolog.transfer import SurfaceMap, SurfaceProjector, surface_map, untangled
 
@@ -111,6 +111,7 @@ class Template:
         clutter: whether what does not belong to shapes is set apart; the template itself is taken as it is.
         proxy: whether a surface around a mesh is matched in its place; see ``homolog.pairs.PairOptions``.
         adapted: a second matcher; of the maps of both, that is taken which contradicts itself less.
+        mask: how much its points count; those with 0 are not matched, and follow the others smoothly.
 
     Raises:
         ShapeError: if it cannot be used, or repair removes some of its points.
@@ -131,19 +132,22 @@ class Template:
         clutter: KeepClutter = "remove",
         proxy: UseProxy = "auto",
         adapted: Matcher | None = None,
+        mask: Mask | None = None,
     ) -> None:
         check_template(shape)
-        self.projector = SurfaceProjector(shape)
+        self.projector, self.kept = SurfaceProjector(shape), None if mask is None else mask.kept
         self.matchers = (matcher, *(() if adapted is None else (adapted,)))
         self.options = PairOptions(orient=orient, clutter=clutter, proxy=proxy)
         self.prepared = [
             each.preprocess(
-                shape, up=up, as_cloud=as_cloud, orient=orient, clutter="keep", proxy=proxy, label="template"
+                shape, up=up, as_cloud=as_cloud, orient=orient, clutter="keep", proxy=proxy, mask=mask, label="template"
             )
             for each in self.matchers
         ]
 
-    def registered_to(self, shape: Shape, *, up: Up = "y", as_cloud: bool = False, strict: bool = False) -> Registered:
+    def registered_to(
+        self, shape: Shape, *, up: Up = "y", as_cloud: bool = False, strict: bool = False, mask: Mask | None = None
+    ) -> Registered:
         """Match a shape, and register the template's surface to it smoothly.
 
         Args:
@@ -151,8 +155,10 @@ class Template:
             up: which of its axes points up.
             as_cloud: match without its faces.
             strict: refuse shapes that need repair or would get a warning.
+            mask: how much its points count; no template point is registered to those with 0.
 
         Raises:
+            ArgumentError: if the mask is none of this shape.
             ShapeError: if the shape cannot be used, or is refused.
         """
         options = replace(self.options, strict=strict)
@@ -165,11 +171,12 @@ class Template:
                 clutter=options.clutter,
                 proxy=options.proxy,
                 strict=strict,
+                mask=mask,
                 label="shape",
             )
             for matcher in self.matchers
         ]
-        target = SurfaceProjector(shape)
+        target = SurfaceProjector(shape if mask is None else mask.applied_to(shape))
         units = self._unit_warnings(target)
         if strict and units:
             raise ShapeError(f"{shape.name}: {units[0]} (refused as strict)")
@@ -179,11 +186,15 @@ class Template:
             tried.append((map_misfit(match, matcher.settings.choice), match))
         misfit, found = min(tried, key=lambda each: each[0])  # of equal ones the first
         smooth = untangled(surface_map(self.projector, target, found))
-        figures = _figures(smooth, found, misfit, adapted=None if len(tried) < 2 else found is tried[1][1])
+        adapted = None if len(tried) < 2 else found is tried[1][1]
+        figures = _figures(smooth, found, misfit, adapted=adapted, kept=self.kept)
         uneven = figures.low_confidence_warnings()
         if strict and uneven:
             raise ShapeError(f"{shape.name}: {uneven[0]} (refused as strict)")
-        return Registered(smooth.positions, figures, (*units, *_match_warnings(found), *uneven), found)
+        points = smooth.positions
+        if self.kept is not None:
+            points = np.where(self.kept[:, None], points, smooth.extended)
+        return Registered(points, figures, (*units, *_match_warnings(found), *uneven), found)
 
     def _unit_warnings(self, target: SurfaceProjector) -> tuple[str, ...]:
         """A warning if a shape is so much larger or smaller that its unit seems to differ."""
@@ -220,9 +231,13 @@ def _match_warnings(found: Match) -> list[str]:
     return [told if warning in of_orientation else warning for warning in found.warnings]
 
 
-def _figures(smooth: SurfaceMap, found: Match, misfit: float, *, adapted: bool | None) -> Figures:
+def _figures(
+    smooth: SurfaceMap, found: Match, misfit: float, *, adapted: bool | None, kept: Bool[np.ndarray, " n"] | None
+) -> Figures:
     assert found.quality is not None
     mean, flipped = found.quality.mean, smooth.flipped_triangles
+    if flipped is not None and kept is not None and smooth.source.shape.faces is not None:
+        flipped = flipped[kept[smooth.source.repaired.kept][smooth.source.shape.faces].all(axis=1)]
     low, high = _edge_spread(smooth)
     return Figures(
         confidence=mean.confidence,
@@ -247,7 +262,8 @@ def _edge_spread(smooth: SurfaceMap) -> tuple[float, float]:
     now, before = (
         np.linalg.norm(np.diff(points[edges], axis=1)[:, 0], axis=1) for points in (registered, shape.points)
     )
-    low, middle, high = np.percentile(now[before > 0] / before[before > 0], [5, 50, 95])
+    known = (before > 0) & np.isfinite(now)
+    low, middle, high = np.percentile(now[known] / before[known], [5, 50, 95])
     # Where most points collapsed to a few ones the median is 0, and JSON has no infinity.
     middle = max(middle, _LEAST_RATIO * high, np.finfo(float).tiny)
     return float(low / middle), float(high / middle)

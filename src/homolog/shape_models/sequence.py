@@ -7,7 +7,9 @@ lead to the same points if all of them are right; where they do not, either way 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from contextlib import nullcontext
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -17,22 +19,23 @@ from jaxtyping import Float
 from homolog.core.arguments import check_choice
 from homolog.core.choices import Orient, Up
 from homolog.core.errors import ArgumentError, HomologError
-from homolog.core.files import expanded, write_csv, write_json, write_npy, written_together
+from homolog.core.files import expanded, sha256, write_csv, write_json, write_npy, written_together
 from homolog.core.progress import Progress, ignore
 from homolog.core.versions import versions
 from homolog.geometry.projection import SurfaceProjector
 from homolog.matching import Match, Matcher
 from homolog.shape_models.choice import choice_for_all
-from homolog.shape_models.registration import Registered, Template
+from homolog.shape_models.registration import Registered, Template, check_template
 from homolog.shape_models.settings import ShapeModelSettings
 from homolog.shape_models.subjects import Subject, subjects_of
-from homolog.shapes import Shape, drawable, read_shape, write_shape
+from homolog.shape_models.track_folder import FRAMES, Step, TrackFolder, linked
+from homolog.shapes import Shape, drawable, files_of_shape, read_hashed_shape, read_shape, write_shape
 from homolog.transfer import surface_map, untangled
 from homolog.viewing import heat_layer
 
 Follow = Literal["first", "previous"]
 """Which maps give the points: those from the first frame to each, or those from frame to frame."""
-FRAMES, TRAJECTORIES, DRIFT, MEAN_DRIFT, REPORT = "frames", "points.npy", "drift.csv", "drift.ply", "track.json"
+TRAJECTORIES, DRIFT, MEAN_DRIFT, REPORT = "points.npy", "drift.csv", "drift.ply", "track.json"
 TRACK_FILES = (TRAJECTORIES, DRIFT, MEAN_DRIFT, REPORT)
 """What a track writes into its folder, beside ``frames/NAME.ply``."""
 # Drift above this share of sqrt(area) is told: good maps of people have mean errors of 2 to 4 %.
@@ -107,6 +110,7 @@ def track(
     up: Up = "y",
     as_cloud: bool = False,
     orient: Orient = "auto",
+    output: str | Path | None = None,
     progress: Progress = ignore,
     listener: Callable[[TrackedFrame], None] = ignore,
 ) -> Track:
@@ -123,11 +127,14 @@ def track(
         up: the axis that points up in all files.
         as_cloud: match without faces.
         orient: ``"auto"`` finds which way round frames are, ``"given"`` trusts their coordinates.
+        output: a folder that keeps what is found of each frame, for ``write_track`` as well; the same call then goes on
+            where it was stopped, and does again what depends on frames that changed. By default nothing is kept.
         progress: called with frames that are done, their total, and the current one's name.
         listener: called with each frame.
 
     Raises:
-        ArgumentError: if there are fewer than two frames, two have one name, or ``follow`` is another word.
+        ArgumentError: if there are fewer than two frames, two have one name, ``follow`` is another word, or
+            ``output`` holds other files, or a track with other settings.
         ShapeError: if the first frame cannot be used.
 
     Examples:
@@ -139,22 +146,31 @@ def track(
     subjects = subjects_of(files)
     if len(subjects) < 2:
         raise ArgumentError("there is one frame; give two or more, in their order")
-    first = read_shape(subjects[0].file)
+    first, digest = read_hashed_shape(subjects[0].file)
+    check_template(first)
+    words: dict[str, Any] = {"up": up, "as_cloud": as_cloud, "orient": orient}
     settings = ShapeModelSettings(
         template_up=up, shapes_up=up, template_as_cloud=as_cloud, shapes_as_cloud=as_cloud, orient=orient
     )
-    choice = choice_for_all(first, subjects[1:], matcher, settings, progress=progress)
-    chosen = matcher.limited_to(choice[0].name) if choice else matcher
-    tracker = _Tracker(first, chosen, follow, {"up": up, "as_cloud": as_cloud, "orient": orient})
-    none = np.full(first.n_points, np.nan)
-    frames = [TrackedFrame(subjects[0], first.points, none, tracker.template.projector.unit, 1.0)]
-    for number, subject in enumerate(subjects[1:], 1):
-        progress(number, len(subjects), subject.name)
-        try:
-            frames.append(tracker.next(subject))
-        except HomologError as error:
-            frames.append(TrackedFrame(subject, np.full(first.points.shape, np.nan), none, error=str(error)))
-        listener(frames[-1])
+    made = {name: value for name, value in matcher.describe().items() if name != "device"}
+    making = {"first": {"sha256": digest}, "matching": words, **made}
+    with nullcontext() if output is None else TrackFolder.opened(output, making) as folder:
+        choice = None if folder is None else folder.choice()
+        if choice is None:
+            choice = choice_for_all(first, subjects[1:], matcher, settings, progress=progress)
+            if folder is not None:
+                folder.keep_choice(choice)
+        chosen = matcher.limited_to(choice[0].name) if choice else matcher
+        tracker = _Tracker(first, digest, chosen, words, folder)
+        none = np.full(first.n_points, np.nan)
+        frames = [TrackedFrame(subjects[0], first.points, none, SurfaceProjector(first).unit, 1.0)]
+        for number, subject in enumerate(subjects[1:], 1):
+            progress(number, len(subjects), subject.name)
+            try:
+                frames.append(tracker.next(subject, follow))
+            except HomologError as error:
+                frames.append(TrackedFrame(subject, np.full(first.points.shape, np.nan), none, error=str(error)))
+            listener(frames[-1])
     return Track(first, tuple(frames), follow, tracker.matched_by)
 
 
@@ -163,54 +179,67 @@ class _Tracker:
     """The state of a track: the last frame that was matched, and where the maps from frame to frame have led."""
 
     first: Shape
+    chain: str
     matcher: Matcher
-    follow: Follow
     words: dict[str, Any]
+    folder: TrackFolder | None = None
     matched_by: str = ""
-    template: Template = field(init=False)
-    last: Shape = field(init=False)
-    chained: Float[np.ndarray, "n 3"] = field(init=False)
+    last: Shape | Subject | None = None  # a subject that was matched by an earlier run is read on demand
 
     def __post_init__(self) -> None:
-        self.template = Template(self.first, self.matcher, **self.words)
-        self.last, self.chained = self.first, self.first.points
+        self.chained = self.first.points
 
-    def next(self, subject: Subject) -> TrackedFrame:
+    @cached_property
+    def template(self) -> Template:
+        """The first frame, prepared."""
+        return Template(self.first, self.matcher, **self.words)
+
+    def next(self, subject: Subject, follow: Follow) -> TrackedFrame:
         """The first frame's points on the next one."""
-        shape = read_shape(subject.file)
-        words = {name: value for name, value in self.words.items() if name != "orient"}
-        direct = self.template.registered_to(shape, **words)
-        self.matched_by = direct.matched_by
-        if self.last is self.first:
-            chained, drift = direct.points, np.full(self.first.n_points, np.nan)
-        else:
-            chained = self._chained(shape)
-            drift = np.linalg.norm(chained - direct.points, axis=1)
-        self.last, self.chained = shape, chained
-        points = direct.points if self.follow == "first" else chained
-        size = SurfaceProjector(shape).unit
-        return TrackedFrame(subject, points, drift, size, direct.figures.confidence, _warnings(direct, drift, size))
+        chain = linked(self.chain, sha256(*files_of_shape(subject.file)))
+        step = None if self.folder is None else self.folder.step(subject.name, chain)
+        now: Shape | Subject = subject
+        if step is None:
+            now = read_shape(subject.file)
+            step = self._made(now)
+            if self.folder is not None:
+                self.folder.keep(subject.name, chain, step)
+        drift = np.full(self.first.n_points, np.nan)
+        if self.last is not None:
+            drift = np.linalg.norm(step.chained - step.direct, axis=1)
+        self.last, self.chained, self.chain, self.matched_by = now, step.chained, chain, step.matched_by
+        points = step.direct if follow == "first" else step.chained
+        return TrackedFrame(subject, points, drift, step.size, step.confidence, _warnings(step, drift))
 
-    def _chained(self, shape: Shape) -> Float[np.ndarray, "n 3"]:
+    def _made(self, shape: Shape) -> Step:
+        words = {name: value for name, value in self.words.items() if name != "orient"}
+        found = self.template.registered_to(shape, **words)
+        chained, size = self._chained(shape, found), SurfaceProjector(shape).unit
+        return Step(found.points, chained, size, found.figures.confidence, found.warnings, found.matched_by)
+
+    def _chained(self, shape: Shape, direct: Registered) -> Float[np.ndarray, "n 3"]:
         """Where the map from the last frame takes the points that were found there."""
+        if self.last is None:
+            return direct.points
+        before = self.last if isinstance(self.last, Shape) else read_shape(self.last.file)
         up, cloud = self.words["up"], "both" if self.words["as_cloud"] else None
         match: Match = self.matcher.match(
-            self.last, shape, source_up=up, target_up=up, as_cloud=cloud, orient=self.words["orient"]
+            before, shape, source_up=up, target_up=up, as_cloud=cloud, orient=self.words["orient"]
         )
-        last = SurfaceProjector(self.last)
+        last = SurfaceProjector(before)
         step = untangled(surface_map(last, shape, match))
         return step.target.positions(step.apply(last.project(self.chained)))
 
 
-def _warnings(direct: Registered, drift: Float[np.ndarray, " n"], size: float) -> tuple[str, ...]:
+def _warnings(step: Step, drift: Float[np.ndarray, " n"]) -> tuple[str, ...]:
     known = drift[np.isfinite(drift)]
-    if not len(known) or known.mean() <= _FAR * size:
-        return direct.warnings
+    if not len(known) or known.mean() <= _FAR * step.size:
+        return step.warnings
     told = (
-        f"the map from the first frame and those from frame to frame lead {100 * known.mean() / size:.1f} % of "
+        f"the map from the first frame and those from frame to frame lead {100 * known.mean() / step.size:.1f} % of "
         "sqrt(area) apart: one of them has lost its way; look at both (--follow)"
     )
-    return (*direct.warnings, told)
+    return (*step.warnings, told)
 
 
 def write_track(folder: str | Path, found: Track, *, files: Sequence[str | Path] = ()) -> list[Path]:
@@ -252,6 +281,7 @@ def write_track(folder: str | Path, found: Track, *, files: Sequence[str | Path]
             "versions": versions(),
         }
         write_json(paths[3], report)
+    TrackFolder(expanded(folder)).forget_frames(frame.subject.name for frame in matched)
     return [expanded(folder) / FRAMES, *paths[: len(TRACK_FILES)]]
 
 

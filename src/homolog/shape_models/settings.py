@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
+from typing import Annotated, Any
 
 from homolog.core.choices import KeepClutter, Orient, UseProxy
 from homolog.core.settings import CountOrZero, Settings
-from homolog.pairs import PairOptions
+from homolog.pairs import Mask, PairOptions, mask_of
 from homolog.shapes import Up
 
 
@@ -26,6 +27,8 @@ class ShapeModelSettings(Settings):
             large, ``"always"``, or ``"never"``; of the template as well.
         strict: refuse shapes that need repair or would get a warning.
         adapt: steps for which the weights are trained on all shapes at once; 0 for none.
+        template_mask: how much each of the template's points counts; those with 0 are not matched, and follow the
+            others. A mask, an array, or a file that ``homolog.pairs.read_mask`` reads.
     """
 
     template_up: Up = "y"
@@ -37,7 +40,17 @@ class ShapeModelSettings(Settings):
     proxy: UseProxy = "auto"
     strict: bool = False
     adapt: CountOrZero = 0
+    # The folder's manifest has its hash, so that settings that are alike otherwise have one mask.
+    template_mask: Annotated[Mask, "or an array, or a file"] | None = field(default=None, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "template_mask", mask_of(self.template_mask, "template_mask"))
+        super().__post_init__()
 
     def pair_options(self) -> PairOptions:
         """Of the template with a shape, both of them preprocessed."""
         return PairOptions(orient=self.orient, clutter=self.clutter, proxy=self.proxy)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For reports: all but the mask, which has a number for each point."""
+        return {name: value for name, value in asdict(self).items() if name != "template_mask"}

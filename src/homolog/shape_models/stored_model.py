@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from typing_extensions import TypedDict
 
 from homolog.core.array_files import ArrayFileError, read_npy
-from homolog.core.errors import DataError
+from homolog.core.errors import ArgumentError, DataError
 from homolog.core.files import read_text
 from homolog.core.reasons import reason_of
 from homolog.core.records import read_record, record
 from homolog.geometry.projection import SurfacePoints, SurfaceProjector
-from homolog.shape_models.folder import ShapeModelFolder
+from homolog.pairs import Mask
+from homolog.shape_models.folder import MASK, ShapeModelFolder
 from homolog.shape_models.landmarks import TABLE
 from homolog.shape_models.registered_shapes import ModelSettings
 from homolog.shapes import Shape, read_shape
-from homolog.statistics import ShapeModel
+from homolog.shapes.formats.parsing import UnreadableError
+from homolog.shapes.formats.ply import read_ply_property
+from homolog.statistics import ShapeModel, generalised_procrustes
 
 _AGAIN = "run homolog collection again"
 
@@ -45,6 +48,7 @@ class StoredModel:
         mean: the mean shape, with the template's faces.
         deviation: standard deviation of each coordinate of a shape that the model was not made of, around what the
             model can show of it, as leaving one shape out tells; None for fewer than three shapes.
+        weights: how much the template's points count (n,); None where it has no mask.
     """
 
     folder: ShapeModelFolder
@@ -53,6 +57,7 @@ class StoredModel:
     model: ShapeModel
     mean: Shape
     deviation: float | None
+    weights: Float[np.ndarray, " n"] | None = None
 
     @classmethod
     def read(cls, root: str | Path) -> StoredModel:
@@ -72,10 +77,26 @@ class StoredModel:
             np.isfinite(modes).all() and (variances > 0).all()
         ):
             raise DataError(f"{place} holds files that do not belong together; {_AGAIN}")
-        model = ShapeModel(mean.points, modes, variances)
+        weights = _weights(place / "mean.ply")
+        model = ShapeModel(mean.points, modes, variances, None if weights is None else weights > 0)
         deviation = left_out[-1] / np.sqrt(3) if left_out else None
         names, settings = tuple(report["shapes"]), ModelSettings(**report["statistics"])
-        return cls(folder, names, settings, model, mean, deviation)
+        return cls(folder, names, settings, model, mean, deviation, weights)
+
+    @property
+    def kept(self) -> Bool[np.ndarray, " n"]:
+        """Which of the template's points take part."""
+        return np.ones(self.mean.n_points, dtype=bool) if self.weights is None else self.weights > 0
+
+    def aligned(self, rows: Sequence[int] | None = None) -> Float[np.ndarray, "s n 3"]:
+        """The shapes, or those of some rows of ``points.npy``, aligned with each other as the collection's were.
+
+        Raises:
+            DataError: if the array is damaged or does not belong to the report.
+        """
+        points = self.points() if rows is None else self.points()[list(rows)]
+        scale, start = self.settings.scale, self.mean.points
+        return generalised_procrustes(points, scale=scale, start=start, weights=self.weights).points
 
     def points(self) -> Float[np.ndarray, "s n 3"]:
         """The template's points on all shapes, in their own coordinates.
@@ -109,6 +130,15 @@ class StoredModel:
         known = np.isfinite(on_mean).any(axis=(0, 2))
         middle = np.nanmedian(on_mean[:, known], axis=0)
         return tuple(np.array(names)[known].tolist()), mean.project(middle)
+
+
+def _weights(path: Path) -> Float[np.ndarray, " n"] | None:
+    """How much the template's points count; None where it has no mask."""
+    try:
+        weights = read_ply_property(path, MASK)
+        return None if weights is None else Mask(weights, str(path)).weights
+    except (OSError, UnreadableError, ArgumentError) as error:
+        raise DataError(f"{path} cannot be read ({reason_of(error)}); {_AGAIN}") from None
 
 
 def _array(path: Path) -> Float[np.ndarray, ...]:

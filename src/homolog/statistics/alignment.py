@@ -26,6 +26,7 @@ class Aligned:
         rotations: proper ones (s, 3, 3).
         scales: positive; 1 unless the size is normalised (s,).
         shifts: (s, 3).
+        weights: how much each point counted (n,); None where all counted alike.
     """
 
     points: Float[np.ndarray, "s n 3"]
@@ -33,15 +34,21 @@ class Aligned:
     rotations: Float[np.ndarray, "s 3 3"]
     scales: Float[np.ndarray, " s"]
     shifts: Float[np.ndarray, "s 3"]
+    weights: Float[np.ndarray, " n"] | None = None
 
     @property
     def distances(self) -> Float[np.ndarray, " s"]:
-        """The root mean square distance of each shape from the mean, in the shapes' unit."""
-        return np.asarray(np.sqrt(((self.points - self.mean) ** 2).sum(axis=2).mean(axis=1)))
+        """The root mean square distance of each shape from the mean, with the weights, in the shapes' unit."""
+        squares = ((self.points - self.mean) ** 2).sum(axis=2)
+        return np.asarray(np.sqrt(np.average(squares, axis=1, weights=self.weights)))
 
 
 def generalised_procrustes(
-    points: Float[np.ndarray, "s n 3"], *, scale: bool = False, start: Float[np.ndarray, "n 3"] | None = None
+    points: Float[np.ndarray, "s n 3"],
+    *,
+    scale: bool = False,
+    start: Float[np.ndarray, "n 3"] | None = None,
+    weights: Float[np.ndarray, " n"] | None = None,
 ) -> Aligned:
     """Generalised Procrustes alignment: rotate and shift shapes to minimise the squared distances from their mean.
 
@@ -53,9 +60,11 @@ def generalised_procrustes(
         points: the shapes (s, n, 3), with at least one shape and three points.
         scale: normalise the size as well.
         start: the first reference, which determines the mean's orientation; by default the first shape.
+        weights: how much each point counts; those with 0 are moved with the others (n,). By default all count alike.
 
     Raises:
-        ArgumentError: if the array has another shape, holds NaN or infinite numbers, or a shape whose points coincide.
+        ArgumentError: if an array has another shape, holds NaN or infinite numbers, or a shape whose points coincide;
+            or fewer than three points count.
 
     Examples:
         >>> triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
@@ -63,35 +72,44 @@ def generalised_procrustes(
         >>> bool(np.allclose(aligned.points[0], aligned.points[1]))
         True
     """
-    _check(points, start)
-    middles = points.mean(axis=1, keepdims=True)
+    _check(points, start, weights)
+    middles = np.average(points, axis=1, weights=weights, keepdims=True)
     centred = points - middles
-    mean = centred[0] if start is None else start - start.mean(axis=0)
+    mean = centred[0] if start is None else start - np.average(start, axis=0, weights=weights)
+    share = np.ones(points.shape[1]) if weights is None else weights / weights.mean()
     rotations, scales = np.tile(np.eye(3), (len(points), 1, 1)), np.ones(len(points))
-    total, before = (centred**2).sum(), np.inf
+    total, before = (share[:, None] * centred**2).sum(), np.inf
     for _ in range(_MOST_ROUNDS):
-        rotations, strengths = _rotations(centred, mean)
+        rotations, strengths = _rotations(centred, share[:, None] * mean)
         if scale:
-            squares = (centred**2).sum(axis=(1, 2))
+            squares = (share[:, None] * centred**2).sum(axis=(1, 2))
             best = strengths / squares
             scales = np.asarray(best * np.sqrt(squares.sum() / (best**2 * squares).sum()))
         moved = scales[:, None, None] * centred @ rotations.transpose(0, 2, 1)
         mean = moved.mean(axis=0)
-        residual = ((moved - mean) ** 2).sum()
+        residual = (share[:, None] * (moved - mean) ** 2).sum()
         if before - residual <= _CONVERGED * total:
             break
         before = residual
     shifts = -scales[:, None] * np.einsum("skl,sl->sk", rotations, middles[:, 0])
-    return Aligned(moved, mean, rotations, scales, shifts)
+    return Aligned(moved, mean, rotations, scales, shifts, weights)
 
 
-def _check(points: Float[np.ndarray, "s n 3"], start: Float[np.ndarray, "n 3"] | None) -> None:
+def _check(
+    points: Float[np.ndarray, "s n 3"], start: Float[np.ndarray, "n 3"] | None, weights: Float[np.ndarray, " n"] | None
+) -> None:
     if points.ndim != 3 or points.shape[2] != 3 or len(points) < 1 or points.shape[1] < 3:
         raise ArgumentError(f"points has shape {points.shape}, but must have shape (shapes, points, 3)")
     if start is not None and start.shape != points.shape[1:]:
         raise ArgumentError(f"start has shape {start.shape}, but must have shape {points.shape[1:]}, as points has it")
     if not (np.isfinite(points).all() and (start is None or np.isfinite(start).all())):
         raise ArgumentError("points holds NaN or infinite numbers, but must be finite")
+    if weights is not None:
+        if weights.shape != points.shape[1:2] or not (np.isfinite(weights).all() and (weights >= 0).all()):
+            raise ArgumentError(f"weights must be numbers from 0, one for each of the {points.shape[1]} points")
+        if (weights > 0).sum() < 3:
+            raise ArgumentError(f"weights leave {(weights > 0).sum()} points, but aligning needs three")
+        points = points[:, weights > 0]
     if (np.ptp(points, axis=1) == 0).all(axis=1).any():
         raise ArgumentError("points holds a shape whose points are all the same, which cannot be aligned")
 
@@ -99,7 +117,7 @@ def _check(points: Float[np.ndarray, "s n 3"], start: Float[np.ndarray, "n 3"] |
 def _rotations(
     centred: Float[np.ndarray, "s n 3"], mean: Float[np.ndarray, "n 3"]
 ) -> tuple[Float[np.ndarray, "s 3 3"], Float[np.ndarray, " s"]]:
-    """The best rotation of each shape to the mean (Kabsch, 1976), and the inner product of the two after it."""
+    """The best rotation of each shape to the weighted mean (Kabsch, 1976), and the inner product of both after it."""
     left, sizes, right = np.linalg.svd(np.einsum("nk,snl->skl", mean, centred))
     signs = np.ones_like(sizes)
     # The best orthogonal matrix may be a reflection; the best rotation then flips the direction of least variance.

@@ -55,7 +55,7 @@ class GroupComparison:
     @property
     def p_overall(self) -> float:
         """The corrected p of the most different point: whether the groups differ anywhere."""
-        return float(self.p_corrected.min())
+        return float(np.nanmin(self.p_corrected))
 
 
 def compare_groups(

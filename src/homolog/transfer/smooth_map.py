@@ -10,14 +10,16 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float, Int
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Surface, unit
 from homolog.geometry.deformation import DeformedTemplate, WeightedPairs
 from homolog.geometry.projection import SurfacePoints, SurfaceProjector
+from homolog.maps import best_similarity
 from homolog.matching import Match
-from homolog.shapes import Shape
+from homolog.shapes import Shape, components
 
 _LEAST_CONFIDENCE = 0.01
 
@@ -32,6 +34,8 @@ class SurfaceMap:
             target. NaN for a point without a counterpart (n, 3).
         orientation: the relative orientation of the triangles: 1 if both are counter-clockwise seen from the same side,
             -1 if from opposite sides, 0 if unknown.
+        extended: where the deformation takes each source point, also those without a counterpart, which follow the
+            others smoothly (n, 3); by default ``positions``.
     """
 
     def __init__(
@@ -41,12 +45,15 @@ class SurfaceMap:
         positions: Float[np.ndarray, "n 3"],
         *,
         orientation: int = 0,
+        extended: Float[np.ndarray, "n 3"] | None = None,
     ) -> None:
         self.source, self.target, self.orientation = source, target, orientation
+        self.extended = positions if extended is None else extended
         normals = None
         if orientation:  # those of the deformed source, oriented as the target
             assert source.shape.faces is not None
-            deformed = Surface(np.nan_to_num(positions[source.repaired.kept]), source.shape.faces)
+            drawn = np.where(np.isfinite(positions), positions, self.extended)
+            deformed = Surface(np.nan_to_num(drawn[source.repaired.kept]), source.shape.faces)
             normals = source.repaired.to_original(orientation * deformed.vertex_normals, fill=0.0)
         self.surface_points: SurfacePoints = target.project(positions, normals)
         """The image of each source point, in barycentric coordinates of the target."""
@@ -69,7 +76,7 @@ class SurfaceMap:
         kept, faces = self.source.repaired.kept, self.source.surface.faces
         deformed = Surface(self.positions[kept], faces)
         agreement = np.sign(np.einsum("mk,mk->m", deformed.face_vectors, below[kept][faces].sum(axis=1)))
-        return np.asarray(agreement * (self.orientation or np.sign(agreement.sum())) < 0)
+        return np.asarray(agreement * (self.orientation or np.sign(np.nansum(agreement))) < 0)
 
     def apply(self, points: SurfacePoints) -> SurfacePoints:
         """Map any points of the source's surface to the target, continuously across its triangles.
@@ -116,10 +123,22 @@ def surface_map(source: Shape | SurfaceProjector, target: Shape | SurfaceProject
     """
     ends = [shape if isinstance(shape, SurfaceProjector) else SurfaceProjector(shape) for shape in (source, target)]
     source, target = ends
-    orientation, deformed = DeformedTemplate(source, target, _weighted_pairs(source, target, found)).solve()
-    positions = source.repaired.to_original(deformed, fill=np.nan)
-    positions[found.source_to_target < 0] = np.nan
-    return SurfaceMap(source, target, positions, orientation=orientation)
+    template = DeformedTemplate(source, target, _weighted_pairs(source, target, found))
+    orientation, deformed = template.solve()
+    extended = source.repaired.to_original(_with_loose_components(template, deformed), fill=np.nan)
+    positions = np.where((found.source_to_target >= 0)[:, None], extended, np.nan)
+    return SurfaceMap(source, target, positions, orientation=orientation, extended=extended)
+
+
+def _with_loose_components(template: DeformedTemplate, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+    """The positions, with components that no pair holds moved as one body with the points that have pairs."""
+    held = template.paired
+    component = components(template.ends[0], template.ends[1], template.count)
+    loose = ~np.isin(component, component[held])
+    if not loose.any():
+        return positions
+    rest, now = (torch.tensor(each) for each in (template.source.shape.points, positions))
+    return np.where(loose[:, None], best_similarity(rest[held], now[held])(rest).numpy(), positions)
 
 
 def _weighted_pairs(source: SurfaceProjector, target: SurfaceProjector, found: Match) -> WeightedPairs:

@@ -60,7 +60,7 @@ def _smoothed(smooth: SurfaceMap, neighbours: sparse.csr_array, *, rings: int) -
     # A mean that includes a point without a counterpart is NaN, and is left out.
     moved = np.where(chosen & np.isfinite(smoothed), smoothed, positions)
     deformed = repaired.to_original(moved, fill=np.nan)
-    return SurfaceMap(smooth.source, smooth.target, deformed, orientation=smooth.orientation)
+    return SurfaceMap(smooth.source, smooth.target, deformed, orientation=smooth.orientation, extended=smooth.extended)
 
 
 def _around_flips(smooth: SurfaceMap, neighbours: sparse.csr_array, rings: int) -> Bool[np.ndarray, " n"]:
