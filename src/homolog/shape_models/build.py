@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from homolog.core.choices import System
+from homolog.core.cluster import Processes
 from homolog.core.errors import ArgumentError
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved
 from homolog.core.progress import Progress, ignore
@@ -53,7 +54,7 @@ def build(
     landmarks: str | Path | None = None,
     axes: System | None = None,
     symmetry: str | Path | None = None,
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress = ignore,
     listener: Callable[[Outcome], None] = ignore,
     report: Mapping[str, Any] | None = None,
@@ -76,7 +77,7 @@ def build(
             files name, or LPS.
         symmetry: a folder that ``homolog.symmetries.write_symmetry`` or ``homolog symmetry`` wrote of the template, to
             take all shapes apart into symmetric and asymmetric components.
-        processes: number of worker processes.
+        processes: number of worker processes, or a cluster.
         progress: called with the number of finished shapes, their total and the current shape's name.
         listener: called with each new outcome.
         report: further entries of ``report.json``.
