@@ -17,7 +17,6 @@ from homolog.cli import browsing
 from homolog.matching import Match
 from homolog.shapes import read_shape
 
-
 PLAIN = ("--method", "axiomatic", "--orient", "given")
 
 

@@ -483,9 +483,9 @@ def test_maps_may_be_arrays_or_lists(blobs, convert):
 
     for refinement in (False, True):
         supports = Supports(needs_features=False, refinement=refinement)
+        methods = (FunctionMethod("own", function, supports) for function in (converted, nearest_points))
         found, expected = (
-            homolog.match(*blobs.of("mm"), method=FunctionMethod("own", function, supports), orient="given", device="cpu")
-            for function in (converted, nearest_points)
+            homolog.match(blobs.source, blobs.target, method=method, orient="given", device="cpu") for method in methods
         )
         assert_same(found, expected)
 

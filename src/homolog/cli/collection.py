@@ -14,8 +14,8 @@ import homolog
 from homolog.cli.options import (
     INPUT,
     METHOD,
-    ONE_PER_CORE,
     OUTPUT,
+    ClusterOption,
     ClutterOption,
     DeviceOption,
     MethodOption,
@@ -33,7 +33,9 @@ from homolog.cli.options import (
     check_folder,
     check_inputs,
     described,
+    device_of,
     set_verbosity,
+    workers,
 )
 from homolog.cli.progress import progress_bar, say, tell_files
 from homolog.cli.wording import in_options
@@ -133,7 +135,8 @@ def collection(
         typer.Option("--scale", help="Remove size as well before the modes are computed.", rich_help_panel=OUTPUT),
     ] = False,
     seed: Seed = 0,
-    processes: Processes = ONE_PER_CORE,
+    processes: Processes = None,
+    cluster: ClusterOption = None,
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -186,7 +189,7 @@ def collection(
         template_mask=homolog.pairs.mask_of(template_mask, "template_mask"),
     )
     model = models.ModelSettings(scale=scale, seed=seed, template_up=template_up or up, shapes_up=up)
-    make_matcher = partial(build_matcher, weights, method, device, no_cache=no_cache)
+    make_matcher = partial(build_matcher, weights, method, device_of(device, cluster), no_cache=no_cache)
     matcher = make_matcher()
     report = {"command": ["homolog", *sys.argv[1:]], **described(matcher, warnings="warnings_of_all")}
     known: Any = {"landmarks": landmarks, "axes": axes, "symmetry": symmetry, "masks": masks}
@@ -199,7 +202,7 @@ def collection(
             settings=settings,
             model=model,
             **known,
-            processes=processes,
+            processes=workers(processes, cluster),
             progress=progress,
             listener=_tell,
             report=report,

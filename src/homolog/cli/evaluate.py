@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import homolog
+from homolog.cli.lazy import OTHER
 from homolog.cli.options import (
     INPUT,
     METHOD,
     OUTPUT,
     PARTIAL,
     Adapt,
+    ClusterOption,
     ClutterOption,
     DatasetOption,
     DeviceOption,
@@ -33,8 +35,10 @@ from homolog.cli.options import (
     check_files,
     check_inputs,
     described,
+    device_of,
     on_stdout,
     set_verbosity,
+    workers,
     write_figures,
 )
 from homolog.cli.progress import progress_bar, say
@@ -250,6 +254,13 @@ def evaluate(
         typer.Option(metavar="FILE", help="Draw the PCK curve, as .png, .pdf or .svg.", rich_help_panel=OUTPUT),
     ] = None,
     seed: Seed = 0,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="How many processes match pairs at once.", min=1, show_default="1", rich_help_panel=OTHER
+        ),
+    ] = None,
+    cluster: ClusterOption = None,
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
@@ -309,14 +320,15 @@ def evaluate(
         seed=seed,
     )
     without = [*([] if refinement else ["refinement"]), *([] if alignment else ["alignment", "parts"])]
+    device = device_of(device, cluster)
     matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=without)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     scored = None if maps is None else homolog.evaluation.MapsFolder(maps, base=base)
     match_pair = None if matcher is None else _adapting(matcher, adapt)
+    workers_of = workers(processes, cluster, usually=1)
+    how: dict[str, Any] = {"match": scored, "match_pair": match_pair, "processes": workers_of}
     with progress_bar(quiet=quiet) as progress:
-        evaluation = homolog.evaluation.evaluate(
-            matcher, folder, protocol, match=scored, match_pair=match_pair, progress=progress
-        )
+        evaluation = homolog.evaluation.evaluate(matcher, folder, protocol, **how, progress=progress)
     figures = {**evaluation.to_dict(), **_setup(folder, protocol), **_made_by(matcher, maps, adapt)}
     _write(evaluation, folder, figures, json, csv, plot)
     if not quiet:

@@ -22,6 +22,8 @@ from homolog.core.settings import toml_value
 from homolog.methods import method_names
 
 if TYPE_CHECKING:
+    from homolog.core.cluster import Cluster
+    from homolog.core.cluster import Processes as AnyProcesses
     from homolog.matching import Matcher
 
 # The groups that options stand in.
@@ -153,13 +155,24 @@ Seed = Annotated[
     int, typer.Option("--seed", metavar="N", help="Seed of all random choices.", min=0, rich_help_panel=OTHER)
 ]
 Processes = Annotated[
-    int,
+    int | None,
     typer.Option(
         "--processes",
         metavar="N",
         help="How many processes work at once.",
         min=1,
         show_default="one per core",
+        rich_help_panel=OTHER,
+    ),
+]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="ray|ADDRESS",
+        help="ray: work in a Ray of this machine, which begins and ends with the command. ADDRESS: in the Ray cluster "
+        "there, such as HOST:6379 or auto, whose machines all see the same folders. Needs the extra cluster.",
+        show_default="processes of this machine",
         rich_help_panel=OTHER,
     ),
 ]
@@ -203,7 +216,6 @@ PictureWidth = Annotated[
         rich_help_panel=OUTPUT,
     ),
 ]
-ONE_PER_CORE = os.cpu_count() or 1
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.", rich_help_panel=OTHER)]
 Verbose = Annotated[
     bool,
@@ -212,6 +224,39 @@ Verbose = Annotated[
 NoCache = Annotated[
     bool, typer.Option("--no-cache", help="Neither read nor write cached operators.", rich_help_panel=OTHER)
 ]
+
+
+def workers(processes: int | None, cluster: str | None, *, usually: int | None = None) -> AnyProcesses:
+    """Where the tasks of a command are done: what ``--processes`` and ``--cluster`` ask for, or one process per core.
+
+    Args:
+        processes: how many.
+        cluster: of Ray.
+        usually: how many processes of this machine, where another number than one per core.
+
+    Raises:
+        ArgumentError: if ``--cluster`` is empty.
+        MissingExtraError: if it is given without the extra ``cluster``.
+    """
+    return cluster_of(cluster, processes) or processes or usually or os.cpu_count() or 1
+
+
+def cluster_of(address: str | None, workers: int | None = None) -> Cluster | None:
+    """The cluster that ``--cluster`` asks for; None without it. One of this machine has one worker per core."""
+    if address is None:
+        return None
+    from homolog.core.cluster import LOCAL, Cluster
+
+    return Cluster(address, (workers or os.cpu_count() or 1) if address == LOCAL else workers)
+
+
+def device_of(device: Device, cluster: str | None) -> Device:
+    """The device that tasks compute on: the workers of a cluster compute on processors alone."""
+    if cluster is None:
+        return device
+    if device == "cuda":
+        raise ArgumentError("--device is 'cuda', but the workers of a --cluster compute on processors; leave one out")
+    return "cpu"
 
 
 def changes_of(given: list[str] | None) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import homolog
-from homolog.cli.options import ONE_PER_CORE, Processes, Quiet, Seed, Verbose
+from homolog.cli.options import ClusterOption, Processes, Quiet, Seed, Verbose, workers
 from homolog.cli.synth_options import NBodies, Output, Stretch, Vertices, make_bodies
 
 
@@ -15,7 +15,8 @@ def animals(
     vertices: Vertices = 5000,
     stretch: Stretch = 1.0,
     seed: Seed = 0,
-    processes: Processes = ONE_PER_CORE,
+    processes: Processes = None,
+    cluster: ClusterOption = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -38,7 +39,7 @@ def animals(
         vertices=vertices,
         stretch=stretch,
         seed=seed,
-        processes=processes,
+        processes=workers(processes, cluster),
         quiet=quiet,
         verbose=verbose,
     )

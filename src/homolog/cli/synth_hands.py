@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import ONE_PER_CORE, Processes, Quiet, Seed, Verbose
+from homolog.cli.options import ClusterOption, Processes, Quiet, Seed, Verbose, workers
 from homolog.cli.synth_options import NBodies, Output, Stretch, Vertices, make_bodies
 from homolog.core.choices import HandSides
 
@@ -23,7 +23,8 @@ def hands(
         HandSides, typer.Option(help="left, right, or both: every second individual is a right hand.")
     ] = "both",
     seed: Seed = 0,
-    processes: Processes = ONE_PER_CORE,
+    processes: Processes = None,
+    cluster: ClusterOption = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -46,7 +47,7 @@ def hands(
         vertices=vertices,
         stretch=stretch,
         seed=seed,
-        processes=processes,
+        processes=workers(processes, cluster),
         quiet=quiet,
         verbose=verbose,
     )

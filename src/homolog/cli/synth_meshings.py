@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import INPUT, ONE_PER_CORE, DatasetOption, Processes, Quiet, Seed
+from homolog.cli.options import INPUT, ClusterOption, DatasetOption, Processes, Quiet, Seed, workers
 from homolog.cli.progress import progress_bar
 from homolog.cli.synth_options import Output, Stretch, Vertices
 from homolog.core.choices import Split
@@ -25,7 +25,8 @@ def meshings(
     vertices: Vertices = 5000,
     stretch: Stretch = 3.0,
     seed: Seed = 0,
-    processes: Processes = ONE_PER_CORE,
+    processes: Processes = None,
+    cluster: ClusterOption = None,
     quiet: Quiet = False,
 ) -> None:
     """Mesh the shapes of a dataset anew, with triangles that are longer than wide, and keep its ground truth.
@@ -48,7 +49,7 @@ def meshings(
             split=split,
             settings=synthesis.MeshSettings(vertices, stretch),
             seed=seed,
-            processes=processes,
+            processes=workers(processes, cluster),
             progress=progress,
         )
     if not quiet:

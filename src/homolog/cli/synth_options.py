@@ -13,6 +13,7 @@ from homolog.cli.options import ResumedOutput, set_verbosity
 from homolog.cli.progress import progress_bar
 
 if TYPE_CHECKING:
+    from homolog.core.cluster import Processes
     from homolog.synthesis import BodyFolder
 
 Output = ResumedOutput
@@ -37,7 +38,7 @@ def make_bodies(
     vertices: int,
     stretch: float,
     seed: int,
-    processes: int,
+    processes: Processes,
     quiet: bool,
     verbose: bool,
 ) -> None:

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import ONE_PER_CORE, Processes, Quiet, Seed, Verbose
+from homolog.cli.options import ClusterOption, Processes, Quiet, Seed, Verbose, workers
 from homolog.cli.synth_options import NBodies, Output, Stretch, Vertices, make_bodies
 from homolog.core.choices import Poses
 
@@ -23,7 +23,8 @@ def people(
         Poses, typer.Option(help="natural, or wide: of gymnasts, and of people who lie, crawl or fall.")
     ] = "natural",
     seed: Seed = 0,
-    processes: Processes = ONE_PER_CORE,
+    processes: Processes = None,
+    cluster: ClusterOption = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -49,7 +50,7 @@ def people(
         vertices=vertices,
         stretch=stretch,
         seed=seed,
-        processes=processes,
+        processes=workers(processes, cluster),
         quiet=quiet,
         verbose=verbose,
     )

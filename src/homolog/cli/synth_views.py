@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import ONE_PER_CORE, Processes, Quiet, ResumedOutput, Seed
+from homolog.cli.options import ClusterOption, Processes, Quiet, ResumedOutput, Seed, workers
 from homolog.cli.progress import progress_bar
 
 
@@ -51,7 +51,8 @@ def views(
         float, typer.Option(metavar="SIGMA", help="Noise of the clouds' depths, in units of sqrt(area).", min=0.0)
     ] = 0.0,
     seed: Seed = 0,
-    processes: Processes = ONE_PER_CORE,
+    processes: Processes = None,
+    cluster: ClusterOption = None,
     quiet: Quiet = False,
 ) -> None:
     """Make a dataset of partial views of full meshes, with ground truth.
@@ -78,7 +79,7 @@ def views(
             settings=settings,
             apart=apart,
             two_shapes=two_shapes,
-            processes=processes,
+            processes=workers(processes, cluster),
             progress=progress,
         )
     if not quiet:

@@ -9,7 +9,17 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import Changes, DatasetOption, DeviceOption, Quiet, Verbose, changes_of, set_verbosity
+from homolog.cli.lazy import OTHER
+from homolog.cli.options import (
+    Changes,
+    DatasetOption,
+    DeviceOption,
+    Quiet,
+    Verbose,
+    changes_of,
+    cluster_of,
+    set_verbosity,
+)
 from homolog.cli.progress import progress_bar
 from homolog.core.errors import HomologError
 from homolog.core.files import expanded, refuse_overwriting_inputs, resuming
@@ -52,6 +62,16 @@ def train(
     device: DeviceOption = "auto",
     processes: Annotated[int, typer.Option(help="Processes on each machine; with GPUs, one for each.", min=1)] = 1,
     machines: Annotated[int, typer.Option(help="Machines, on each of which this same command runs.", min=1)] = 1,
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ray|ADDRESS",
+            help="Compute the operators of all shapes first in a Ray cluster, into the cache: ray for one of this "
+            "machine, or the address of one whose machines all see the cache and DATA. Needs the extra cluster.",
+            show_default=False,
+            rich_help_panel=OTHER,
+        ),
+    ] = None,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
@@ -95,6 +115,7 @@ def train(
                 device=device,
                 processes=processes,
                 machines=machines,
+                cluster=cluster_of(cluster),
                 progress=progress,
             )
     except HomologError:

@@ -53,9 +53,14 @@ class MissingExtraError(HomologError, ImportError):
     """An optional package is needed; the message names the extra that brings it."""
 
     def __init__(self, need: str, package: str, extra: str) -> None:
+        self._given = need, package, extra
         super().__init__(
             f"{need} needs the package {package}, which is not installed; run: pip install 'homolog[{extra}]'"
         )
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str, str]]:
+        """What it was made of, so that a worker's error can be raised in the process that waits for it."""
+        return type(self), self._given
 
 
 @contextmanager

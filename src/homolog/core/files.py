@@ -407,6 +407,14 @@ def remove_abandoned(folder: Path) -> None:
     _remove_abandoned(folder, os.getpid())
 
 
+def remove_abandoned_below(folder: Path) -> None:
+    """Remove what ``remove_abandoned`` removes in a folder and in all folders below it, again if need be."""
+    _remove_abandoned.cache_clear()
+    if folder.is_dir():
+        for each in (folder, *(path for path in folder.rglob("*") if path.is_dir())):
+            remove_abandoned(each)
+
+
 @cache
 def _remove_abandoned(folder: Path, process: int) -> None:
     """Once for each process."""

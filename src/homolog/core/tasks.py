@@ -1,4 +1,4 @@
-"""Running many tasks, one by one or in several processes."""
+"""Running many tasks: one by one, in several processes, or in the workers of a cluster."""
 
 from __future__ import annotations
 
@@ -8,24 +8,28 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import cache
 from multiprocessing.synchronize import Semaphore
+from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from joblib import Parallel, delayed
 from joblib.externals.loky.backend import get_context, resource_tracker
 from joblib.parallel import LokyBackend
 
+from homolog.core.arguments import check_count
+from homolog.core.cluster import Cluster, Processes, connected
 from homolog.core.ends import bound_end, end_with_parent
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Progress, ignore
 
 T = TypeVar("T")
 
-# A name to show, and what to do; several processes need functions and results that can be pickled.
+# A name to show, and what to do; several processes need functions and results that can be pickled. Those of a cluster
+# may be done twice, if a worker dies.
 Task = tuple[str, Callable[[], T]]
 
 # Seconds for all workers to end in by themselves, once they are told to, and those after which one gives its task up.
@@ -33,12 +37,20 @@ Task = tuple[str, Callable[[], T]]
 _PATIENCE, _OF_TASKS = 4.0, 1.0
 
 
+def check_processes(processes: Processes) -> None:
+    """Refuse a number of processes that is not positive."""
+    if not isinstance(processes, Cluster):
+        check_count("processes", processes)
+
+
 def run_tasks(
     phases: Sequence[Sequence[Task[T]]],
     *,
-    processes: int,
+    processes: Processes,
     progress: Progress,
     told: Callable[[T], Any] = ignore,
+    reads: Sequence[Path] = (),
+    writes: Path | None = None,
 ) -> None:
     """Run all tasks of a phase, in any order, before those of the next phase.
 
@@ -47,19 +59,35 @@ def run_tasks(
 
     Args:
         phases: the tasks.
-        processes: how many work at once; one is this one.
+        processes: how many work at once, where one is this one; or the cluster whose workers do.
         progress: told of each task before it is waited for.
         told: what each task gives, in this process and in the order of the tasks.
+        reads: files and folders that the workers of a cluster must see.
+        writes: the folder that tasks write into.
 
     Raises:
-        ArgumentError: if one of several processes is ended from outside.
+        ArgumentError: if one of several processes is ended from outside, or a cluster cannot be used.
     """
     names = [name for tasks in phases for name, _ in tasks]
-    results = (result for tasks in phases for result in _results([function for _, function in tasks], processes))
-    for number, name in enumerate(names):
-        progress(number, len(names), name)
-        told(next(results))
+    results = _results_of_phases(phases, processes, reads, writes)
+    with closing(results):
+        for number, name in enumerate(names):
+            progress(number, len(names), name)
+            told(next(results))
     progress(len(names), len(names), "done")
+
+
+def _results_of_phases(
+    phases: Sequence[Sequence[Task[T]]], processes: Processes, reads: Sequence[Path], writes: Path | None
+) -> Generator[T, None, None]:
+    functions = [[function for _, function in tasks] for tasks in phases]
+    if isinstance(processes, Cluster):
+        with connected(processes, reads=reads, writes=writes) as cluster:
+            for each in functions:
+                yield from cluster.results(each)
+        return
+    for each in functions:
+        yield from _results(each, min(processes, max(1, len(each))))
 
 
 def _results(functions: Sequence[Callable[[], T]], processes: int) -> Iterator[T]:

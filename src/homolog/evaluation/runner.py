@@ -17,10 +17,12 @@ from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 
 from homolog.core.arguments import check_kind, given_or_default
+from homolog.core.cluster import Processes
 from homolog.core.errors import ArgumentError, DataError, bad_value
 from homolog.core.plugins import blamed_on
 from homolog.core.progress import Progress, ignore
 from homolog.core.reprs import function_name
+from homolog.core.tasks import check_processes, run_tasks
 from homolog.datasets import Pair as PairOfNames
 from homolog.datasets import ShapeFolder, Truth, drawn_pairs
 from homolog.evaluation.exchanges import Exchange, ExchangeFinder
@@ -59,6 +61,9 @@ class ScoredPair:
     errors: Float[np.ndarray, " p"]
 
 
+# Several processes are given so many pairs of one source at a time, which share its features and searches on it.
+_PAIRS_OF_A_PART = 16
+
 Metric = Callable[[ScoredPair], float]
 """A figure of one pair; its mean over pairs is reported."""
 
@@ -71,6 +76,7 @@ def evaluate(
     match: MatchShapes | None = None,
     match_pair: Callable[[Pair], Match] | None = None,
     metrics: Mapping[str, Metric] | None = None,
+    processes: Processes = 1,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Match every pair of a folder and measure the maps against its ground truth.
@@ -89,6 +95,7 @@ def evaluate(
         match: a method of one's own.
         match_pair: makes the maps of a preprocessed pair; by default ``matcher.find``.
         metrics: figures of one's own by name.
+        processes: number of worker processes, or a cluster; for several, what is given must be picklable.
         progress: told how far the work is.
 
     Raises:
@@ -114,10 +121,67 @@ def evaluate(
     pairs = folder.pairs(protocol.split, listed=protocol.pairs_file)
     if protocol.n_pairs is not None:
         pairs = drawn_pairs(pairs, protocol.n_pairs, seed=protocol.seed)
-    warnings = WarningSettings() if matcher is None else matcher.settings.warnings
-    run = _Run(folder, protocol, pairs, metrics or {}, progress or ignore, warnings)
-    source = _ByFunction(run, match) if match is not None else _ByMatcher(run, matcher, match_pair)
-    return run.evaluation(source)
+    scoring = _Scoring(folder, protocol, matcher, match, match_pair, metrics or {})
+    if processes == 1:
+        found = scoring(pairs, progress or ignore)
+    else:
+        found = _in_parts(scoring, pairs, processes, progress or ignore)
+    if not any(pair.matched.any() for pair in found.pairs) and not scoring.run(pairs).can_be_matched():
+        raise DataError(
+            f"{folder.root}: no pair has a common point that could be matched, so there is nothing to score; "
+            "ground truth must name points that the faces use"
+        )
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Scoring:
+    """Matches pairs and scores them, in this process or another one."""
+
+    folder: ShapeFolder
+    protocol: Protocol
+    matcher: Matcher | None
+    match: MatchShapes | None
+    match_pair: Callable[[Pair], Match] | None
+    metrics: Mapping[str, Metric]
+
+    def run(self, pairs: tuple[PairOfNames, ...], progress: Progress = ignore) -> _Run:
+        """Read the shapes of some pairs, and their truth."""
+        warnings = WarningSettings() if self.matcher is None else self.matcher.settings.warnings
+        return _Run(self.folder, self.protocol, pairs, self.metrics, progress, warnings)
+
+    def __call__(self, pairs: tuple[PairOfNames, ...], progress: Progress = ignore) -> Evaluation:
+        """The errors of some pairs."""
+        run = self.run(pairs, progress)
+        return run.evaluation(
+            _ByMatcher(run, self.matcher, self.match_pair) if self.match is None else _ByFunction(run, self.match)
+        )
+
+
+def _in_parts(
+    scoring: _Scoring, pairs: tuple[PairOfNames, ...], processes: Processes, progress: Progress
+) -> Evaluation:
+    """The errors of all pairs, found in several processes, and the seconds of all of these together."""
+    check_processes(processes)
+    by_source: dict[str, list[int]] = defaultdict(list)
+    for number, pair in enumerate(pairs):
+        by_source[pair[0]].append(number)
+    parts = [
+        numbers[begin : begin + _PAIRS_OF_A_PART]
+        for numbers in by_source.values()
+        for begin in range(0, len(numbers), _PAIRS_OF_A_PART)
+    ]
+    found: list[Evaluation] = []
+    tasks = [(pairs[part[0]][0], partial(scoring, tuple(pairs[number] for number in part))) for part in parts]
+    root = scoring.folder.root
+    run_tasks([tasks], processes=processes, progress=progress, told=found.append, reads=[root])
+    scored = {
+        number: errors
+        for part, one in zip(parts, found, strict=True)
+        for number, errors in zip(part, one.pairs, strict=True)
+    }
+    seconds = {name: sum(one.seconds[name] for one in found) for name in found[0].seconds}
+    return replace(found[0], pairs=tuple(scored[number] for number in range(len(pairs))), seconds=seconds)
 
 
 def _check_arguments(matcher: Any, folder: Any, match: Any, match_pair: Any, metrics: Any) -> None:
@@ -179,16 +243,11 @@ class _Run:
         matches = [source.match(pair) for pair in self.pairs]
         with self.timed("measure"):
             scored = list(self._scored(matches))
-        if not any(pair.matched.any() for pair in scored) and not self._can_be_matched():
-            raise DataError(
-                f"{self.folder.root}: no pair has a common point that could be matched, so there is nothing to score; "
-                "ground truth must name points that the faces use"
-            )
         seconds = {**self.seconds, "total": sum(self.seconds.values())}
         unit = (self.folder.description.unit or "units of the files") if self.euclidean else None
         return Evaluation(tuple(scored), source.method, seconds, unit)
 
-    def _can_be_matched(self) -> bool:
+    def can_be_matched(self) -> bool:
         """Whether repair keeps a point of any pair that is known to correspond."""
         kept = cache(lambda name: repair(self.shapes[name]).clean_index >= 0)
         return any(

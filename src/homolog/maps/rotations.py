@@ -256,7 +256,7 @@ def _spanning_tree(
 def _iterated(
     x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], rotations: Float[Tensor, "s 3 3"], steps: int
 ) -> list[tuple[Float[Tensor, "3 3"], float]]:
-    """Iterated closest points from several starts at once, each until its pairs are the same twice, with the misfits."""
+    """Iterated closest points from several starts at once, each until its pairs stay the same, with the misfits."""
     n, rotations = len(x), rotations.clone()
     moving = torch.arange(len(rotations), device=x.device)
     pairs = torch.full((len(rotations), n + len(y)), -1, device=x.device)

@@ -46,6 +46,10 @@ class SeenShapes:
         default_factory=WeakKeyDictionary, repr=False
     )
 
+    def __reduce__(self) -> tuple[type[SeenShapes], tuple[Preprocessor]]:
+        """Pickled, for another process, without what is known of shapes."""
+        return SeenShapes, (self.preprocess,)
+
     def seen(self, pair: Pair, extractor: FeatureExtractor | None, method: Method | None = None) -> Pair:
         """A pair with other features, and with a method; by default that for shapes as repair left them."""
         source, target = (self._seen(shape, extractor, pair) for shape in (pair.source, pair.target))

@@ -11,10 +11,10 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from homolog.core.arguments import check_count
+from homolog.core.cluster import Processes
 from homolog.core.errors import HomologError
 from homolog.core.progress import Progress, Timings, ignore
-from homolog.core.tasks import run_tasks
+from homolog.core.tasks import check_processes, run_tasks
 from homolog.features import load_weights
 from homolog.matching import Matcher, with_inputs
 from homolog.pairs import Side
@@ -51,7 +51,7 @@ def register_all(
     make_matcher: Callable[[], Matcher],
     settings: ShapeModelSettings | None = None,
     *,
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress = ignore,
     listener: Callable[[Outcome], None] = ignore,
 ) -> list[Outcome]:
@@ -69,7 +69,7 @@ def register_all(
         folder: of the results; stored results for unchanged files are kept.
         make_matcher: returns the matcher in each process; for several processes, a function that can be pickled.
         settings: of the registration.
-        processes: number of worker processes; the points depend on it only by rounding.
+        processes: number of worker processes, or a cluster; the points depend on it only by rounding.
         progress: called with the number of finished shapes, their total and the current shape's name.
         listener: called with each new outcome, in this process.
 
@@ -80,7 +80,7 @@ def register_all(
         ArgumentError: if the number of processes is not positive, or one is ended from outside.
         HomologError: if the template cannot be used.
     """
-    check_count("processes", processes)
+    check_processes(processes)
     _prepared_template.cache_clear()  # an earlier call may have had another template or matcher
     stored = {subject.name: _stored_outcome(folder, subject) for subject in subjects}
     missing = [subject for subject in subjects if stored[subject.name] is None]
@@ -90,7 +90,7 @@ def register_all(
         found[outcome.subject.name] = outcome
         listener(outcome)
 
-    settings, processes = settings or ShapeModelSettings(), min(processes, max(1, len(missing)))
+    settings = settings or ShapeModelSettings()
     choice = folder.choice()
     if choice is None and missing:
         matcher = make_matcher()
@@ -102,13 +102,15 @@ def register_all(
     if settings.adapt and missing:
         chosen = _limited(make_matcher(), name)
         weights = adapted_weights(template, missing, folder, chosen, settings, progress=progress)
-    registration = _Registration(template, make_matcher, name, weights, folder, settings, processes)
-    before = len(subjects) - len(missing)
+    registration = _Registration(template, make_matcher, name, weights, folder, settings)
+    before, register = len(subjects) - len(missing), registration.outcome
     run_tasks(
-        [[(subject.name, partial(registration.outcome, subject)) for subject in missing]],
+        [[(subject.name, partial(register, subject)) for subject in missing]],
         processes=processes,
         progress=lambda done, _, what: progress(before + done, len(subjects), what),
         told=take,
+        reads=sorted({subject.file.parent for subject in missing}),
+        writes=folder.root,
     )
     return [found[subject.name] for subject in subjects]
 
@@ -131,7 +133,6 @@ class _Registration:
     weights: Path | None
     folder: ShapeModelFolder
     settings: ShapeModelSettings
-    processes: int
 
     def outcome(self, subject: Subject) -> Outcome:
         """Register the template to one shape, and write the result."""
@@ -170,11 +171,6 @@ class _Registration:
 @lru_cache(maxsize=1)
 def _prepared_template(registration: _Registration) -> Template:
     """The template of this process, which is prepared once."""
-    if registration.processes > 1:
-        import torch
-
-        # Each process gets its share of the cores: more threads than cores wait for each other.
-        torch.set_num_threads(max(1, (os.cpu_count() or 1) // registration.processes))
     settings, matcher = registration.settings, _limited(registration.make_matcher(), registration.choice)
     weights = registration.weights
     return Template(

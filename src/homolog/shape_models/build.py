@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from homolog.core.choices import System
+from homolog.core.cluster import Processes
 from homolog.core.errors import ArgumentError
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved
 from homolog.core.progress import Progress, ignore
@@ -54,7 +55,7 @@ def build(
     axes: System | None = None,
     symmetry: str | Path | None = None,
     masks: str | Path | None = None,
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress = ignore,
     listener: Callable[[Outcome], None] = ignore,
     report: Mapping[str, Any] | None = None,
@@ -79,7 +80,7 @@ def build(
             take all shapes apart into symmetric and asymmetric components.
         masks: a folder with a mask for some of the shapes, named as they are; see ``homolog.pairs.read_mask``. Points
             with 0 are not matched. That of the template is ``settings.template_mask``.
-        processes: number of worker processes.
+        processes: number of worker processes, or a cluster.
         progress: called with the number of finished shapes, their total and the current shape's name.
         listener: called with each new outcome.
         report: further entries of ``report.json``.

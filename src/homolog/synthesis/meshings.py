@@ -12,14 +12,14 @@ from jaxtyping import Float, Int
 from scipy.sparse import csr_matrix
 from typing_extensions import TypedDict
 
-from homolog.core.arguments import check_count
 from homolog.core.choices import Split
+from homolog.core.cluster import Processes
 from homolog.core.errors import DataError, ShapeError
 from homolog.core.files import all_or_nothing, atomic_path, expanded, open_text, sha256, write_json
 from homolog.core.folders import MANIFEST, prepare_folder, remove_if_unused
 from homolog.core.progress import Progress, ignore
 from homolog.core.records import read_record, record, stored_record
-from homolog.core.tasks import run_tasks
+from homolog.core.tasks import check_processes, run_tasks
 from homolog.datasets import DatasetDescription, ShapeFolder
 from homolog.datasets.folder import path_of
 from homolog.datasets.truth import check_vertices
@@ -140,7 +140,7 @@ def write_meshings(
     split: Split = "test",
     settings: MeshSettings = STRETCHED,
     seed: int = 0,
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress | None = None,
 ) -> None:
     """Write a dataset of other meshings of a dataset's shapes; docs/conventions.md lists its files.
@@ -155,7 +155,7 @@ def write_meshings(
         split: which shapes.
         settings: number of vertices, and how long triangles are.
         seed: of all random choices; the same source, seed and settings give the same bytes.
-        processes: number of worker processes.
+        processes: number of worker processes, or a cluster.
         progress: called with the number of finished meshes, their total and the current one's name.
 
     Raises:
@@ -167,7 +167,7 @@ def write_meshings(
         >>> write_meshings("FAUST_r", "FAUST_stretched", seed=1)  # doctest: +SKIP
     """
     BodySettings(seed, settings)
-    check_count("processes", processes)
+    check_processes(processes)
     folder, root = ShapeFolder.open(source, description), expanded(output)
     if folder.description.truth != "template-correspondence" or folder.description.full:
         raise DataError(
@@ -181,7 +181,7 @@ def write_meshings(
     with remove_if_unused(root, _FOLDERS):
         prepare_folder(root, manifest, _FOLDERS)
         tasks = [(name, partial(_write, folder, name, root, settings, seed)) for name in names]
-        run_tasks([tasks], processes=min(processes, len(names)), progress=progress or ignore)
+        run_tasks([tasks], processes=processes, progress=progress or ignore, reads=[folder.root], writes=root)
     with atomic_path(root / "test.txt") as temporary, open_text(temporary) as lines:
         lines.writelines(f"{name}\n" for name in names)
     records = [read_record(_record_file(root, name), _Record, instead="remove it") for name in names]

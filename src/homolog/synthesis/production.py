@@ -10,8 +10,9 @@ from typing import get_args
 
 from homolog.core.arguments import check_choice, check_count
 from homolog.core.choices import HandSides, Poses
+from homolog.core.cluster import Processes
 from homolog.core.progress import Progress, ignore
-from homolog.core.tasks import run_tasks
+from homolog.core.tasks import check_processes, run_tasks
 from homolog.geometry.surface import BarycentricPoints
 from homolog.synthesis.animals import Animals
 from homolog.synthesis.bodies import BodySettings, Kind, make_body
@@ -32,7 +33,7 @@ def synthesize_people(
     settings: BodySettings | None = None,
     *,
     poses: Poses = "natural",
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress = ignore,
 ) -> BodyFolder:
     """Write a dataset of synthetic people: the first ``n`` bodies of an endless sequence, as far as they are missing.
@@ -42,7 +43,7 @@ def synthesize_people(
         n: number of bodies.
         settings: seed and meshing.
         poses: ``"natural"``, or ``"wide"`` for those of gymnasts and of people who lie, crawl or fall.
-        processes: number of worker processes; the bodies do not depend on it.
+        processes: number of worker processes, or a cluster; the bodies do not depend on it.
         progress: called with the number of finished bodies, their total and the current body's name.
 
     Returns:
@@ -64,7 +65,7 @@ def synthesize_animals(
     n: int,
     settings: BodySettings | None = None,
     *,
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress = ignore,
 ) -> BodyFolder:
     """Write a dataset of synthetic animals with four legs, as ``synthesize_people`` writes people.
@@ -75,7 +76,7 @@ def synthesize_animals(
         output: the folder; it may hold bodies made with the same settings, which are kept.
         n: number of bodies.
         settings: seed and meshing.
-        processes: number of worker processes; the bodies do not depend on it.
+        processes: number of worker processes, or a cluster; the bodies do not depend on it.
         progress: called with the number of finished bodies, their total and the current body's name.
 
     Returns:
@@ -96,7 +97,7 @@ def synthesize_hands(
     settings: BodySettings | None = None,
     *,
     sides: HandSides = "both",
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress = ignore,
 ) -> BodyFolder:
     """Write a dataset of synthetic hands, as ``synthesize_people`` writes people.
@@ -108,7 +109,7 @@ def synthesize_hands(
         n: number of hands.
         settings: seed and meshing.
         sides: ``"left"``, ``"right"``, or ``"both"``: individuals of which every second one is a right hand.
-        processes: number of worker processes; the hands do not depend on it.
+        processes: number of worker processes, or a cluster; the hands do not depend on it.
         progress: called with the number of finished hands, their total and the current hand's name.
 
     Returns:
@@ -132,7 +133,7 @@ def synthesize_heads(
     n: int,
     settings: BodySettings | None = None,
     *,
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress = ignore,
 ) -> BodyFolder:
     """Write a dataset of synthetic heads, as ``synthesize_people`` writes people.
@@ -143,7 +144,7 @@ def synthesize_heads(
         output: the folder; it may hold heads made with the same settings, which are kept.
         n: number of heads.
         settings: seed and meshing.
-        processes: number of worker processes; the heads do not depend on it.
+        processes: number of worker processes, or a cluster; the heads do not depend on it.
         progress: called with the number of finished heads, their total and the current head's name.
 
     Returns:
@@ -167,11 +168,11 @@ def _synthesize(
     n: int,
     settings: BodySettings | None,
     *,
-    processes: int,
+    processes: Processes,
     progress: Progress,
 ) -> BodyFolder:
     check_count("n", n)
-    check_count("processes", processes)
+    check_processes(processes)
     settings = settings or BodySettings()
     kind = kind_of_process()
     template = kind.template
@@ -188,8 +189,9 @@ def _synthesize(
         there = n - len(missing)
         run_tasks(
             [tasks],
-            processes=min(processes, len(missing)),
+            processes=processes,
             progress=lambda done, _, what: progress(there + done, n, what),
+            writes=folder.root,
         )
     while folder.has_all_files(folder.name(len(names))):  # of a larger dataset that was made before
         names.append(folder.name(len(names)))

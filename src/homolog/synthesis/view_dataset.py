@@ -17,12 +17,13 @@ from jaxtyping import Int
 from typing_extensions import TypedDict
 
 from homolog.core.arguments import check_count, is_count, is_real
+from homolog.core.cluster import Processes
 from homolog.core.errors import ArgumentError, DataError, bad_value
 from homolog.core.files import all_or_nothing, atomic_path, expanded, open_text, write_json
 from homolog.core.folders import MANIFEST, prepare_folder
 from homolog.core.progress import Progress, ignore
 from homolog.core.records import read_record, record, stored_record
-from homolog.core.tasks import run_tasks
+from homolog.core.tasks import check_processes, run_tasks
 from homolog.datasets import ShapeFolder
 from homolog.shapes import read_shape, repair, write_shape
 from homolog.synthesis.view_plan import TEST_EVERY, DatasetSplit, FullShapes, PlannedView, planned_pair, planned_view
@@ -50,7 +51,7 @@ def write_view_dataset(
     settings: ViewSettings | None = None,
     apart: float | None = None,
     two_shapes: bool = False,
-    processes: int = 1,
+    processes: Processes = 1,
     progress: Progress | None = None,
 ) -> None:
     """Write a dataset of views of the full meshes in a folder; docs/conventions.md lists its files.
@@ -70,7 +71,7 @@ def write_view_dataset(
         settings: distribution of cameras, resolution and noise.
         apart: degrees between the directions of sight of the two cameras of a pair of views, above 0 and up to 180.
         two_shapes: the second camera of a pair looks at another shape.
-        processes: number of worker processes.
+        processes: number of worker processes, or a cluster.
         progress: called with the number of finished files, their total and the current file's name.
 
     Raises:
@@ -85,7 +86,7 @@ def write_view_dataset(
     if not (is_count(views, least=TEST_EVERY) and views <= _MOST_VIEWS):
         raise bad_value("views", views, f"a whole number from {TEST_EVERY} to {_MOST_VIEWS}")
     check_count("seed", seed, least=0)
-    check_count("processes", processes)
+    check_processes(processes)
     if apart is not None and not (is_real(apart) and 0 < apart <= 180):
         raise bad_value("apart", apart, "a number of degrees above 0 and up to 180")
     if two_shapes and apart is None:
@@ -105,7 +106,8 @@ def write_view_dataset(
     used = sorted({name for one in planned for name in (one.viewed, one.full)})
     write_shapes = [(name, partial(_write_full_shape, shapes.files[name], shapes.truth_root, root)) for name in used]
     write_views = [(one.name, partial(_write_view, one, root, settings, partners.get(one.name))) for one in planned]
-    run_tasks([write_shapes, write_views], processes=processes, progress=progress or ignore)
+    phases, read = [write_shapes, write_views], {file.parent for file in shapes.files.values()}
+    run_tasks(phases, processes=processes, progress=progress or ignore, reads=sorted(read), writes=root)
     _write_lists(root, planned, pairs)
     records = [read_record(_record_file(root, one.name), _Record, instead="remove it") for one in planned]
     write_json(root / MANIFEST, {**manifest, "views": records})

@@ -84,7 +84,7 @@ class _Checked:
         return self.matcher().pair(source, target, PairOptions(**options))[0]
 
     def match(self, source: Shape, target: Shape, *, by_default: bool = False) -> Match:
-        """A match of shapes that stand alike: refinement and the search for the way round are tried once, by default."""
+        """A match of shapes that stand alike: refined, and with the way round looked for, by default alone."""
         matcher = self.matcher(refined=by_default)
         pair, _ = matcher.pair(source, target, PairOptions(orient="auto" if by_default else "given"))
         with _asserted(f"{source.name} to {target.name}: "):

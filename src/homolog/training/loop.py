@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from homolog.core.cluster import Cluster
 from homolog.core.ends import end_with_parent
 from homolog.core.errors import ArgumentError, TrainingError, needs_extra
 from homolog.core.files import expanded
@@ -38,7 +39,7 @@ from homolog.training.sampling import PairSampler
 from homolog.training.schedule import learning_rate
 from homolog.training.settings import Recipe, TrainingSettings
 from homolog.training.state import Record, TrainingState
-from homolog.training.store import ShapeStore
+from homolog.training.store import ShapeStore, keep_operators
 from homolog.training.training_log import TrainingLog
 from homolog.training.validation import scores, validation_losses
 
@@ -60,6 +61,7 @@ def train(
     device: Device = "auto",
     processes: int = 1,
     machines: int = 1,
+    cluster: Cluster | None = None,
     operators: OperatorSource | None = None,
     progress: Progress | None = None,
 ) -> TrainingState:
@@ -83,6 +85,7 @@ def train(
         device: where to compute.
         processes: on each machine; with GPUs, one for each.
         machines: on each of which the same command runs.
+        cluster: whose workers compute the operators of all shapes first, into a cache that they and this machine see.
         operators: where operators come from; by default the cache on disk.
         progress: called with what is done.
 
@@ -123,6 +126,9 @@ def train(
             until_the_end.enter_context(folder.held())
             if recipe.data.align:  # before there are others, which would wait
                 folder.align(source, progress or ignore, weights=weights)
+            if cluster is not None:  # before there are others, likewise
+                rotations = folder.rotations()
+                keep_operators(shapes, recipe, source, cluster, rotations=rotations, progress=progress or ignore)
         fabric.launch()
         if is_started_by_another():
             end_with_parent(os.getppid())

@@ -7,7 +7,8 @@ import zlib
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import scipy.sparse as sparse
@@ -15,9 +16,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from homolog.core.cluster import Processes
 from homolog.core.errors import ArgumentError, DataError, ShapeError
+from homolog.core.files import made_folder
 from homolog.core.progress import Progress
-from homolog.geometry import Basis, Frame, Operators, unit_frame
+from homolog.core.tasks import run_tasks
+from homolog.geometry import Basis, Frame, OperatorCache, Operators, unit_frame
 from homolog.pairs import OperatorSource
 from homolog.shapes import Shape, repair
 from homolog.training.clouds import Cloud, cloud_variants, make_cloud
@@ -115,6 +119,11 @@ class ShapeStore:
                 progress(done, len(names), f"operators of {name}")
         finally:
             pool.shutdown(cancel_futures=True)
+
+    def keep_operators(self, name: str) -> None:
+        """Compute the operators of a shape and all its clouds, so that they are in the cache."""
+        for variant in (MESH, *range(len(self.variants))):
+            self._operators_of(self._cloud(name, variant).shape)
 
     def shape(self, sampled: SampledShape, *, cloud_on_mesh: bool = False) -> TrainingShape:
         """One shape with one of its clouds, at one of its subsets of points.
@@ -230,3 +239,53 @@ class ShapeStore:
 
     def _operators_of(self, shape: Shape) -> Operators:
         return self.operators(shape, settings=self._operator_settings, scale=1.0)
+
+
+def keep_operators(
+    shapes: TrainingSet,
+    recipe: Recipe,
+    operators: OperatorSource,
+    processes: Processes,
+    *,
+    rotations: Mapping[str, Float[np.ndarray, "3 3"]] | None = None,
+    progress: Progress,
+) -> None:
+    """Compute the operators of all shapes of a training and all their clouds in other processes, into their cache.
+
+    Args:
+        shapes: which there are.
+        recipe: which clouds there are.
+        operators: where operators come from; an ``OperatorCache``'s, in a folder that all processes see.
+        processes: number of worker processes, or a cluster.
+        rotations: as for ``ShapeStore``.
+        progress: told of each shape.
+
+    Raises:
+        ArgumentError: if operators come from no cache, or a worker of a cluster cannot see what it needs.
+        ShapeError: if a shape cannot be used.
+    """
+    cache = getattr(operators, "__self__", None)
+    if not isinstance(cache, OperatorCache):
+        raise ArgumentError("operators come from no cache that a cluster could fill; give an OperatorCache's operators")
+    keep = _Keeping(shapes, recipe, operators, rotations or {})
+    tasks = [(f"operators of {name}", partial(keep, name)) for name in shapes.used]
+    reads = [*{file.parent for file in shapes.files.values()}, made_folder(cache.folder)]
+    run_tasks([tasks], processes=processes, progress=progress, reads=reads, writes=cache.folder)
+
+
+@dataclass(frozen=True, eq=False)
+class _Keeping:
+    """Computes the operators of a shape and its clouds; picklable, for worker processes."""
+
+    shapes: TrainingSet
+    recipe: Recipe
+    operators: OperatorSource
+    rotations: Mapping[str, Float[np.ndarray, "3 3"]]
+
+    def __call__(self, name: str) -> None:
+        self._store.keep_operators(name)
+
+    @cached_property
+    def _store(self) -> ShapeStore:
+        """Of this process."""
+        return ShapeStore(self.shapes, self.recipe, self.operators, rotations=self.rotations)
