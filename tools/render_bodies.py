@@ -8,6 +8,8 @@ Run from the root of the checkout::
     python tools/render_bodies.py animals docs/images/animals.png --from side
     homolog synth hands -n 64 -o hands
     python tools/render_bodies.py hands docs/images/hands.png --from near
+    for bone in femur tibia fibula patella hip sacrum; do homolog synth bones --bone $bone -n 16 -o bones/$bone; done
+    python tools/render_bodies.py bones/femur femurs.png --from near --count 16
 """
 
 from __future__ import annotations
@@ -54,16 +56,18 @@ def render(folder: ShapeFolder, picture: Path, columns: int, count: int, view: s
         plotter.subplot(i // columns, i % columns)
         shape = folder.shape(name)
         assert shape.faces is not None
-        mesh = pyvista.PolyData.from_regular_faces(shape.points, shape.faces)
+        # From nearby, units do not matter; bones are in millimetres.
+        points = shape.points if view == "front" else shape.points / np.ptp(shape.points, axis=0).max()
+        mesh = pyvista.PolyData.from_regular_faces(points, shape.faces)
         plotter.add_mesh(mesh, scalars=colours(folder, name), rgb=True, smooth_shading=True, ambient=0.2)
         plotter.view_xy()
-        middle = (shape.points.min(axis=0) + shape.points.max(axis=0)) / 2
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
         plotter.camera.focal_point = middle
         plotter.camera.position = middle + camera
         plotter.camera.up = (0.0, 1.0, 0.0)
         plotter.enable_parallel_projection()
-        across = np.ptp(shape.points[:, 2 if view == "side" else 0])
-        tall = np.ptp(shape.points[:, 1]) / 2 * 1.05
+        across = np.ptp(points[:, 2 if view == "side" else 0])
+        tall = np.ptp(points[:, 1]) / 2 * 1.05
         wide = across / 2 * 1.05 * height / width
         plotter.camera.parallel_scale = max(tall, _HALF_HEIGHT if view == "front" else wide)
         plotter.reset_camera_clipping_range()
