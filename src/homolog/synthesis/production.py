@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 from homolog.core.arguments import check_choice, check_count, is_real
 from homolog.core.choices import Bone, HandSides, Poses, Turn
 from homolog.core.errors import bad_value
-from homolog.core.files import expanded
+from homolog.core.files import expanded, sha256
 from homolog.core.progress import Progress, ignore
 from homolog.core.tasks import run_tasks
 from homolog.geometry.surface import BarycentricPoints
@@ -201,7 +201,7 @@ def synthesize_bones(
     """
     check_choice("bone", bone, get_args(Bone))
     check_choice("turn", turn, get_args(Turn))
-    kind = partial(_bones, bone, turn)
+    kind = partial(_kept, Bones, "", bone, turn)
     return _synthesize(kind, output, n, settings, processes=processes, progress=progress)
 
 
@@ -234,8 +234,8 @@ def synthesize_organs(
         The folder, which ``ShapeFolder`` reads.
 
     Raises:
-        ArgumentError: if an argument is out of range, or the folder holds something else or cannot be written to.
-        FileError: if the file cannot be read.
+        ArgumentError: if an argument is out of range, the file cannot be opened, or the folder holds something else or
+            cannot be written to.
         ShapeError: if it does not hold one closed surface.
 
     Examples:
@@ -244,7 +244,7 @@ def synthesize_organs(
     if not is_real(strength) or not 0.0 <= strength <= 2.0:
         raise bad_value("strength", strength, "a number from 0 to 2")
     check_choice("turn", turn, get_args(Turn))
-    kind = partial(_organs, expanded(file), float(strength), turn)
+    kind = partial(_kept, Organs, sha256(expanded(file)), expanded(file), strength=float(strength), turn=turn)
     return _synthesize(kind, output, n, settings, processes=processes, progress=progress)
 
 
@@ -310,12 +310,6 @@ def _body_model(*, details: bool) -> BodyModel:
 
 
 @cache
-def _bones(bone: Bone, turn: Turn) -> Bones:
-    """The bones of this process; their model is read once."""
-    return Bones(bone, turn)
-
-
-@cache
-def _organs(file: Path, strength: float, turn: Turn) -> Organs:
-    """The variants of this process; their file is read once."""
-    return Organs(file, strength=strength, turn=turn)
+def _kept(kind: Callable[..., Kind], version: str, *how: Any, **more: Any) -> Kind:
+    """A kind of bodies that is made once in a process, as long as what it is made from has this version."""
+    return kind(*how, **more)
