@@ -1,4 +1,4 @@
-"""Render synthetic people, animals, hands or heads as one contact sheet, coloured by position on the common template.
+"""Render synthetic bodies of one or more folders as one contact sheet, coloured by position on their template.
 
 Run from the root of the checkout::
 
@@ -8,6 +8,8 @@ Run from the root of the checkout::
     python tools/render_bodies.py animals docs/images/animals.png --from side
     homolog synth hands -n 64 -o hands
     python tools/render_bodies.py hands docs/images/hands.png --from near
+    for bone in femur tibia fibula patella hip sacrum; do homolog synth bones --bone $bone -n 16 -o bones/$bone; done
+    python tools/render_bodies.py bones/* docs/images/synthetic_bones.jpg --from near --count 16
 """
 
 from __future__ import annotations
@@ -42,29 +44,32 @@ def colours(folder: ShapeFolder, name: str) -> np.ndarray:
     return np.asarray((50 + 200 * (at - low) / (high - low)).astype(np.uint8))
 
 
-def render(folder: ShapeFolder, picture: Path, columns: int, count: int, view: str) -> None:
-    """Draw the first bodies in rows."""
-    names = folder.names[:count]
-    rows = -(-len(names) // columns)
+def render(folders: list[ShapeFolder], picture: Path, columns: int, count: int, view: str) -> None:
+    """Draw the first bodies of each folder in rows."""
+    drawn = [(folder, name) for folder in folders for name in folder.names[:count]]
+    rows = -(-len(drawn) // columns)
     camera, (width, height) = _VIEWS[view]
     size = [columns * width, rows * height]
     # pyvista's own annotations mislead the type checker here.
     plotter: Any = pyvista.Plotter(off_screen=True, shape=(rows, columns), window_size=size, border=False)
-    for i, name in enumerate(names):
+    for i, (folder, name) in enumerate(drawn):
         plotter.subplot(i // columns, i % columns)
         shape = folder.shape(name)
         assert shape.faces is not None
-        mesh = pyvista.PolyData.from_regular_faces(shape.points, shape.faces)
+        # From nearby, units do not matter; bones are in millimetres.
+        points = shape.points if view == "front" else shape.points / np.ptp(shape.points, axis=0).max()
+        mesh = pyvista.PolyData.from_regular_faces(points, shape.faces)
         plotter.add_mesh(mesh, scalars=colours(folder, name), rgb=True, smooth_shading=True, ambient=0.2)
         plotter.view_xy()
-        middle = (shape.points.min(axis=0) + shape.points.max(axis=0)) / 2
+        middle = (points.min(axis=0) + points.max(axis=0)) / 2
         plotter.camera.focal_point = middle
         plotter.camera.position = middle + camera
         plotter.camera.up = (0.0, 1.0, 0.0)
         plotter.enable_parallel_projection()
-        across = np.ptp(shape.points[:, 2 if view == "side" else 0])
-        tall = np.ptp(shape.points[:, 1]) / 2 * 1.05
-        wide = across / 2 * 1.05 * height / width
+        right = np.cross([0.0, 1.0, 0.0], camera) / np.linalg.norm(camera[[0, 2]])
+        up = np.cross(camera, right) / np.linalg.norm(camera)
+        tall = np.abs((points - middle) @ up).max() * 1.05
+        wide = np.abs((points - middle) @ right).max() * 1.05 * height / width
         plotter.camera.parallel_scale = max(tall, _HALF_HEIGHT if view == "front" else wide)
         plotter.reset_camera_clipping_range()
     plotter.set_background("white")
@@ -74,14 +79,14 @@ def render(folder: ShapeFolder, picture: Path, columns: int, count: int, view: s
 def main() -> None:
     """Read the arguments and render."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("bodies", type=Path, help="folder that homolog synth wrote")
+    parser.add_argument("bodies", type=Path, nargs="+", help="folder that homolog synth wrote")
     parser.add_argument("picture", type=Path, help="PNG to write")
     parser.add_argument("--columns", type=int, default=16)
-    parser.add_argument("--count", type=int, default=64)
+    parser.add_argument("--count", type=int, default=64, help="of each folder")
     parser.add_argument("--from", dest="view", choices=_VIEWS, default="front", help="where the camera is")
     arguments = parser.parse_args()
-    folder = ShapeFolder.open(arguments.bodies)
-    render(folder, arguments.picture, arguments.columns, arguments.count, arguments.view)
+    folders = [ShapeFolder.open(folder) for folder in arguments.bodies]
+    render(folders, arguments.picture, arguments.columns, arguments.count, arguments.view)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,18 @@
 """Of several kinds of features, those are compared that know a pair; where none do, the best map decides."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 import homolog
 from homolog.core.errors import ArgumentError
 from homolog.features import FeatureInfo, Orientation
 from homolog.matching import Matcher, map_misfit
-from homolog.pairs import MatcherSettings, PairOptions
+from homolog.pairs import ChoiceSettings, MatcherSettings, PairOptions
+from homolog.shapes import Shape
 from homolog.synthesis import view
 
 
@@ -95,6 +98,29 @@ def test_methods_without_features_are_tried_where_no_features_are_plausible(blob
     assert match.method in ("axiomatic", "registration")
     assert match.report["choice"][0]["name"] == match.method
     assert {candidate["name"] for candidate in match.report["choice"]} == {"axiomatic", "registration"}
+
+
+@pytest.fixture(scope="module")
+def copies(make):
+    """A shape and one that is a little longer, without a bend, and turned."""
+    shape = make.blob(3)
+    turn = Rotation.from_rotvec([0.9, -0.4, 1.3]).as_matrix()
+    return SimpleNamespace(source=shape, target=Shape(shape.points * [1.06, 1.0, 0.97] @ turn.T, shape.faces))
+
+
+def test_features_are_left_out_of_nearly_rigid_copies(copies):
+    pair = chosen([Positions("some", 0.2), Positions("others", 0.25)], copies, orient="auto")
+    assert pair.method.name == "registration"
+    assert {candidate.name for candidate in pair.choice} == {"axiomatic", "registration"}
+    known = chosen([Positions("usual", 0.2), Positions("others", 0.06)], copies, orient="auto")
+    assert known.extractor.info.name == "others"
+
+
+@pytest.mark.parametrize(("allowance", "first"), [(100.0, "registration"), (0.0, "")])
+def test_registration_is_taken_unless_another_map_is_clearly_better(copies, allowance, first):
+    settings = MatcherSettings(choice=ChoiceSettings(near_rigid=allowance))
+    choice = chosen([Positions("some", 0.2), Positions("others", 0.25)], copies, settings, orient="auto").choice
+    assert choice[0].name == (first or min(choice, key=lambda candidate: candidate.map_misfit).name)
 
 
 def test_a_method_that_was_asked_for_is_kept(blobs):

@@ -11,6 +11,7 @@ import typer
 import homolog
 from homolog.cli.options import ResumedOutput, set_verbosity
 from homolog.cli.progress import progress_bar
+from homolog.core.choices import Turn
 
 if TYPE_CHECKING:
     from homolog.core.cluster import Processes
@@ -27,6 +28,9 @@ Stretch = Annotated[
         min=1.0,
         max=5.0,
     ),
+]
+TurnOption = Annotated[
+    Turn, typer.Option(help="How shapes are turned at random: none, vertical: about the y axis, or any way round.")
 ]
 
 

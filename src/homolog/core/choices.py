@@ -30,6 +30,8 @@ Turn = Literal["none", "vertical", "any"]
 """Which rotations are drawn: none, about the vertical axis, or any, all of them as likely."""
 Poses = Literal["natural", "wide"]
 """Which poses synthetic people have."""
+Bone = Literal["femur", "tibia", "fibula", "patella", "hip", "sacrum"]
+"""Which bone is made."""
 HandSides = Literal["both", "left", "right"]
 """Which hands are made."""
 Split = Literal["train", "test", "all"]

@@ -24,7 +24,7 @@ from homolog.matching.parts import align_parts
 from homolog.matching.refinement import method_maps, refine
 from homolog.matching.result import Match
 from homolog.matching.search import orient
-from homolog.methods import AUTO, as_method, find_method
+from homolog.methods import AUTO, as_method, find_method, registration
 from homolog.pairs import Candidate, ChoiceSettings, Method, Pair, PreprocessedShape, Preprocessor
 
 # In the order in which they are believed where their maps are as good.
@@ -74,6 +74,7 @@ class _Way:
 
     pairs: tuple[Pair, ...]
     candidate: Candidate
+    near_rigid: bool = False  # whether a registration finds most pairs to be nearly rigid copies
 
 
 @torch.no_grad()
@@ -95,11 +96,22 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
         ways.sort(key=_misfit_of)
     # Maps of two parts contradict themselves wherever these do not overlap.
     if _misfit_of(ways[0]) > settings.known_best and not pairs[0].are_parts:
-        plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
-        tried = _mapped([*plausible, *_without_features(pairs, shapes)])
-        ways = sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]
+        ways = _by_their_maps(ways, list(_mapped(_without_features(pairs, shapes))), settings) or ways[:1]
     choice = tuple(way.candidate for way in ways)
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
+
+
+def _by_their_maps(known: Sequence[_Way], without: Sequence[_Way], settings: ChoiceSettings) -> list[_Way]:
+    """The ways whose maps come into question, that of the best map first.
+
+    Bones look a little like hands to features of hands. But where two shapes are nearly rigid copies, nothing needs to
+    be known of them: features are left out, and registration is taken unless its map is clearly worse.
+    """
+    if any(way.near_rigid for way in without):
+        tried = list(without)
+    else:
+        tried = [*_mapped(way for way in known if _misfit_of(way) <= settings.plausible), *without]
+    return sorted(tried, key=lambda way: (way.candidate.map_misfit or 0.0) - settings.near_rigid * way.near_rigid)
 
 
 def _suited(extractors: Sequence[FeatureExtractor], pair: Pair) -> list[FeatureExtractor]:
@@ -192,13 +204,17 @@ def _without_features(pairs: Sequence[Pair], shapes: SeenShapes) -> Iterator[_Wa
 def _mapped(ways: Iterable[_Way]) -> Iterator[_Way]:
     """The ways that lead to maps of most pairs, with what these tell."""
     for way in ways:
-        misfit = median(_misfit_of_map(pair) for pair in way.pairs)
+        told = [_told_by_map(pair) for pair in way.pairs]
+        misfit = median(misfit for misfit, _ in told)
         if misfit < math.inf:
-            yield replace(way, candidate=replace(way.candidate, map_misfit=misfit))
+            near_rigid = 2 * sum(near_rigid for _, near_rigid in told) > len(told)
+            yield replace(way, candidate=replace(way.candidate, map_misfit=misfit), near_rigid=near_rigid)
 
 
-def _misfit_of_map(pair: Pair) -> float:
+def _told_by_map(pair: Pair) -> tuple[float, bool]:
     """How much the map by features alone contradicts itself, and how far it misses the landmarks.
+
+    Of a registration also whether it finds nearly rigid copies.
 
     A map that was made to meet the landmarks would say nothing of the features.
     """
@@ -207,6 +223,7 @@ def _misfit_of_map(pair: Pair) -> float:
         unguided = replace(aligned, options=replace(pair.options, landmarks=None))
         match = Match.of(unguided, refine(unguided, method_maps(unguided)))
     except ShapeError:  # what cannot be matched one way may be another way
-        return math.inf
+        return math.inf, False
     missed = pair.settings.guidance.choice * landmark_misfit(pair, match)
-    return map_misfit(match, pair.settings.choice) + missed
+    near_rigid = pair.method.name == registration.METHOD.name and registration.are_near_rigid(aligned)
+    return map_misfit(match, pair.settings.choice) + missed, near_rigid

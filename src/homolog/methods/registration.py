@@ -7,20 +7,34 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from homolog.maps import SampledSurface, nearest_neighbour, registered_surfaces, registration_start
+from homolog.maps import RegistrationStart, SampledSurface, nearest_neighbour, registered_surfaces, registration_start
 from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import Pair, PointMaps, PreprocessedShape, Supports
 
 
+def are_near_rigid(pair: Pair) -> bool:
+    """Whether two oriented shapes are nearly rigid copies, or have a distinct form and are not bent against each other.
+
+    Bones of one kind are. Where the way round is trusted as given, nothing is looked at.
+    """
+    start = _surfaces(pair)[2]
+    return start is not None and start.near_rigid
+
+
 def _point_maps(pair: Pair) -> PointMaps:
-    x, y = (SampledSurface(shape.operators.points, _areas(shape)) for shape in (pair.x, pair.y))
-    settings, start = pair.settings.registration, None
-    if pair.options.orient == "auto":
-        oriented = _with_normals(x, pair.x), _with_normals(y, pair.y)
-        start = registration_start(*oriented, settings=settings)
-        x, y = oriented if start.near_rigid else (x, y)
-    on_y, on_x = registered_surfaces(x, y, start=start, settings=settings)
+    x, y, start = _surfaces(pair)
+    on_y, on_x = registered_surfaces(x, y, start=start, settings=pair.settings.registration)
     return PointMaps(nearest_neighbour(on_y, y.points).index, nearest_neighbour(on_x, x.points).index)
+
+
+def _surfaces(pair: Pair) -> tuple[SampledSurface, SampledSurface, RegistrationStart | None]:
+    """Both, with normals if they are nearly rigid copies, and where x starts if the way round is looked for."""
+    x, y = (SampledSurface(shape.operators.points, _areas(shape)) for shape in (pair.x, pair.y))
+    if pair.options.orient != "auto":
+        return x, y, None
+    oriented = _with_normals(x, pair.x), _with_normals(y, pair.y)
+    start = registration_start(*oriented, settings=pair.settings.registration)
+    return (*oriented, start) if start.near_rigid else (x, y, start)
 
 
 def _areas(shape: PreprocessedShape) -> Tensor:

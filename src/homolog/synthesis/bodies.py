@@ -147,7 +147,7 @@ def make_body(kind: Kind, points: BarycentricPoints, settings: BodySettings, ind
         spread = 1.0 + _COUNT_SPREAD * generator.uniform(-1.0, 1.0)
         mesh = MeshSettings(round(settings.mesh.vertices * spread), settings.mesh.stretch)
         made = mesh_body(kind.template, points, body, mesh, generator, opened=character.opened)
-        if made.self_intersection <= MOST_CROSSING and _is_sound(made.mesh, character):
+        if made.self_intersection <= MOST_CROSSING and _is_sound(made.mesh, kind.template, opened=character.opened):
             return Body(character, _mirrored(made) if character.mirrored else made)
     raise AssertionError("characters never end")
 
@@ -217,15 +217,16 @@ def _nearest_on_segments(
     return nearest, along[np.arange(len(points)), nearest]
 
 
-def _is_sound(mesh: Surface, character: Character) -> bool:
-    """Whether a mesh is one closed surface, or becomes one if its only boundary is closed."""
-    if not character.opened:
-        return is_one_closed_surface(mesh)
+def _is_sound(mesh: Surface, template: Template, *, opened: bool) -> bool:
+    """Whether a mesh is one closed surface like the template, or becomes one if its only boundary is closed."""
+    euler_number = template.euler_number
+    if not opened:
+        return is_one_closed_surface(mesh, euler_number=euler_number)
     try:
         closed = Template.of_outer_faces(mesh.faces, mesh.vertices, np.ones(len(mesh.vertices)))
     except KeyError:  # a vertex where the boundary touches itself
         return False
-    return len(closed.rims) == 1 and is_one_closed_surface(closed.rest)
+    return len(closed.rims) == 1 and is_one_closed_surface(closed.rest, euler_number=euler_number)
 
 
 def _mirrored(body: MeshedBody) -> MeshedBody:

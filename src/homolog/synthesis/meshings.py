@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.sparse import csr_matrix
 from typing_extensions import TypedDict
 
 from homolog.core.choices import Split
@@ -29,8 +28,7 @@ from homolog.geometry.surface import ReferenceSurface, Surface
 from homolog.shapes import Shape, repair, write_shape
 from homolog.synthesis.bodies import BodySettings
 from homolog.synthesis.ground_truth import project_mesh
-from homolog.synthesis.mesh_editing import edges_of
-from homolog.synthesis.remeshing import MeshSettings, remesh
+from homolog.synthesis.remeshing import MeshSettings, remesh, shorter_where_bent
 from homolog.synthesis.self_intersections import self_intersection_share
 from homolog.synthesis.sheets import separated_sheets
 
@@ -40,9 +38,6 @@ _FOLDERS = ("off", "corres", "truth")
 STRETCHED = MeshSettings(stretch=3.0)
 """Triangles that are three times as long as wide."""
 _DIGITS = 6
-# An edge may turn by this angle, in radians, but is no shorter than this share of the others; the curvature by which it
-# is said to turn is smoothed so many times.
-_MOST_TURN, _SHORTEST, _SMOOTHING = 0.4, 0.4, 4
 
 
 @record
@@ -103,7 +98,9 @@ def other_meshing(
     apart, copies = separated_sheets(Surface(repaired.shape.points, repaired.shape.faces), shape.name)
     reference = ReferenceSurface(apart)
     generator = np.random.default_rng(seed)
-    mesh, _ = project_mesh(remesh(reference, _detail(apart, settings.stretch), settings, generator), reference)
+    mesh, _ = project_mesh(
+        remesh(reference, shorter_where_bent(apart, settings.stretch), settings, generator), reference
+    )
     written = Shape(mesh.vertices.round(_DIGITS) + 0.0, mesh.faces, name=shape.name)
     first_copy = np.searchsorted(copies, repaired.clean_index[points])
     wanted = apart.vertices[first_copy]
@@ -112,24 +109,6 @@ def other_meshing(
     vertices = np.take_along_axis(places.corners, away.argmin(axis=1)[:, None], axis=1)[:, 0]
     rounding = away.min(axis=1) / np.sqrt(surface_area(written))
     return Meshing(written, places, vertices, rounding, self_intersection_share(mesh))
-
-
-def _detail(surface: Surface, stretch: float) -> Float[np.ndarray, " n"]:
-    """Relative edge lengths: shorter where the surface is bent, since fingers would vanish between long triangles."""
-    count = len(surface.vertices)
-    edges = edges_of(surface.faces, count)
-    both = np.concatenate([edges.a, edges.b])
-    turn, length = (
-        np.linalg.norm(values[edges.a] - values[edges.b], axis=1)
-        for values in (surface.vertex_normals, surface.vertices)
-    )
-    total = np.bincount(both, np.tile(turn / np.maximum(length, 1e-12 + 0.1 * length.mean()), 2), count)
-    degrees = np.bincount(both, minlength=count)
-    around = csr_matrix((np.ones(len(both)), (both, np.roll(both, len(edges.a)))), shape=(count, count))
-    bent = np.asarray(total / degrees)
-    for _ in range(_SMOOTHING):
-        bent = (bent + around @ bent / degrees) / 2
-    return np.asarray(np.clip(_MOST_TURN / (bent * length.mean() * np.sqrt(stretch)), _SHORTEST, 1.0))
 
 
 def write_meshings(

@@ -6,11 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
-from homolog.core.arguments import check_choice, check_count
-from homolog.core.choices import HandSides, Poses
+from homolog.core.arguments import check_choice, check_count, is_real
+from homolog.core.choices import Bone, HandSides, Poses, Turn
 from homolog.core.cluster import Processes
+from homolog.core.errors import bad_value
+from homolog.core.files import expanded, sha256
 from homolog.core.progress import Progress, ignore
 from homolog.core.tasks import check_processes, run_tasks
 from homolog.geometry.surface import BarycentricPoints
@@ -18,8 +20,10 @@ from homolog.synthesis.animals import Animals
 from homolog.synthesis.bodies import BodySettings, Kind, make_body
 from homolog.synthesis.body_folder import BodyFolder
 from homolog.synthesis.body_model import BodyModel
+from homolog.synthesis.bones import Bones
 from homolog.synthesis.hands import Hands
 from homolog.synthesis.heads import Heads
+from homolog.synthesis.organs import Organs
 from homolog.synthesis.people import People
 from homolog.synthesis.template import sample_evenly
 
@@ -162,6 +166,89 @@ def synthesize_heads(
     )
 
 
+def synthesize_bones(
+    output: str | Path,
+    n: int,
+    settings: BodySettings | None = None,
+    *,
+    bone: Bone = "femur",
+    turn: Turn = "any",
+    processes: Processes = 1,
+    progress: Progress = ignore,
+) -> BodyFolder:
+    """Write a dataset of synthetic bones of one kind, each of another person, as ``synthesize_people`` writes people.
+
+    They are samples of a statistical model of the bones of 26 people, in millimetres.
+
+    Args:
+        output: the folder; it may hold bones made with the same settings, which are kept.
+        n: number of bones.
+        settings: seed and meshing.
+        bone: which bone.
+        turn: how bones are turned: ``"none"``, about the ``"vertical"``, or ``"any"`` way round.
+        processes: number of worker processes, or a cluster; the bones do not depend on it.
+        progress: called with the number of finished bones, their total and the current bone's name.
+
+    Returns:
+        The folder, which ``ShapeFolder`` reads.
+
+    Raises:
+        ArgumentError: if an argument is out of range, or the folder holds something else or cannot be written to.
+        MissingExtraError: if the package musculoskeletal-models is not installed.
+        DataError: if it is of another version.
+
+    Examples:
+        >>> synthesize_bones("hips", 100, BodySettings(seed=1), bone="hip", processes=4)  # doctest: +SKIP
+    """
+    check_choice("bone", bone, get_args(Bone))
+    check_choice("turn", turn, get_args(Turn))
+    kind = partial(_kept, Bones, "", bone, turn)
+    return _synthesize(kind, output, n, settings, processes=processes, progress=progress)
+
+
+def synthesize_organs(
+    file: str | Path,
+    output: str | Path,
+    n: int,
+    settings: BodySettings | None = None,
+    *,
+    strength: float = 1.0,
+    turn: Turn = "any",
+    processes: Processes = 1,
+    progress: Progress = ignore,
+) -> BodyFolder:
+    """Write a dataset of variants of one shape of one's own, as ``synthesize_people`` writes people.
+
+    Each variant is a smooth warp of the shape, which stretches it unevenly and folds nothing, with a mesh of its own.
+
+    Args:
+        file: a mesh that is one closed surface; it may have holes through it.
+        output: the folder; it may hold variants of the same file made with the same settings, which are kept.
+        n: number of variants.
+        settings: seed and meshing.
+        strength: how much variants differ from the shape, from 0 to 2.
+        turn: how variants are turned: ``"none"``, about the ``"vertical"``, or ``"any"`` way round.
+        processes: number of worker processes; the variants do not depend on it.
+        progress: called with the number of finished variants, their total and the current one's name.
+
+    Returns:
+        The folder, which ``ShapeFolder`` reads.
+
+    Raises:
+        ArgumentError: if an argument is out of range, the file cannot be opened, or the folder holds something else or
+            cannot be written to.
+        ShapeError: if it does not hold one closed surface.
+
+    Examples:
+        >>> synthesize_organs("liver.ply", "livers", 100, BodySettings(seed=1))  # doctest: +SKIP
+    """
+    if not is_real(strength) or not 0.0 <= strength <= 2.0:
+        raise bad_value("strength", strength, "a number from 0 to 2")
+    check_choice("turn", turn, get_args(Turn))
+    kind = partial(_kept, Organs, sha256(expanded(file)), expanded(file), strength=float(strength), turn=turn)
+    return _synthesize(kind, output, n, settings, processes=processes, progress=progress)
+
+
 def _synthesize(
     kind_of_process: Callable[[], Kind],
     output: str | Path,
@@ -222,3 +309,9 @@ def _of_model(kind: Callable[..., Kind], *how: str, details: bool = False) -> Ki
 def _body_model(*, details: bool) -> BodyModel:
     """The body model of this process; loading it takes seconds."""
     return BodyModel(details=details)
+
+
+@cache
+def _kept(kind: Callable[..., Kind], version: str, *how: Any, **more: Any) -> Kind:
+    """A kind of bodies that is made once in a process, as long as what it is made from has this version."""
+    return kind(*how, **more)

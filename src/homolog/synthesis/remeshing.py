@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 from jaxtyping import Float
+from scipy.sparse import csr_matrix
 
 from homolog.geometry.surface import ReferenceSurface, Surface, unit
 from homolog.shapes import face_areas
@@ -20,6 +21,9 @@ _ADAPTING_ROUNDS = 9
 _RELAX_COSINE = 0.4
 # Random changes to the target lengths in the first rounds, so that no mesh inherits the template's connectivity.
 _JITTER, _JITTERED_ROUNDS = 0.15, 3
+# An edge may turn by this angle, in radians, but is no shorter than this share of the others; the curvature by which it
+# is said to turn is smoothed so many times.
+_MOST_TURN, _SHORTEST, _SMOOTHING = 0.4, 0.4, 4
 
 
 @dataclass(frozen=True)
@@ -114,13 +118,49 @@ def neighbours_middle(mesh: Surface) -> Float[np.ndarray, "n 3"]:
     return np.asarray(total / np.bincount(here, minlength=count)[:, None])
 
 
-def is_one_closed_surface(mesh: Surface) -> bool:
-    """Whether a mesh is one closed, outward oriented manifold of genus 0 without unused vertices."""
+def shorter_where_bent(surface: Surface, stretch: float = 1.0) -> Float[np.ndarray, " n"]:
+    """Relative edge lengths for ``remesh`` that follow the curvature: fingers would vanish between long triangles.
+
+    Args:
+        surface: a closed mesh.
+        stretch: the aspect ratio of the triangles to come.
+
+    Examples:
+        >>> import trimesh
+        >>> from homolog.geometry.surface import Surface
+        >>> ball = trimesh.creation.icosphere(subdivisions=3)
+        >>> even = shorter_where_bent(Surface(ball.vertices, ball.faces))
+        >>> float(even.min()), float(even.max())
+        (1.0, 1.0)
+    """
+    count = len(surface.vertices)
+    edges = edges_of(surface.faces, count)
+    both = np.concatenate([edges.a, edges.b])
+    turn, length = (
+        np.linalg.norm(values[edges.a] - values[edges.b], axis=1)
+        for values in (surface.vertex_normals, surface.vertices)
+    )
+    total = np.bincount(both, np.tile(turn / np.maximum(length, 1e-12 + 0.1 * length.mean()), 2), count)
+    degrees = np.bincount(both, minlength=count)
+    around = csr_matrix((np.ones(len(both)), (both, np.roll(both, len(edges.a)))), shape=(count, count))
+    bent = np.asarray(total / degrees)
+    for _ in range(_SMOOTHING):
+        bent = (bent + around @ bent / degrees) / 2
+    return np.asarray(np.clip(_MOST_TURN / (bent * length.mean() * np.sqrt(stretch)), _SHORTEST, 1.0))
+
+
+def is_one_closed_surface(mesh: Surface, *, euler_number: int = 2) -> bool:
+    """Whether a mesh is one closed, outward oriented manifold without unused vertices.
+
+    Args:
+        mesh: to check.
+        euler_number: 2 for a surface like a ball, 2 less for each hole through it, as a hip bone has one.
+    """
     checked = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     sound = (
         checked.is_watertight
         and checked.is_winding_consistent
-        and checked.euler_number == 2
+        and checked.euler_number == euler_number
         and checked.body_count == 1
     )
     return bool(sound and checked.volume > 0 and len(np.unique(mesh.faces)) == len(mesh.vertices))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import trimesh
@@ -10,6 +11,7 @@ from jaxtyping import Float, Int
 
 from homolog.geometry.surface import BarycentricPoints, Surface, closest_weights
 from homolog.shapes import farthest_points, half_edges
+from homolog.synthesis.remeshing import shorter_where_bent
 
 # The template points are the same in all datasets.
 _SEED = 7
@@ -69,6 +71,16 @@ class Template:
             longest = int(np.argmax(lengths))
             lid = np.split(lid, np.cumsum([len(rim) for rim in rims])[:-1])[longest]
         return cls(kept, rims, closed, _with_centres(detail[kept], rims), rest, lid if cut else lid[:0])
+
+    @classmethod
+    def of_closed(cls, rest: Surface) -> Template:
+        """A closed surface as it is, with shorter edges where it is bent."""
+        return cls(np.arange(len(rest.vertices)), (), rest.faces, shorter_where_bent(rest), rest)
+
+    @cached_property
+    def euler_number(self) -> int:
+        """2 for a surface like a ball, 2 less for each hole through it."""
+        return int(trimesh.Trimesh(self.rest.vertices, self.faces, process=False).euler_number)
 
     def surface(self, vertices: Float[np.ndarray, "v 3"]) -> Surface:
         """The closed surface of a body, from all the model's vertices."""
