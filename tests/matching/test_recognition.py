@@ -65,6 +65,21 @@ def test_of_partial_pairs_those_that_know_parts_are_asked_first(blobs, partial, 
     assert other.extractor.info.name == "usual"
 
 
+class Turning(Positions):
+    """Features whose orienter finds every shape to lie on its side."""
+
+    def orienter(self, operators):
+        return (Orientation(torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), self.misfit),)
+
+
+def test_shapes_that_are_aligned_already_are_not_turned_by_features_that_are_chosen(blobs):
+    matcher = Matcher([Positions("usual", 0.2), Turning("others", 0.05, knows_parts=True)])
+    source, target = (matcher.preprocess(shape) for shape in (blobs.source, blobs.target))
+    pair = matcher.paired(source, target, PairOptions(partial="target", pre_aligned=True))
+    assert pair.extractor.info.name == "others"
+    assert torch.equal(pair.x.rotation, torch.eye(3)) and torch.equal(pair.y.rotation, torch.eye(3))
+
+
 def test_the_pretrained_weights_of_parts_stand_in_for_those_with_their_orienter():
     auto = Matcher.from_weights().feature_choice.extractors
     assert [each.info.name for each in auto] == ["people", "animals", "hands", "views"]

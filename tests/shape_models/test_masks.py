@@ -11,12 +11,14 @@ from without_weights import axiomatic
 from homolog.core.errors import ArgumentError
 from homolog.pairs import Mask, read_mask
 from homolog.shape_models import (
+    ModelFitSettings,
     ModelSettings,
     RegisteredShapes,
     ShapeModelFolder,
     ShapeModelSettings,
     StoredModel,
     build,
+    complete,
     register_all,
     settings_record,
     subjects_of,
@@ -108,6 +110,20 @@ def test_a_stored_model_knows_what_takes_part(damaged, collected):
     aligned = stored.aligned()
     np.testing.assert_allclose(aligned[:, kept].mean(axis=1), 0, atol=1e-9)
     np.testing.assert_allclose(stored.model.shapes(stored.model.coefficients(aligned)), aligned, atol=1e-6)
+
+
+def test_a_fragment_is_completed_by_what_takes_part(damaged, collected):
+    """Whatever lies where the model was not made of anything is passed over, though it is part of the fragment."""
+    _, kept = damaged
+    stored = StoredModel.read(collected)
+    whole, faces = stored.aligned()[1], stored.mean.faces
+    settings = ModelFitSettings(samples=150)
+    found = [
+        complete(Shape(points, faces), stored, orient="given", settings=settings).shape.points
+        for points in (whole, np.where(kept[:, None], whole, whole + np.array([0, 0.6, 0])))
+    ]
+    away = [np.linalg.norm(points - whole, axis=1)[kept].mean() for points in found]
+    assert max(away) < 0.005
 
 
 def test_only_shapes_whose_masks_changed_are_done_anew(damaged, collected, tmp_path):

@@ -70,6 +70,13 @@ def test_weights_and_masks_of_which_the_file_is_not_known(known):
         assert (words[words.index("--weights") + 1] if "--weights" in words else None) == said
 
 
+def test_a_mask_that_came_from_a_file_is_named(known):
+    inputs = {"source": {"mask": "masks/no feet.npy"}, "target": {"mask": "target_mask"}}
+    words = shlex.split(guide_of(told(known, inputs=inputs)).command)
+    assert words[words.index("--source-mask") + 1] == "masks/no feet.npy"
+    assert words[words.index("--target-mask") + 1] == "FILE"
+
+
 def test_places_go_back_to_the_coordinates_of_the_files(make):
     """However they stand, and in whatever unit they are."""
     blob = make.blob(1)

@@ -163,7 +163,9 @@ class FeatureChoice:
         for side, shape in zip(SIDES, (source, target), strict=True):
             check_kind(side, shape, PreprocessedShape)
         extractor = self.preprocess.extractor
-        if options.orient == "given" or options.pre_aligned:
+        if options.pre_aligned:  # so that other features, if they are chosen, leave them as they lie, too
+            options = replace(options, orient="given")
+        if options.orient == "given":
             source, target = (shape.as_given(extractor) for shape in (source, target))
         method = self.method_of(source.modality, target.modality, parts=options.partial == "both")
         return Pair(source, target, options, self.settings, method, extractor)

@@ -116,6 +116,7 @@ class _Input(TypedDict, total=False):
     usable: bool
     eigenpairs: _Eigenpairs
     points_left_out: _Count
+    mask: str
     space: Literal["RAS", "LPS"] | None
 
 

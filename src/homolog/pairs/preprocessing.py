@@ -180,7 +180,8 @@ class PreprocessedShape:
     def to_dict(self) -> dict[str, Any]:
         """What was found in the shape, what was done about it, and how its eigenpairs were found, for JSON."""
         eigenpairs = {"number": self.operators.n_eigenpairs, "method": self.operators.method}
-        return {**self.repaired.report.to_dict(), "eigenpairs": eigenpairs}
+        masked = {} if self.mask is None else {"mask": self.mask.name}
+        return {**self.repaired.report.to_dict(), "eigenpairs": eigenpairs, **masked}
 
     def __repr__(self) -> str:
         clean = f"{self.operators.n_points} of {self.given.n_points} points"

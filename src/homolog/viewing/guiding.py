@@ -17,7 +17,7 @@ from homolog.core.method_names import AUTO
 from homolog.core.pretrained import pretrained_weights
 from homolog.geometry import MASKED
 from homolog.matching import Match, matched_name
-from homolog.pairs import SIDES, LandmarkPairs, PairOptions, Side
+from homolog.pairs import MASK_SUFFIXES, SIDES, LandmarkPairs, PairOptions, Side
 
 _FILE = "{}-landmarks.mrk.json"
 # Folder and page of the match that the page proposes.
@@ -114,7 +114,7 @@ def _made_with(report: Mapping[str, Any]) -> list[str]:
 
 
 def _options(report: Mapping[str, Any]) -> list[str]:
-    """What was said of the pair, but for its landmarks; the files of masks are not known."""
+    """What was said of the pair, but for its landmarks; of masks that came from no file, none is known."""
     given, words = report.get("options", {}), list[str]()
     for field in fields(PairOptions):
         value = given.get(field.name, field.default)
@@ -122,7 +122,10 @@ def _options(report: Mapping[str, Any]) -> list[str]:
             continue
         words += [f"--{field.name.replace('_', '-')}", *([] if value is True else [str(value)])]
     for side in SIDES:
-        findings = report.get("inputs", {}).get(side, {}).get("findings", [])
-        if any(finding["rule"] == MASKED for finding in findings):
+        told = report.get("inputs", {}).get(side, {})
+        name = told.get("mask", "")
+        if PurePath(name).suffix.lower() in MASK_SUFFIXES:
+            words += [f"--{side}-mask", name]
+        elif name or any(finding["rule"] == MASKED for finding in told.get("findings", [])):
             words += [f"--{side}-mask", "FILE"]
     return words
