@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ def write_model(shapes: RegisteredShapes, model: ShapeModel) -> list[Path]:
     """
     folder, scalismo, shapeworks = (made_folder(shapes.folder.root / name) for name in MODEL_FOLDERS)
     faces = shapes.template.faces
-    curves = Curves.of(model, shapes.aligned.points, seed=shapes.settings.seed)
+    curves = Curves.of(model, shapes.aligned, seed=shapes.settings.seed)
     write_shape(folder / "mean.ply", Shape(model.mean, faces), colours=shapes.colours)
     write_npy(folder / "modes.npy", model.modes)
     _write_coefficients(folder / "coefficients.csv", shapes, model)
@@ -47,10 +48,10 @@ def write_model(shapes: RegisteredShapes, model: ShapeModel) -> list[Path]:
 
 
 def _write_coefficients(path: Path, shapes: RegisteredShapes, model: ShapeModel) -> None:
-    coefficients = model.coefficients(shapes.aligned.points)
+    coefficients = model.coefficients(shapes.aligned)
     head = ["name", *(f"mode_{mode + 1}" for mode in range(coefficients.shape[1]))]
-    rows = [[name, *(f"{value:.6g}" for value in row)] for name, row in zip(shapes.names, coefficients, strict=True)]
-    write_csv(path, [head, *rows])
+    rows = ([name, *(f"{value:.6g}" for value in row)] for name, row in zip(shapes.names, coefficients, strict=True))
+    write_csv(path, chain([head], rows))
 
 
 def _scene(shapes: RegisteredShapes, model: ShapeModel, curves: Curves) -> ModesScene:
@@ -66,7 +67,7 @@ def _scene(shapes: RegisteredShapes, model: ShapeModel, curves: Curves) -> Modes
         faces=shapes.template.faces,
         colours=shapes.colours,
         offsets=np.stack([stand_upright(Shape(offset), up).points for offset in offsets]),
-        shares=model.variances[:shown] / model.variances.sum(),
+        shares=model.variances[:shown] / model.total,
         names=shapes.names,
-        coefficients=model.coefficients(shapes.aligned.points)[:, :shown],
+        coefficients=model.coefficients(shapes.aligned)[:, :shown],
     )

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from homolog.core.files import atomic_path, made_folder, write_json
-from homolog.statistics import Aligned
+from homolog.statistics import Aligned, FileRows
 
 _PROJECT, _PARTICLES = "collection.swproj", "particles"
 _IDENTITY = " ".join(f"{entry:g}" for entry in np.eye(4).ravel())
@@ -24,7 +24,7 @@ _IDENTITY = " ".join(f"{entry:g}" for entry in np.eye(4).ravel())
 def write_shapeworks(
     folder: Path,
     names: Sequence[str],
-    points: Float[np.ndarray, "s n 3"],
+    points: Float[np.ndarray, "s n 3"] | FileRows,
     aligned: Aligned,
     meshes: Sequence[Path] | None,
 ) -> list[Path]:
@@ -48,7 +48,7 @@ def write_shapeworks(
     for number, name in enumerate(names):
         local, world = (particles / f"{name}_{kind}.particles" for kind in ("local", "world"))
         _write_particles(local, points[number])
-        _write_particles(world, aligned.points[number])
+        _write_particles(world, aligned[number])
         written += [local, world]
         path = None if meshes is None else Path(os.path.relpath(meshes[number], folder)).as_posix()
         mesh = {} if path is None else {"shape_1": path, "groomed_1": path}

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError
+from homolog.statistics.rows import Rows, blocks
 
 # Iterations end once the sum of squared distances from the mean falls by less than this share of the sum of squares.
 _CONVERGED = 1e-12
@@ -16,32 +18,52 @@ _MOST_ROUNDS = 200
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Aligned shapes and their similarity transforms.
+    """Aligned shapes and their similarity transforms; the shapes themselves are computed when they are asked for.
 
-    Shape i is ``scales[i] * given[i] @ rotations[i].T + shifts[i]``.
+    Shape i is ``scales[i] * given[i] @ rotations[i].T + shifts[i]``, ``aligned[i]`` or, of all, ``aligned.points[i]``.
 
     Args:
-        points: aligned shapes, centred at the origin (s, n, 3).
-        mean: of these shapes (n, 3).
+        given: the shapes (s, n, 3).
+        mean: of the aligned shapes (n, 3).
         rotations: proper ones (s, 3, 3).
         scales: positive; 1 unless the size is normalised (s,).
         shifts: (s, 3).
     """
 
-    points: Float[np.ndarray, "s n 3"]
+    given: Rows
     mean: Float[np.ndarray, "n 3"]
     rotations: Float[np.ndarray, "s 3 3"]
     scales: Float[np.ndarray, " s"]
     shifts: Float[np.ndarray, "s 3"]
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Numbers of shapes and points, and 3."""
+        return self.given.shape
+
+    def __len__(self) -> int:
+        return len(self.given)
+
+    def __getitem__(self, key: slice | int) -> Float[np.ndarray, "... n 3"]:
+        """Some of the aligned shapes, or one, centred at the origin."""
+        if not isinstance(key, slice):
+            return np.asarray(self[key : key + 1][0])
+        return _moved(_centred(self.given[key]), self.rotations[key], self.scales[key])
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "s n 3"]:
+        """All aligned shapes."""
+        return self[:]
+
+    @property
     def distances(self) -> Float[np.ndarray, " s"]:
         """The root mean square distance of each shape from the mean, in the shapes' unit."""
-        return np.asarray(np.sqrt(((self.points - self.mean) ** 2).sum(axis=2).mean(axis=1)))
+        squares = (((self[some] - self.mean) ** 2).sum(axis=2).mean(axis=1) for some in blocks(self))
+        return np.asarray(np.sqrt(np.concatenate(list(squares))))
 
 
 def generalised_procrustes(
-    points: Float[np.ndarray, "s n 3"], *, scale: bool = False, start: Float[np.ndarray, "n 3"] | None = None
+    points: Rows, *, scale: bool = False, start: Float[np.ndarray, "n 3"] | None = None
 ) -> Aligned:
     """Generalised Procrustes alignment: rotate and shift shapes to minimise the squared distances from their mean.
 
@@ -50,7 +72,8 @@ def generalised_procrustes(
     excluded.
 
     Args:
-        points: the shapes (s, n, 3), with at least one shape and three points.
+        points: the shapes (s, n, 3), with at least one shape and three points: an array, or what gives some rows of one
+            at a time. Some of them are in memory at once.
         scale: normalise the size as well.
         start: the first reference, which determines the mean's orientation; by default the first shape.
 
@@ -64,35 +87,45 @@ def generalised_procrustes(
         True
     """
     _check(points, start)
-    middles = points.mean(axis=1, keepdims=True)
-    centred = points - middles
-    mean = centred[0] if start is None else start - start.mean(axis=0)
-    rotations, scales = np.tile(np.eye(3), (len(points), 1, 1)), np.ones(len(points))
-    total, before = (centred**2).sum(), np.inf
+    middles = np.concatenate([points[some].mean(axis=1) for some in blocks(points)])
+    squares = np.concatenate([(_centred(points[some]) ** 2).sum(axis=(1, 2)) for some in blocks(points)])
+    mean = _centred(points[:1] if start is None else start[None])[0]
+    rotations, scales, before = np.tile(np.eye(3), (len(points), 1, 1)), np.ones(len(points)), np.inf
     for _ in range(_MOST_ROUNDS):
-        rotations, strengths = _rotations(centred, mean)
+        found = [_rotations(_centred(points[some]), mean) for some in blocks(points)]
+        rotations = np.concatenate([each for each, _ in found])
         if scale:
-            squares = (centred**2).sum(axis=(1, 2))
-            best = strengths / squares
+            best = np.concatenate([strengths for _, strengths in found]) / squares
             scales = np.asarray(best * np.sqrt(squares.sum() / (best**2 * squares).sum()))
-        moved = scales[:, None, None] * centred @ rotations.transpose(0, 2, 1)
-        mean = moved.mean(axis=0)
-        residual = ((moved - mean) ** 2).sum()
-        if before - residual <= _CONVERGED * total:
+        now = Aligned(points, mean, rotations, scales, np.zeros((len(points), 3)))
+        mean = sum(now[some].sum(axis=0) for some in blocks(points)) / len(points)
+        residual = (scales**2 * squares).sum() - len(points) * (mean**2).sum()
+        if before - residual <= _CONVERGED * squares.sum():
             break
         before = residual
-    shifts = -scales[:, None] * np.einsum("skl,sl->sk", rotations, middles[:, 0])
-    return Aligned(moved, mean, rotations, scales, shifts)
+    shifts = -scales[:, None] * np.einsum("skl,sl->sk", rotations, middles)
+    return Aligned(points, mean, rotations, scales, shifts)
 
 
-def _check(points: Float[np.ndarray, "s n 3"], start: Float[np.ndarray, "n 3"] | None) -> None:
-    if points.ndim != 3 or points.shape[2] != 3 or len(points) < 1 or points.shape[1] < 3:
+def _centred(points: Float[np.ndarray, "s n 3"]) -> Float[np.ndarray, "s n 3"]:
+    return np.asarray(points - points.mean(axis=1, keepdims=True))
+
+
+def _moved(
+    centred: Float[np.ndarray, "s n 3"], rotations: Float[np.ndarray, "s 3 3"], scales: Float[np.ndarray, " s"]
+) -> Float[np.ndarray, "s n 3"]:
+    return np.asarray(scales[:, None, None] * centred @ rotations.transpose(0, 2, 1))
+
+
+def _check(points: Rows, start: Float[np.ndarray, "n 3"] | None) -> None:
+    if len(points.shape) != 3 or points.shape[2] != 3 or len(points) < 1 or points.shape[1] < 3:
         raise ArgumentError(f"points has shape {points.shape}, but must have shape (shapes, points, 3)")
     if start is not None and start.shape != points.shape[1:]:
         raise ArgumentError(f"start has shape {start.shape}, but must have shape {points.shape[1:]}, as points has it")
-    if not (np.isfinite(points).all() and (start is None or np.isfinite(start).all())):
+    all_finite = all(np.isfinite(points[some]).all() for some in blocks(points))
+    if not (all_finite and (start is None or np.isfinite(start).all())):
         raise ArgumentError("points holds NaN or infinite numbers, but must be finite")
-    if (np.ptp(points, axis=1) == 0).all(axis=1).any():
+    if any((np.ptp(points[some], axis=1) == 0).all(axis=1).any() for some in blocks(points)):
         raise ArgumentError("points holds a shape whose points are all the same, which cannot be aligned")
 
 
