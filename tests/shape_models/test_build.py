@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,14 @@ from test_template_registration import on_triangles
 from without_weights import axiomatic
 
 from homolog.core.errors import ArgumentError, DataError
-from homolog.shape_models import ModelSettings, ShapeModelFolder, ShapeModelSettings, TemplateLandmarks, build
+from homolog.shape_models import (
+    ModelSettings,
+    ShapeModelFolder,
+    ShapeModelSettings,
+    TemplateLandmarks,
+    build,
+    listed_files,
+)
 from homolog.shapes import read_shape
 from homolog.transfer import read_landmarks
 
@@ -136,3 +144,14 @@ def test_names_of_landmarks_that_repeat_are_a_warning(family, tmp_path, names, r
     (tmp_path / "marks.csv").write_text("".join(f"{name},{x},{y},{z}\n" for name, (x, y, z) in rows))
     told = TemplateLandmarks(tmp_path / "marks.csv", shape).warnings
     assert [f"have the same name, {repeated};" in line for line in told] == ([True] if repeated else [])
+
+
+def test_a_list_names_shapes_from_its_own_folder_on(tmp_path):
+    (tmp_path / "list.txt").write_text("anna.ply\n\nscans/ben.ply\r\n/far/carl.ply\n")
+    expected = [tmp_path / "anna.ply", tmp_path / "scans" / "ben.ply", Path("/far/carl.ply")]
+    assert listed_files(tmp_path / "list.txt") == expected and listed_files(None) == []
+    (tmp_path / "empty.txt").write_text("\n")
+    with pytest.raises(ArgumentError, match=r"empty\.txt lists no shapes"):
+        listed_files(tmp_path / "empty.txt")
+    with pytest.raises(ArgumentError, match=r"none\.txt cannot be read: No such file"):
+        listed_files(tmp_path / "none.txt")

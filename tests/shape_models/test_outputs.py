@@ -327,3 +327,20 @@ def test_refused(placed, tmp_path, make):
 def test_settings_that_cannot_be_are_refused(kind, values, said):
     with pytest.raises(ArgumentError, match=said):
         kind(**values)
+
+
+def test_many_shapes_have_the_first_modes_alone_and_all_the_variance(placed, monkeypatch):
+    folder, template, outcomes = placed(6)
+    write_outputs(folder, template, outcomes)
+    every, told = np.load(folder.root / "model" / "modes.npy"), json.loads((folder.root / "report.json").read_text())
+    points = (folder.root / "points.npy").read_bytes()
+    monkeypatch.setattr("homolog.shape_models.registered_shapes._FEW", 5)
+    monkeypatch.setattr("homolog.shape_models.registered_shapes.MOST_MODES", 2)
+    write_outputs(folder, template, outcomes)
+    some, now = np.load(folder.root / "model" / "modes.npy"), json.loads((folder.root / "report.json").read_text())
+    assert (some == every[:2]).all() and len(every) == told["modes"] > 2 == now["modes"]
+    assert now["variance"] == pytest.approx(told["variance"])
+    assert (folder.root / "points.npy").read_bytes() == points
+    with (folder.root / "model" / "curves.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 and float(rows[1]["compactness"]) < 1

@@ -54,8 +54,19 @@ def collection(
         typer.Argument(metavar="TEMPLATE", help="The shape that is registered to all others.", show_default=False),
     ],
     shapes: Annotated[
-        list[Path], typer.Argument(metavar="SHAPES...", help="Meshes and point clouds.", show_default=False)
-    ],
+        list[Path] | None, typer.Argument(metavar="SHAPES...", help="Meshes and point clouds.", show_default=False)
+    ] = None,
+    listed: Annotated[
+        Path | None,
+        typer.Option(
+            "--list",
+            metavar="FILE",
+            help="A text file with the path of a shape on each line, from its own folder on, for more shapes than a "
+            "command line holds.",
+            show_default=False,
+            rich_help_panel=INPUT,
+        ),
+    ] = None,
     as_cloud: Annotated[
         Collected | None,
         typer.Option(
@@ -161,6 +172,8 @@ def collection(
 
       homolog collection femur.stl femurs/*.stl -o femurs_model --weights femurs.safetensors --up z
 
+      homolog collection femur.stl --list femurs.txt -o femurs_model --cluster auto
+
       homolog collection skull.ply skulls/*.ply -o skulls_model --landmarks skull.mrk.json
 
       homolog collection skull.ply skulls/*.ply -o skulls_model --symmetry skull-symmetry
@@ -196,7 +209,7 @@ def collection(
     with progress_bar(quiet=quiet) as progress:
         built = models.build(
             template,
-            shapes,
+            [*(shapes or ()), *models.listed_files(listed)],
             output,
             make_matcher,
             settings=settings,

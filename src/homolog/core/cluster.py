@@ -139,7 +139,7 @@ def _begun(ray: Any, cluster: Cluster) -> Iterator[None]:
 
 
 def _short_folder() -> str | None:
-    """A folder for temporary files in which names of sockets are short enough; None for the usual one."""
+    """A folder for temporary files where names of sockets are short enough for the system; None for the usual one."""
     is_short = len(tempfile.gettempdir()) <= _SHORT or sys.platform == "win32"
     return None if is_short else "/tmp"
 

@@ -517,6 +517,31 @@ def write_npy(path: str | Path, values: Shaped[np.ndarray, ...]) -> None:
         np.save(file, values, allow_pickle=False)
 
 
+def write_npy_rows(path: str | Path, rows: Iterable[np.ndarray], count: int) -> Path:
+    """Write rows of an array of float64, one after the other, as ``write_npy`` writes all of them.
+
+    Args:
+        path: of the file.
+        rows: of one shape, at least one.
+        count: how many there are.
+
+    Returns:
+        Where the array is until all files of ``all_or_nothing`` land, or else ``path``.
+
+    Raises:
+        ArgumentError: as ``atomic_path`` does.
+    """
+    import numpy as np
+
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        for number, row in enumerate(rows):
+            if number == 0:
+                header = {"descr": "<f8", "fortran_order": False, "shape": (count, *row.shape)}
+                np.lib.format.write_array_header_1_0(file, header)
+            file.write(np.ascontiguousarray(row, dtype="<f8").tobytes())
+    return temporary if temporary.exists() else resolved(path)
+
+
 def sha256(*paths: str | Path) -> str:
     """SHA-256 of the bytes of a file, or of several one after the other, in hexadecimal.
 

@@ -21,7 +21,7 @@ from homolog.shape_models.registration import Figures, Registered, Template, che
 from homolog.shape_models.sequence import TRACK_FILES, Track, TrackedFrame, track, write_track
 from homolog.shape_models.settings import ShapeModelSettings
 from homolog.shape_models.stored_model import StoredModel
-from homolog.shape_models.subjects import Subject, subjects_of
+from homolog.shape_models.subjects import Subject, listed_files, subjects_of
 
 __all__ = [
     "COMPARISON_FILES",
@@ -54,6 +54,7 @@ __all__ = [
     "choice_for_all",
     "compared_groups",
     "complete",
+    "listed_files",
     "read_groups",
     "register_all",
     "settings_record",

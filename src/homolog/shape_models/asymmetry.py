@@ -42,7 +42,8 @@ class TemplateSymmetry:
         """
         known = self.partners.valid & shapes.kept & shapes.kept[self.partners.corners].all(axis=1)
         partners = np.stack([self.partners.interpolate(points) for points in shapes.points])
-        found = symmetric_components(shapes.points[:, known], partners[:, known], scale=shapes.settings.scale)
+        points = np.asarray(shapes.points[:])  # both parts are held in memory
+        found = symmetric_components(points[:, known], partners[:, known], scale=shapes.settings.scale)
         self._components = found
         folder = made_folder(shapes.folder.root / ASYMMETRY_FOLDER)
         paths = [folder / name for name in _NAMES]

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from homolog.core.errors import needs_extra
 from homolog.core.files import atomic_path, write_csv
-from homolog.statistics import Curve, ShapeModel, compactness, generalisation, specificity
+from homolog.statistics import Curve, Rows, ShapeModel, compactness, generalisation, specificity
 
 _COLUMNS = (
     "modes",
@@ -45,10 +45,10 @@ class Curves:
     specificity: Curve
 
     @classmethod
-    def of(cls, model: ShapeModel, points: Float[np.ndarray, "s n 3"], *, seed: int) -> Curves:
+    def of(cls, model: ShapeModel, points: Rows, *, seed: int) -> Curves:
         """The curves of a model and the aligned shapes that it was made of."""
         enough = len(points) >= _FEWEST_TO_LEAVE_ONE_OUT
-        left_out = generalisation(points) if enough else None
+        left_out = generalisation(points, model) if enough else None
         return cls(model, compactness(model), left_out, specificity(model, points, seed=seed))
 
     def rows(self) -> list[list[float | int | None]]:

@@ -254,24 +254,26 @@ class ShapeModelFolder:
         return Outcome(subject, Figures(**known), tuple(told["warnings"]), "", told["seconds"], told["matched_by"])
 
     def points(self, names: Sequence[str], count: int) -> Float[np.ndarray, "s n 3"]:
-        """The template's points on registered shapes.
+        """The template's points on registered shapes, at least one, all in memory; see ``each_points``."""
+        return np.stack(list(self.each_points(names, count)))
+
+    def each_points(self, names: Sequence[str], count: int) -> Iterator[Float[np.ndarray, "n 3"]]:
+        """The template's points on one registered shape after the other.
 
         Args:
-            names: of the shapes, at least one.
+            names: of the shapes.
             count: the template's number of points.
 
         Raises:
             DataError: if a file has another number of points.
             ShapeError: if a file cannot be read.
         """
-        shapes = []
         for name in names:
             points = read_shape(self.shape_file(name)).points
             if len(points) != count:
                 file = self.shape_file(name)
                 raise DataError(f"{file} has {len(points)} points, but the template has {count}; remove it")
-            shapes.append(points)
-        return np.stack(shapes)
+            yield points
 
     def others(self, subjects: Sequence[Subject]) -> list[str]:
         """Names of shapes that were registered before and are not among these."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ def write_model(shapes: RegisteredShapes, model: ShapeModel) -> list[Path]:
     """
     folder, scalismo, shapeworks = (made_folder(shapes.folder.root / name) for name in MODEL_FOLDERS)
     faces = shapes.template.faces
-    curves = Curves.of(model.of_kept(), shapes.aligned.points[:, shapes.kept], seed=shapes.settings.seed)
+    curves = Curves.of(model.of_kept(), PointRows(shapes.aligned, shapes.kept), seed=shapes.settings.seed)
     write_shape(folder / "mean.ply", Shape(model.mean, faces), colours=shapes.colours, numbers=shapes.marks)
     write_npy(folder / "modes.npy", model.modes)
     _write_coefficients(folder / "coefficients.csv", shapes, model)
@@ -42,17 +42,16 @@ def write_model(shapes: RegisteredShapes, model: ShapeModel) -> list[Path]:
         temporary.write_text(modes_page_of(_scene(shapes, model, curves)), encoding="utf-8")
     write_scalismo(scalismo / "model.h5", model.of_kept(), shapes.kept_faces)
     meshes = None if faces is None else [shapes.folder.shape_file(name) for name in shapes.names]
-    aligned = replace(shapes.aligned, points=shapes.aligned.points[:, shapes.kept])
-    particles = write_shapeworks(shapeworks, shapes.names, shapes.points[:, shapes.kept], aligned, meshes)
+    particles = write_shapeworks(shapeworks, shapes.names, shapes.points, shapes.aligned, meshes, kept=shapes.kept)
     names = ("mean.ply", "modes.npy", "coefficients.csv", "curves.csv", "curves.png", "modes.html")
     return [*(folder / name for name in names), scalismo / "model.h5", *particles]
 
 
 def _write_coefficients(path: Path, shapes: RegisteredShapes, model: ShapeModel) -> None:
-    coefficients = model.coefficients(shapes.aligned.points)
+    coefficients = model.coefficients(shapes.aligned)
     head = ["name", *(f"mode_{mode + 1}" for mode in range(coefficients.shape[1]))]
-    rows = [[name, *(f"{value:.6g}" for value in row)] for name, row in zip(shapes.names, coefficients, strict=True)]
-    write_csv(path, [head, *rows])
+    rows = ([name, *(f"{value:.6g}" for value in row)] for name, row in zip(shapes.names, coefficients, strict=True))
+    write_csv(path, chain([head], rows))
 
 
 def _scene(shapes: RegisteredShapes, model: ShapeModel, curves: Curves) -> ModesScene:
@@ -68,7 +67,7 @@ def _scene(shapes: RegisteredShapes, model: ShapeModel, curves: Curves) -> Modes
         faces=shapes.template.faces,
         colours=shapes.colours,
         offsets=np.stack([stand_upright(Shape(offset), up).points for offset in offsets]),
-        shares=model.variances[:shown] / model.variances.sum(),
+        shares=model.variances[:shown] / model.total,
         names=shapes.names,
-        coefficients=model.coefficients(shapes.aligned.points)[:, :shown],
+        coefficients=model.coefficients(shapes.aligned)[:, :shown],
     )

@@ -145,7 +145,7 @@ class ModelFitter:
         return [start for _, start in sorted(tried, key=lambda each: each[0])[:_FOLLOWED]]
 
     def _first_modes(self, count: int) -> ShapeModel:
-        return ShapeModel(self.model.mean, self.model.modes[:count], self.model.variances[:count], self.model.kept)
+        return ShapeModel(self.model.mean, self.model.modes[:count], self.model.variances[:count], kept=self.model.kept)
 
     def _alike(self, one: Placement, other: Placement) -> bool:
         """Whether two placements lead to the same fit."""

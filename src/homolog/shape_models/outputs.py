@@ -11,7 +11,7 @@ from typing import Any
 from typing_extensions import TypedDict
 
 from homolog.core.errors import DataError, needs_extra
-from homolog.core.files import all_or_nothing, resolved, write_json, write_npy
+from homolog.core.files import all_or_nothing, resolved, write_json
 from homolog.core.records import record, stored_record
 from homolog.pairs import Mask
 from homolog.shape_models.asymmetry import ASYMMETRY_FOLDER, TemplateSymmetry
@@ -107,11 +107,12 @@ def _write(
     """Write everything but the report, and return the files."""
     root = shapes.folder.root
     table, sheet, array = root / "quality.csv", root / "contact_sheet.png", root / "points.npy"
+    if shapes.registered:
+        shapes.write_points(array)
     write_quality(table, shapes)
     write_sheet(sheet, shapes)
     if not shapes.registered:
         return [table, sheet]
-    write_npy(array, shapes.points)
     carried = [] if landmarks is None else landmarks.write(shapes)
     carried += [] if symmetry is None else symmetry.write(shapes)
     return [array, table, sheet, *carried, *([] if shapes.model is None else write_model(shapes, shapes.model))]
@@ -134,7 +135,7 @@ def _report(shapes: RegisteredShapes) -> dict[str, Any]:
         "registered_before_and_not_given_now": shapes.folder.others([one.subject for one in shapes.outcomes]),
         "statistics": asdict(shapes.settings),
         "modes": 0 if model is None else len(model.variances),
-        "variance": None if model is None else float(model.variances.sum()),
+        "variance": None if model is None else model.total,
     }
 
 

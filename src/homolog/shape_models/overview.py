@@ -42,7 +42,7 @@ def _cells(outcome: Outcome, shapes: RegisteredShapes, number: int | None) -> li
     row, figures = shapes.row_of[outcome.subject.name], asdict(outcome.figures)
     known = (figures[name] for name in _FIGURES)
     values = [each if each is None or isinstance(each, bool) else f"{each:.6g}" for each in known]
-    distance = f"{shapes.aligned.distances[row]:.6g}"
+    distance = f"{shapes.distances[row]:.6g}"
     told = outcome.matched_by, f"{outcome.seconds:.2f}", "; ".join(outcome.warnings)
     return [row, number, *values, distance, *told]
 
@@ -52,7 +52,8 @@ def write_sheet(path: Path, shapes: RegisteredShapes) -> None:
     base = stand_upright(shapes.template, shapes.settings.template_up)
     tiles = [Tile("template", (shapes.template.name,), base.points, base.faces, shapes.colours)]
     for number, outcome in enumerate(shapes.worst_first, start=1):
-        tiles.append(_tile(f"{number}. {outcome.subject.name}", outcome, shapes))
+        title = f"{number}. {outcome.subject.name}"
+        tiles.append(_tile(title, outcome, shapes) if number <= MOST_SHOWN else Tile(title))
     write_png(path, contact_sheet(tiles))
 
 

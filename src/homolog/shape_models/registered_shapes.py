@@ -5,17 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 from scipy.stats import rankdata
 
+from homolog.core.files import write_npy_rows
 from homolog.core.settings import CountOrZero, Settings
 from homolog.matching import position_colours
 from homolog.shape_models.folder import MASK, Outcome, ShapeModelFolder
 from homolog.shapes import Shape, Up, drawable, stand_upright
-from homolog.statistics import Aligned, ShapeModel, generalised_procrustes, principal_modes
+from homolog.statistics import Aligned, FileRows, ShapeModel, generalised_procrustes, principal_modes
+
+MOST_MODES = 100
+"""The number of modes of a model of more than 200 shapes; of fewer it has all."""
+_FEW = 200
 
 
 @dataclass(frozen=True)
@@ -62,13 +68,22 @@ class RegisteredShapes:
         self.row_of = {name: row for row, name in enumerate(self.names)}
 
     @cached_property
-    def points(self) -> Float[np.ndarray, "s n 3"]:
-        """The template's points on the registered shapes, of which there must be at least one.
+    def points(self) -> Float[np.ndarray, "s n 3"] | FileRows:
+        """The template's points on the registered shapes, of which there must be at least one (s, n, 3).
 
         Raises:
             DataError: if a file has another number of points than the template.
         """
         return self.folder.points(self.names, self.template.n_points)
+
+    def write_points(self, path: Path) -> None:
+        """Write the points into a file, shape by shape, and read them from there from now on.
+
+        Raises:
+            DataError: as ``points``.
+        """
+        each = self.folder.each_points(self.names, self.template.n_points)
+        self.points = FileRows(write_npy_rows(path, each, len(self.names)))
 
     @property
     def adaptation(self) -> dict[str, Any] | None:
@@ -90,11 +105,17 @@ class RegisteredShapes:
         )
 
     @cached_property
+    def distances(self) -> Float[np.ndarray, " s"]:
+        """The root mean square distance of each shape from the mean, after alignment."""
+        return self.aligned.distances
+
+    @cached_property
     def model(self) -> ShapeModel | None:
-        """The mean and principal modes; None for fewer than two different shapes."""
+        """The mean and principal modes, of many shapes the first ones; None for fewer than two different shapes."""
         if len(self.registered) < 2:
             return None
-        model = principal_modes(self.aligned.points, None if self.weights is None else self.kept)
+        kept = None if self.weights is None else self.kept
+        model = principal_modes(self.aligned, kept=kept, most=MOST_MODES if len(self.registered) > _FEW else None)
         return model if len(model.variances) else None
 
     @property

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from homolog.core.files import atomic_path, made_folder, write_json
-from homolog.statistics import Aligned
+from homolog.statistics import Aligned, FileRows
 
 _PROJECT, _PARTICLES = "collection.swproj", "particles"
 _IDENTITY = " ".join(f"{entry:g}" for entry in np.eye(4).ravel())
@@ -24,9 +24,11 @@ _IDENTITY = " ".join(f"{entry:g}" for entry in np.eye(4).ravel())
 def write_shapeworks(
     folder: Path,
     names: Sequence[str],
-    points: Float[np.ndarray, "s n 3"],
+    points: Float[np.ndarray, "s n 3"] | FileRows,
     aligned: Aligned,
     meshes: Sequence[Path] | None,
+    *,
+    kept: Bool[np.ndarray, " n"] | None = None,
 ) -> list[Path]:
     """Write a project and the particles of all shapes.
 
@@ -36,6 +38,7 @@ def write_shapeworks(
         points: on each shape, in its own coordinates.
         aligned: the same, aligned.
         meshes: a mesh of each shape, which the project refers to; None for clouds.
+        kept: which points to write (n,); by default all.
 
     Returns:
         The files.
@@ -44,11 +47,12 @@ def write_shapeworks(
         ArgumentError: if a file cannot be written.
     """
     particles, written = made_folder(folder / _PARTICLES), []
+    taken = slice(None) if kept is None else kept
     entries: list[dict[str, str]] = []
     for number, name in enumerate(names):
         local, world = (particles / f"{name}_{kind}.particles" for kind in ("local", "world"))
-        _write_particles(local, points[number])
-        _write_particles(world, aligned.points[number])
+        _write_particles(local, points[number][taken])
+        _write_particles(world, aligned[number][taken])
         written += [local, world]
         path = None if meshes is None else Path(os.path.relpath(meshes[number], folder)).as_posix()
         mesh = {} if path is None else {"shape_1": path, "groomed_1": path}

@@ -78,7 +78,7 @@ class StoredModel:
         ):
             raise DataError(f"{place} holds files that do not belong together; {_AGAIN}")
         weights = _weights(place / "mean.ply")
-        model = ShapeModel(mean.points, modes, variances, None if weights is None else weights > 0)
+        model = ShapeModel(mean.points, modes, variances, kept=None if weights is None else weights > 0)
         deviation = left_out[-1] / np.sqrt(3) if left_out else None
         names, settings = tuple(report["shapes"]), ModelSettings(**report["statistics"])
         return cls(folder, names, settings, model, mean, deviation, weights)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from homolog.core.errors import ArgumentError
-from homolog.core.files import expanded
+from homolog.core.files import expanded, read_text
 from homolog.pairs import MASK_SUFFIXES, Mask, read_mask
 from homolog.shapes import Shape, read_shape
 
@@ -45,6 +45,25 @@ class Subject:
         """
         shape, mask = read_shape(self.file), self.mask()
         return shape if mask is None else mask.applied_to(shape)
+
+
+def listed_files(path: str | Path | None) -> list[Path]:
+    """The files that a text file lists, one a line, as seen from its own folder; none without a file.
+
+    Raises:
+        ArgumentError: if it cannot be read, or lists nothing.
+    """
+    if path is None:
+        return []
+    file = expanded(path)
+    try:
+        lines = [line.strip() for line in read_text(file, errors="surrogateescape").split("\n")]
+    except OSError as error:
+        raise ArgumentError(f"{path} cannot be read: {error.strerror or error}") from None
+    found = [file.parent / line for line in lines if line]
+    if not found:
+        raise ArgumentError(f"{path} lists no shapes; write the path of one on each line")
+    return found
 
 
 def subjects_of(files: Sequence[str | Path], masks: str | Path | None = None) -> list[Subject]:

@@ -11,6 +11,7 @@ from homolog.statistics.posterior import (
     placed_posterior,
     posterior_model,
 )
+from homolog.statistics.rows import FileRows, PointRows, Rows
 from homolog.statistics.symmetry import (
     FEWEST_PAIRS,
     MirrorPlane,
@@ -25,11 +26,14 @@ __all__ = [
     "PERMUTATIONS",
     "Aligned",
     "Curve",
+    "FileRows",
     "GroupComparison",
     "MirrorPlane",
     "Observations",
     "PlacedPosterior",
     "Placement",
+    "PointRows",
+    "Rows",
     "ShapeModel",
     "SymmetricComponents",
     "best_mirror_plane",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
 
 from homolog.core.errors import ArgumentError
+from homolog.statistics.rows import PointRows, Rows, blocks
 
 # Iterations end once the sum of squared distances from the mean falls by less than this share of the sum of squares.
 _CONVERGED = 1e-12
@@ -16,20 +18,20 @@ _MOST_ROUNDS = 200
 
 @dataclass(frozen=True, eq=False)
 class Aligned:
-    """Aligned shapes and their similarity transforms.
+    """Aligned shapes and their similarity transforms; the shapes themselves are computed when they are asked for.
 
-    Shape i is ``scales[i] * given[i] @ rotations[i].T + shifts[i]``.
+    Shape i is ``scales[i] * given[i] @ rotations[i].T + shifts[i]``, ``aligned[i]`` or, of all, ``aligned.points[i]``.
 
     Args:
-        points: aligned shapes, centred at the origin (s, n, 3).
-        mean: of these shapes (n, 3).
+        given: the shapes (s, n, 3).
+        mean: of the aligned shapes (n, 3).
         rotations: proper ones (s, 3, 3).
         scales: positive; 1 unless the size is normalised (s,).
         shifts: (s, 3).
         weights: how much each point counted (n,); None where all counted alike.
     """
 
-    points: Float[np.ndarray, "s n 3"]
+    given: Rows
     mean: Float[np.ndarray, "n 3"]
     rotations: Float[np.ndarray, "s 3 3"]
     scales: Float[np.ndarray, " s"]
@@ -37,14 +39,33 @@ class Aligned:
     weights: Float[np.ndarray, " n"] | None = None
 
     @property
+    def shape(self) -> tuple[int, ...]:
+        """Numbers of shapes and points, and 3."""
+        return self.given.shape
+
+    def __len__(self) -> int:
+        return len(self.given)
+
+    def __getitem__(self, key: slice | int) -> Float[np.ndarray, "... n 3"]:
+        """Some of the aligned shapes, or one, centred at the origin."""
+        if not isinstance(key, slice):
+            return np.asarray(self[key : key + 1][0])
+        return _moved(_centred(self.given[key], self.weights), self.rotations[key], self.scales[key])
+
+    @cached_property
+    def points(self) -> Float[np.ndarray, "s n 3"]:
+        """All aligned shapes."""
+        return self[:]
+
+    @property
     def distances(self) -> Float[np.ndarray, " s"]:
         """The root mean square distance of each shape from the mean, with the weights, in the shapes' unit."""
-        squares = ((self.points - self.mean) ** 2).sum(axis=2)
-        return np.asarray(np.sqrt(np.average(squares, axis=1, weights=self.weights)))
+        squares = (((self[some] - self.mean) ** 2).sum(axis=2) for some in blocks(self))
+        return np.sqrt(np.concatenate([np.average(each, axis=1, weights=self.weights) for each in squares]))
 
 
 def generalised_procrustes(
-    points: Float[np.ndarray, "s n 3"],
+    points: Rows,
     *,
     scale: bool = False,
     start: Float[np.ndarray, "n 3"] | None = None,
@@ -57,7 +78,8 @@ def generalised_procrustes(
     excluded.
 
     Args:
-        points: the shapes (s, n, 3), with at least one shape and three points.
+        points: the shapes (s, n, 3), with at least one shape and three points: an array, or what gives some rows of one
+            at a time. Some of them are in memory at once.
         scale: normalise the size as well.
         start: the first reference, which determines the mean's orientation; by default the first shape.
         weights: how much each point counts; those with 0 are moved with the others (n,). By default all count alike.
@@ -73,44 +95,57 @@ def generalised_procrustes(
         True
     """
     _check(points, start, weights)
-    middles = np.average(points, axis=1, weights=weights, keepdims=True)
-    centred = points - middles
-    mean = centred[0] if start is None else start - np.average(start, axis=0, weights=weights)
-    share = np.ones(points.shape[1]) if weights is None else weights / weights.mean()
-    rotations, scales = np.tile(np.eye(3), (len(points), 1, 1)), np.ones(len(points))
-    total, before = (share[:, None] * centred**2).sum(), np.inf
+    share = np.ones((points.shape[1], 1)) if weights is None else (weights / weights.mean())[:, None]
+    middles = np.concatenate([_middles(points[some], weights) for some in blocks(points)])
+    centred = (_centred(points[some], weights) for some in blocks(points))
+    squares = np.concatenate([(share * each**2).sum(axis=(1, 2)) for each in centred])
+    mean = _centred(points[:1] if start is None else start[None], weights)[0]
+    rotations, scales, before = np.tile(np.eye(3), (len(points), 1, 1)), np.ones(len(points)), np.inf
     for _ in range(_MOST_ROUNDS):
-        rotations, strengths = _rotations(centred, share[:, None] * mean)
+        found = [_rotations(_centred(points[some], weights), share * mean) for some in blocks(points)]
+        rotations = np.concatenate([each for each, _ in found])
         if scale:
-            squares = (share[:, None] * centred**2).sum(axis=(1, 2))
-            best = strengths / squares
+            best = np.concatenate([strengths for _, strengths in found]) / squares
             scales = np.asarray(best * np.sqrt(squares.sum() / (best**2 * squares).sum()))
-        moved = scales[:, None, None] * centred @ rotations.transpose(0, 2, 1)
-        mean = moved.mean(axis=0)
-        residual = (share[:, None] * (moved - mean) ** 2).sum()
-        if before - residual <= _CONVERGED * total:
+        now = Aligned(points, mean, rotations, scales, np.zeros((len(points), 3)), weights)
+        mean = sum(now[some].sum(axis=0) for some in blocks(points)) / len(points)
+        residual = (scales**2 * squares).sum() - len(points) * (share * mean**2).sum()
+        if before - residual <= _CONVERGED * squares.sum():
             break
         before = residual
-    shifts = -scales[:, None] * np.einsum("skl,sl->sk", rotations, middles[:, 0])
-    return Aligned(moved, mean, rotations, scales, shifts, weights)
+    shifts = -scales[:, None] * np.einsum("skl,sl->sk", rotations, middles)
+    return Aligned(points, mean, rotations, scales, shifts, weights)
 
 
-def _check(
-    points: Float[np.ndarray, "s n 3"], start: Float[np.ndarray, "n 3"] | None, weights: Float[np.ndarray, " n"] | None
-) -> None:
-    if points.ndim != 3 or points.shape[2] != 3 or len(points) < 1 or points.shape[1] < 3:
+def _middles(points: Float[np.ndarray, "s n 3"], weights: Float[np.ndarray, " n"] | None) -> Float[np.ndarray, "s 3"]:
+    return np.asarray(np.average(points, axis=1, weights=weights))
+
+
+def _centred(points: Float[np.ndarray, "s n 3"], weights: Float[np.ndarray, " n"] | None) -> Float[np.ndarray, "s n 3"]:
+    return np.asarray(points - _middles(points, weights)[:, None])
+
+
+def _moved(
+    centred: Float[np.ndarray, "s n 3"], rotations: Float[np.ndarray, "s 3 3"], scales: Float[np.ndarray, " s"]
+) -> Float[np.ndarray, "s n 3"]:
+    return np.asarray(scales[:, None, None] * centred @ rotations.transpose(0, 2, 1))
+
+
+def _check(points: Rows, start: Float[np.ndarray, "n 3"] | None, weights: Float[np.ndarray, " n"] | None) -> None:
+    if len(points.shape) != 3 or points.shape[2] != 3 or len(points) < 1 or points.shape[1] < 3:
         raise ArgumentError(f"points has shape {points.shape}, but must have shape (shapes, points, 3)")
     if start is not None and start.shape != points.shape[1:]:
         raise ArgumentError(f"start has shape {start.shape}, but must have shape {points.shape[1:]}, as points has it")
-    if not (np.isfinite(points).all() and (start is None or np.isfinite(start).all())):
+    all_finite = all(np.isfinite(points[some]).all() for some in blocks(points))
+    if not (all_finite and (start is None or np.isfinite(start).all())):
         raise ArgumentError("points holds NaN or infinite numbers, but must be finite")
     if weights is not None:
         if weights.shape != points.shape[1:2] or not (np.isfinite(weights).all() and (weights >= 0).all()):
             raise ArgumentError(f"weights must be numbers from 0, one for each of the {points.shape[1]} points")
         if (weights > 0).sum() < 3:
             raise ArgumentError(f"weights leave {(weights > 0).sum()} points, but aligning needs three")
-        points = points[:, weights > 0]
-    if (np.ptp(points, axis=1) == 0).all(axis=1).any():
+        points = PointRows(points, weights > 0)
+    if any((np.ptp(points[some], axis=1) == 0).all(axis=1).any() for some in blocks(points)):
         raise ArgumentError("points holds a shape whose points are all the same, which cannot be aligned")
 
 
