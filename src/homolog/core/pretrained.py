@@ -11,7 +11,7 @@ DEFAULT_WEIGHTS = "people"
 """The name of the weights that ``load_weights`` reads where none are given."""
 AUTO_WEIGHTS = "auto"
 """In place of a name: the pretrained weights of all kinds, of which those are used that know a pair best."""
-KINDS = ("people", "animals", "hands")
+KINDS = ("people", "animals", "hands", "heads")
 """The names of the pretrained weights of these kinds, the usual ones first."""
 OF_PARTS = ("views",)
 """The names of those that were trained on partial shapes of one of these kinds, and are for partial pairs."""

@@ -13,7 +13,7 @@ from homolog.shape_models.registered_shapes import RegisteredShapes
 from homolog.shape_models.scalismo import write_scalismo
 from homolog.shape_models.shapeworks import write_shapeworks
 from homolog.shapes import Shape, stand_upright, write_shape
-from homolog.statistics import ShapeModel
+from homolog.statistics import PointRows, ShapeModel
 from homolog.viewing import ModesScene, modes_page_of
 
 MODEL_FOLDERS = ("model", "scalismo", "shapeworks")

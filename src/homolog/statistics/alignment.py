@@ -61,7 +61,8 @@ class Aligned:
     def distances(self) -> Float[np.ndarray, " s"]:
         """The root mean square distance of each shape from the mean, with the weights, in the shapes' unit."""
         squares = (((self[some] - self.mean) ** 2).sum(axis=2) for some in blocks(self))
-        return np.sqrt(np.concatenate([np.average(each, axis=1, weights=self.weights) for each in squares]))
+        means = [np.average(each, axis=1, weights=self.weights) for each in squares]
+        return np.asarray(np.sqrt(np.concatenate(means)))
 
 
 def generalised_procrustes(
