@@ -220,7 +220,7 @@ def test_modes_are_those_of_the_points_that_are_kept_and_the_others_follow(famil
     rng = np.random.default_rng(1)
     kept = rng.random(shapes.shape[1]) < 0.6
     noisy = shapes + 0.1 * rng.standard_normal(shapes.shape)  # eleven modes: as many as there can be
-    found, alone = principal_modes(noisy, kept), principal_modes(noisy[:, kept])
+    found, alone = principal_modes(noisy, kept=kept), principal_modes(noisy[:, kept])
     np.testing.assert_allclose(found.modes[:, kept], alone.modes, atol=1e-9)
     np.testing.assert_allclose(found.variances, alone.variances)
     coefficients = found.coefficients(noisy)
