@@ -79,14 +79,28 @@ def components(
 def mesh_components(
     points: Float[np.ndarray, "n 3"], faces: Int[np.ndarray, "m 3"]
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " p"]]:
-    """Components of a mesh, whose faces share points: a label per point (n,), and the areas of components (p,)."""
+    """Components of a mesh, whose faces share points: a label per point (n,), and the areas of components (p,).
+
+    A point that no face uses is a component without area.
+
+    Examples:
+        >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [9, 9, 9]])
+        >>> component, areas = mesh_components(corners, np.array([[0, 1, 2]]))
+        >>> component.tolist(), areas.tolist()
+        ([0, 0, 0, 1], [0.5, 0.0])
+    """
     component = components(faces[:, 0], faces[:, 1], len(points), faces[:, 2])
     areas = np.bincount(component[faces[:, 0]], face_areas(points, faces), minlength=component.max() + 1)
     return component, areas
 
 
 def half_edges(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "h 2"]:
-    """The sides of faces, each from its start to its end: those of face i are 3i to 3i + 2."""
+    """The sides of faces, each from its start to its end: those of face i are 3i to 3i + 2.
+
+    Examples:
+        >>> half_edges(np.array([[4, 7, 2]])).tolist()
+        [[4, 7], [7, 2], [2, 4]]
+    """
     return faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
 
 
