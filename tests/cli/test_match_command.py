@@ -664,7 +664,7 @@ def test_cache_is_used_and_can_be_left_alone(homolog, files, tmp_path, monkeypat
     homolog(*match, tmp_path / "first", "--no-cache")
     assert not (tmp_path / "cache").exists()
     homolog(*match, tmp_path / "second")
-    assert len(list((tmp_path / "cache").glob("*.safetensors"))) == 2
+    assert len(list((tmp_path / "cache").rglob("*.safetensors"))) == 2
     homolog(*match, tmp_path / "third")
     first, second, third = (maps(tmp_path / name) for name in ("first", "second", "third"))
     for name, array in first.items():

@@ -59,7 +59,7 @@ def assert_same(first: Operators, second: Operators) -> None:
 
 
 def entry_of(folder: Path) -> Path:
-    (entry,) = folder.glob("*.safetensors")
+    (entry,) = folder.rglob("*.safetensors")
     return entry
 
 
@@ -115,7 +115,7 @@ def test_half_precision_keeps_all_but_the_last_digits_of_the_eigenvectors(shape,
     torch.testing.assert_close(again.eigenvectors, exact.eigenvectors, rtol=5e-4, atol=1e-6)
     assert not torch.equal(again.eigenvectors, exact.eigenvectors)
     assert torch.equal(again.eigenvalues, exact.eigenvalues)
-    large, small = sorted((path.stat().st_size for path in tmp_path.glob("*.safetensors")), reverse=True)
+    large, small = sorted((path.stat().st_size for path in tmp_path.rglob("*.safetensors")), reverse=True)
     assert large - small == pytest.approx(2 * 12 * shape.n_points, abs=100)
 
 
@@ -138,7 +138,7 @@ def garbage(path: Path) -> None:
 def another_shapes(path: Path) -> None:
     points = np.random.default_rng(1).normal(size=(30, 3))
     OperatorCache(path.parent / "others").operators(Shape(points), settings=SETTINGS)
-    (other,) = (path.parent / "others").glob("*.safetensors")
+    (other,) = (path.parent / "others").rglob("*.safetensors")
     other.replace(path)
 
 
@@ -228,7 +228,7 @@ def test_the_least_recently_used_entries_make_room(make, tmp_path, computed) -> 
     bounded = OperatorCache(tmp_path, max_bytes=int(3.5 * entry_size))
     for i, shape in enumerate(shapes[:3]):
         bounded.operators(shape, settings=SETTINGS)
-        newest = max(tmp_path.glob("*.safetensors"), key=lambda path: path.stat().st_mtime_ns)
+        newest = max(tmp_path.rglob("*.safetensors"), key=lambda path: path.stat().st_mtime_ns)
         os.utime(newest, (1000 + i, 1000 + i))
     bounded.operators(shapes[0], settings=SETTINGS)  # a hit makes the oldest the newest
     assert len(computed) == 3
@@ -277,7 +277,7 @@ def test_a_write_that_fails_half_way_leaves_nothing_behind(shape, tmp_path, monk
     monkeypatch.setattr(cache, "save_file", full_disk)
     found = OperatorCache(tmp_path).operators(shape, settings=SETTINGS)
     assert found.n_points == shape.n_points and "No space left" in caplog.text
-    assert list(tmp_path.iterdir()) == []
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
 def test_what_another_process_is_writing_is_no_entry(make, tmp_path) -> None:
@@ -355,3 +355,34 @@ def test_several_processes_may_write_the_same_entry_at_once(tmp_path) -> None:
     assert len({line for printed, _ in results for line in printed.split()}) == 1
     assert all("damaged" not in messages for _, messages in results), results
     assert len(list((tmp_path / "cache").iterdir())) == 1
+
+
+def test_entries_lie_in_folders_by_their_first_digits(shape, tmp_path) -> None:
+    store = OperatorCache(tmp_path)
+    for n_eigenpairs in (4, 5, 6):
+        store.operators(shape, settings=OperatorSettings(n_eigenpairs=n_eigenpairs))
+    found = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert len(found) == 3 == store.size()[0]
+    assert all(path == store.entry(path.stem) and path.parent == tmp_path / path.stem[:2] for path in found)
+
+
+def test_entries_of_earlier_versions_count_and_go_first(shape, tmp_path) -> None:
+    for number in range(2):
+        (tmp_path / f"{number}.safetensors").write_bytes(bytes(10**6))
+        os.utime(tmp_path / f"{number}.safetensors", (number, number))
+    OperatorCache(tmp_path, max_bytes=1_500_000).operators(shape, settings=SETTINGS)
+    assert [path.name for path in tmp_path.glob("*.safetensors")] == ["1.safetensors"]
+
+
+def test_a_folder_is_listed_once_in_a_hundredth_of_its_bound(shape, tmp_path, calls) -> None:
+    seen = calls(OperatorCache, "make_room")
+    store = OperatorCache(tmp_path / "cache")
+    entry = 0
+    for n_eigenpairs in range(4, 10):
+        store.operators(shape, settings=OperatorSettings(n_eigenpairs=n_eigenpairs))
+        entry = entry or store.size()[1]
+    assert len(seen) == 1  # by the first entry of this process
+    bounded = OperatorCache(tmp_path / "cache", max_bytes=150 * entry)  # of which every second entry is a hundredth
+    for n_eigenpairs in range(10, 14):
+        bounded.operators(shape, settings=OperatorSettings(n_eigenpairs=n_eigenpairs))
+    assert 2 <= len(seen) <= 4

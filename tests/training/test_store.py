@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from homolog.core.errors import DataError
-from homolog.geometry import compute_operators
+from homolog.core.errors import ArgumentError, DataError
+from homolog.geometry import OperatorCache, compute_operators
 from homolog.shapes import read_shape
 from homolog.training.data import TrainingSet
 from homolog.training.sampling import SampledShape
-from homolog.training.store import ShapeStore
+from homolog.training.store import ShapeStore, keep_operators
 
 
 def store_of(root, recipe, operators=compute_operators):
@@ -138,3 +138,19 @@ def test_what_takes_faces_is_not_made_of_clouds(clouds, small, kind):
         DataError, match=rf"\[clouds\] {kind} .* cannot be made of ape: it has no faces; leave that out"
     ):
         store.shape(SampledShape("ape", 1, 0))
+
+
+def test_operators_are_kept_for_a_training_that_computes_none(meshes, small, tmp_path, monkeypatch):
+    recipe, cache = small(clouds={"noise": [0.01]}), OperatorCache(tmp_path / "new")
+    shapes, told = TrainingSet.open(meshes, recipe), []
+    keep_operators(shapes, recipe, cache.operators, 1, progress=lambda *what: told.append(what[2]))
+    assert told == [*(f"operators of {name}" for name in shapes.used), "done"]
+    assert cache.size()[0] == 3 * len(shapes.used)  # of each mesh, its points, and a noisy cloud
+    monkeypatch.setattr("homolog.geometry.cache.compute_operators", None)
+    store_of(meshes, recipe, cache.operators).prepare(shapes.used, lambda *told: None)
+
+
+def test_a_cluster_has_nowhere_to_keep_operators_without_a_cache(meshes, small):
+    recipe = small()
+    with pytest.raises(ArgumentError, match="operators come from no cache"):
+        keep_operators(TrainingSet.open(meshes, recipe), recipe, compute_operators, 1, progress=lambda *what: None)

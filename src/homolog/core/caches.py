@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import chain
 from numbers import Real
 from pathlib import Path
 from typing import TypeVar
@@ -20,6 +21,10 @@ SUFFIX = ".safetensors"
 """Of every entry."""
 
 _GIBIBYTE = 2**30
+# Listing a folder of many entries takes seconds: it is done once a process has written this share of the bound.
+_SHARE_UNSEEN = 0.01
+# Bytes that this process has written into a folder since it listed it.
+_unseen: dict[Path, int] = {}
 # Seconds after which a file that was never written to its end is one that a killed process left.
 _ABANDONED = 24 * 3600
 
@@ -35,6 +40,9 @@ def cache_folder() -> Path:
 @dataclass(frozen=True)
 class CacheFolder:
     """A folder of files that is bounded: when it outgrows that, the files not used for longest are removed.
+
+    Entries lie in 256 folders, by the first two digits of their names, which are hexadecimal: where an entry lies
+    follows from its name alone, and no folder holds too many.
 
     Args:
         folder: where to keep entries; made on first use.
@@ -64,17 +72,36 @@ class CacheFolder:
             raise ArgumentError(f"HOMOLOG_CACHE_GB is {given!r}, but must be a number of gigabytes") from None
         return cls(cache_folder(), max_bytes=max_bytes)
 
+    def entry(self, name: str) -> Path:
+        """Where the entry of a name lies, if it is there."""
+        return self.folder / name[:2] / (name + SUFFIX)
+
     def size(self) -> tuple[int, int]:
         """Number of entries and their bytes."""
-        sizes = [size for _, size, _ in self._files(temporary=False)]
-        return len(sizes), sum(sizes)
+        count = total = 0
+        for _, size, _ in self._files(temporary=False):
+            count, total = count + 1, total + size
+        return count, total
+
+    def make_room_for(self, written: Path) -> None:
+        """``make_room``, if this process has written much since it last did, this entry included.
+
+        Every process may so exceed the bound by a hundredth.
+        """
+        new = _unseen[self.folder] + written.stat().st_size if self.folder in _unseen else None
+        if new is not None and new < _SHARE_UNSEEN * self.max_bytes:
+            _unseen[self.folder] = new
+        else:
+            self.make_room()
+            _unseen[self.folder] = 0
 
     def make_room(self) -> None:
         """Remove the entries that were not used for longest, until the folder is within its bound."""
-        entries = sorted(self._files(temporary=False))
-        excess = sum(size for _, size, _ in entries) - self.max_bytes
+        excess = self.size()[1] - self.max_bytes
         self._clear_abandoned()
-        for _, size, path in entries:
+        if excess <= 0:  # then nothing of each entry needs to be remembered
+            return
+        for _, size, path in sorted(self._files(temporary=False)):
             if excess <= 0:
                 return
             with suppress(OSError):
@@ -92,7 +119,8 @@ class CacheFolder:
 
         Names of the latter begin with a dot. Another process may remove some meanwhile.
         """
-        for path in self.folder.glob("*" + SUFFIX) if self.folder.is_dir() else ():
+        folders = (self.folder, *self.folder.glob("[0-9a-f]" * 2))  # earlier versions had them in the folder itself
+        for path in chain.from_iterable(folder.glob("*" + SUFFIX) for folder in folders if folder.is_dir()):
             if path.name.startswith(".") == temporary:
                 with suppress(OSError):
                     status = path.stat()

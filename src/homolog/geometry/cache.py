@@ -17,7 +17,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from homolog.core.arguments import check_choice, check_kind, given_or_default
-from homolog.core.caches import SUFFIX, CacheFolder
+from homolog.core.caches import CacheFolder
 from homolog.core.errors import ArgumentError
 from homolog.core.files import atomic_path
 from homolog.core.tensors import read_tensors
@@ -37,8 +37,8 @@ EigenvectorPrecision = Literal["float32", "float16"]
 class OperatorCache(CacheFolder):
     """Cache of operators on disk: a folder with an entry per shape and settings, safe to share between processes.
 
-    An entry's name is the hash of the shape's points and faces and of the settings. Entries are safetensors files,
-    which cannot run code. They are written atomically and carry a checksum of name and contents: one that is
+    An entry's name is the hash of the shape's points and faces and of the settings: no index is needed. Entries are
+    safetensors files, which cannot run code. They are written atomically and carry a checksum of name and contents: one that is
     damaged, or has another's name, is computed anew. When the folder outgrows ``max_bytes``, the least recently used
     entries are deleted.
 
@@ -80,7 +80,7 @@ class OperatorCache(CacheFolder):
         """
         check_kind("shape", shape, Shape)
         settings = given_or_default("settings", settings, OperatorSettings)
-        path = self.folder / (self._key(shape, settings, scale) + SUFFIX)
+        path = self.entry(self._key(shape, settings, scale))
         cached = _read(path)
         if cached is not None:
             return cached
@@ -104,10 +104,10 @@ class OperatorCache(CacheFolder):
         notes = {"length": operators.scale.hex(), "method": operators.method}
         notes["checksum"] = _checksum(path.stem, tensors, notes)
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_path(path) as temporary:
                 save_file(tensors, temporary, metadata=notes)
-            self.make_room()
+            self.make_room_for(path)
         except (OSError, ArgumentError, SafetensorError) as error:
             # A full, read-only or forbidden disk costs time on the next call, no more.
             _log.warning("operators are not cached: %s", error)
