@@ -78,7 +78,15 @@ def bodies(tmp_path_factory, demo):
 
 
 # Those that take longer than some five seconds.
-SLOW = ("testing/method_checks.check_method",)
+SLOW = (
+    "evaluation/runner.evaluate",
+    "matching/in_one_call.match",
+    "matching/matcher.Matcher",
+    "matching/recognition.map_misfit",
+    "symmetries/finding.Symmetry",
+    "testing/method_checks.check_method",
+    "viewing/notebook.plot",
+)
 
 
 def marked(example):

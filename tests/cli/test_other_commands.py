@@ -126,6 +126,7 @@ def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
     assert first["mean_geodesic_error"] == second["mean_geodesic_error"] > 0
 
 
+@pytest.mark.slow
 def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatch):
     adapted = []
 
@@ -145,6 +146,7 @@ def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatc
     assert adapted[4:] == [("untrained", 2, "target")] * 4
 
 
+@pytest.mark.slow
 def test_evaluate_on_pairs_drawn_at_random(homolog, data, tmp_path):
     for name in ("first", "second"):
         ended = homolog("evaluate", data, "--n-pairs", 1, "--seed", 4, "--json", tmp_path / name)

@@ -153,6 +153,7 @@ def test_indices_lead_back_to_the_file(body):
     assert repaired.clean_index[-1] == repaired.clean_index[body.n_points + 1]
 
 
+@pytest.mark.slow
 def test_a_match_leaves_them_without_counterpart_unless_they_are_kept(body):
     scan = with_points(body, box(body, 0.1))
     matches = {how: homolog.match(body, scan, method="axiomatic", clutter=how) for how in ("remove", "keep")}

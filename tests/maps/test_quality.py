@@ -119,6 +119,7 @@ def test_energy_of_nearly_equal_points_that_are_torn_apart(blob, make):
     assert dirichlet_energy(crowded, other.points, there, spacing_y=other.mass.sqrt()) < 1.2
 
 
+@pytest.mark.slow
 def test_energy_does_not_depend_on_how_finely_the_shape_is_meshed(energy_onto_another_mesh, make):
     plain, robust = energy_onto_another_mesh
     coarse = make.blob(3)

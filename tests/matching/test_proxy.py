@@ -113,6 +113,7 @@ def subdivided_twice(shape):
     return Shape(surface.vertices, surface.faces, name=shape.name)
 
 
+@pytest.mark.slow
 def test_large_shapes_are_matched_with_fewer_points(make):
     """Of a bent ball four times as fine: the identity comes back, smoothly, at all points."""
     fine = subdivided_twice(make.blob(3))

@@ -39,7 +39,8 @@ def odd(seed):
     return Rotation.random(random_state=seed).as_matrix()
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
 def test_the_axiomatic_method_finds_the_way_round(seed):
     source, target = homolog.demo_shapes()
     upright = error(homolog.match(source, target, method="axiomatic"))
@@ -117,6 +118,7 @@ def test_pre_aligned_shapes_stay_as_they_lie():
         assert torch.equal(pair.target.rotation, torch.eye(3))
 
 
+@pytest.mark.slow
 def test_the_pretrained_weights_stand_bodies_up_in_any_pose_of_the_whole():
     matcher = homolog.Matcher.from_weights("people")
     for seed, shape in enumerate((*homolog.demo_shapes(), *(shape.as_cloud() for shape in homolog.demo_shapes()))):
@@ -158,6 +160,7 @@ def test_a_mirror_image_is_named_and_can_be_reflected(blobs, method):
     assert (told.source_to_target == np.arange(shape.n_points)).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_mirror_auto_reflects_a_mirror_image_and_nothing_else():
     shape, other = homolog.demo_shapes()
     found = homolog.match(turned(mirrored(shape), odd(7)), shape, mirror="auto")
@@ -217,6 +220,7 @@ def test_alternatives_lead_to_other_maps(blobs):
     assert misfits == sorted(misfits)
 
 
+@pytest.mark.slow
 def test_the_given_pose_holds_for_shapes_that_were_preprocessed_in_another_one():
     """Of shapes that their features' orienter has turned, and of those that it has left as they are."""
     matcher = homolog.Matcher.from_weights("people")

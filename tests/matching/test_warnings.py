@@ -66,6 +66,7 @@ def test_a_half_looks_like_a_part(pair, make, axis):
     assert part_warnings(pair(half(make.blob(3), axis), make.blob(3), partial="source")) == ()
 
 
+@pytest.mark.slow
 def test_views_and_cuts_of_bodies_look_like_parts(pair, demo):
     for part in (*(cut(demo.amber, seed=seed) for seed in (0, 3)), view(demo.amber, seed=3).mesh):
         assert len(part_warnings(pair(part.shape, demo.boris))) == 1

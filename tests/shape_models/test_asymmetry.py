@@ -64,6 +64,7 @@ def test_shapes_are_taken_apart_and_the_bumped_one_is_told(collection):
     assert mean.points == pytest.approx(symmetric.mean(axis=0), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_files_of_an_earlier_call_that_had_a_symmetry_are_removed(collection):
     built(collection, ["even", "wide"], symmetry=collection / "partners")
     built(collection, ["even", "wide"])

@@ -218,6 +218,7 @@ def test_what_no_longer_holds_is_taken_away(placed):
     assert not any((folder.root / name).exists() for name in ("model", "shapeworks", "scalismo"))
 
 
+@pytest.mark.slow
 def test_a_report_from_elsewhere_takes_nothing_away_that_is_not_ours(placed, tmp_path):
     folder, template, outcomes = placed(3)
     write_outputs(folder, template, outcomes)

@@ -39,6 +39,7 @@ def test_without_weights_or_method_a_symmetric_shape_has_its_partners(turned):
     assert abs(found.plane.normal @ turned.plane.normal) == pytest.approx(1, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_bent_person_has_partners_of_the_other_side():
     body = homolog.demo_shapes()[1]
     found = homolog.symmetry(body, weights="people")

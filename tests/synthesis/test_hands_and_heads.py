@@ -181,6 +181,7 @@ def test_a_set_has_exact_ground_truth_and_open_and_closed_meshes(tmp_path, works
     assert kind.assets[-1]["licence"] == "CC0-1.0"
 
 
+@pytest.mark.slow
 def test_sides_of_hands(workshop, tmp_path):
     def of(sides):
         made = synthesize_hands(tmp_path / sides, 5, SMALL, sides=sides)

@@ -38,6 +38,7 @@ def learnt(meshes, small):
     return store, found
 
 
+@pytest.mark.slow
 def test_it_turns_shapes_upright(learnt):
     store, found = learnt
     for number, name in enumerate(store.shapes.trained):
@@ -46,6 +47,7 @@ def test_it_turns_shapes_upright(learnt):
         assert rotation_angle(found(operators.turned(turn))[0].rotation @ turn) < 30
 
 
+@pytest.mark.slow
 def test_weights_keep_it_bit_for_bit(learnt, small, tmp_path):
     found = learnt[1]
     network = loop.TrainingState.new(small()).result()

@@ -55,7 +55,7 @@ def test_holes_are_closed_and_cavities_and_specks_left_out(ball):
     assert as_trimesh(found).volume == pytest.approx(4 / 3 * np.pi, rel=0.05)
 
 
-@pytest.mark.parametrize("which", ["every third triangle", "one of the shells"])
+@pytest.mark.parametrize("which", ["every third triangle", pytest.param("one of the shells", marks=pytest.mark.slow)])
 def test_triangles_may_face_either_way(ball, which):
     height = ball.triangles_center[:, 2]
     bowls = [pieces_of(ball, height > -0.2), pieces_of(ball.copy().apply_scale(1.001), height < 0.2)]
