@@ -44,7 +44,8 @@ CORE = {
     "core.pretrained": {"core.errors", "core.files"},
     "core.folders": {"core.errors", "core.files", "core.records"},
     "core.method_names": {"core.plugins"},
-    "core.tasks": {"core.errors", "core.progress", "core.ends"},
+    "core.cluster": {"core.arguments", "core.ends", "core.errors", "core.files", "core.versions"},
+    "core.tasks": {"core.cluster", "core.ends", "core.errors", "core.progress"},
     "core": set(),
 }
 GROUND = set(CORE)

@@ -16,7 +16,7 @@ _EXTRAS = {
     "vtk": ("vtk",),
     "pcd": ("pypcd4",),
     "train": ("lightning-fabric", "tensorboard", "filelock"),
-    "synth": ("anny",),
+    "synth": ("anny", "musculoskeletal-models"),
     "transfer": ("pillow", "xatlas"),
     "volumes": ("SimpleITK", "scikit-image", "fast-simplification"),
     "picture": ("pillow",),
@@ -24,6 +24,7 @@ _EXTRAS = {
     "geodesics": ("potpourri3d",),
     "serve": ("anyio", "filelock", "starlette", "uvicorn"),
     "collection": ("h5py", "matplotlib", "pillow"),
+    "cluster": ("ray",),
     "docs": ("mkdocs-material", "mkdocstrings"),
 }
 

@@ -212,7 +212,8 @@ def joint_rotations(
         >>> points = points - points.mean(dim=0)
         >>> turns = cube_rotations()[[0, 7, 11]]
         >>> found = joint_rotations([points @ turn.T for turn in turns])
-        >>> [bool(rotation_angle(R @ turn @ turns[0].T) < 1) for (R, _), turn in zip(found, turns)]
+        >>> first = found[0][0] @ turns[0]  # which stands as all do now
+        >>> [bool(rotation_angle(R @ turn @ first.T) < 1) for (R, _), turn in zip(found, turns)]
         [True, True, True]
     """
     if not points:
