@@ -45,7 +45,7 @@ CORE = {
     "core.folders": {"core.errors", "core.files", "core.records"},
     "core.method_names": {"core.plugins"},
     "core.cluster": {"core.arguments", "core.ends", "core.errors", "core.files", "core.versions"},
-    "core.tasks": {"core.cluster", "core.ends", "core.errors", "core.progress"},
+    "core.tasks": {"core.arguments", "core.cluster", "core.ends", "core.errors", "core.progress"},
     "core": set(),
 }
 GROUND = set(CORE)
