@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -11,7 +12,9 @@ import homolog
 from homolog.core.errors import ArgumentError
 from homolog.features import FeatureInfo, Orientation
 from homolog.matching import Matcher, map_misfit
-from homolog.pairs import ChoiceSettings, MatcherSettings, PairOptions
+from homolog.matching.search import orient
+from homolog.methods.registration import are_near_rigid
+from homolog.pairs import MatcherSettings, PairOptions
 from homolog.shapes import Shape
 from homolog.synthesis import view
 
@@ -109,7 +112,8 @@ def test_a_pair_that_none_know_gets_the_best_map(blobs):
 
 
 def test_methods_without_features_are_tried_where_no_features_are_plausible(blobs):
-    match = Matcher([Positions("some", 0.5), Positions("others", 0.9)]).match(blobs.source, blobs.target)
+    matcher = Matcher([Positions("some", 0.5), Positions("others", 0.9)])
+    match = matcher.match(blobs.source, blobs.target, orient="given")
     assert match.method in ("axiomatic", "registration")
     assert match.report["choice"][0]["name"] == match.method
     assert {candidate["name"] for candidate in match.report["choice"]} == {"axiomatic", "registration"}
@@ -126,16 +130,25 @@ def copies(make):
 def test_features_are_left_out_of_nearly_rigid_copies(copies):
     pair = chosen([Positions("some", 0.2), Positions("others", 0.25)], copies, orient="auto")
     assert pair.method.name == "registration"
-    assert {candidate.name for candidate in pair.choice} == {"axiomatic", "registration"}
+    assert [(each.name, each.map_misfit) for each in pair.choice] == [
+        (n, None) for n in ("registration", "some", "others")
+    ]
     known = chosen([Positions("usual", 0.2), Positions("others", 0.06)], copies, orient="auto")
     assert known.extractor.info.name == "others"
 
 
-@pytest.mark.parametrize(("allowance", "first"), [(100.0, "registration"), (0.0, "")])
-def test_registration_is_taken_unless_another_map_is_clearly_better(copies, allowance, first):
-    settings = MatcherSettings(choice=ChoiceSettings(near_rigid=allowance))
-    choice = chosen([Positions("some", 0.2), Positions("others", 0.25)], copies, settings, orient="auto").choice
-    assert choice[0].name == (first or min(choice, key=lambda candidate: candidate.map_misfit).name)
+def test_bent_shapes_are_no_rigid_copies(copies):
+    x, y, z = copies.source.points.T
+    bent = np.stack([np.sin(0.9 * y) * (1.2 - x), np.cos(0.9 * y) * (1.2 - x), z], axis=1)
+    matcher = Matcher(None, settings=MatcherSettings(method="registration"))
+    assert not are_near_rigid(orient(matcher.pair(copies.source, Shape(bent, copies.source.faces))[0]))
+
+
+def test_shapes_that_are_trusted_to_stand_alike_are_not_looked_at(copies):
+    matcher = Matcher(None, settings=MatcherSettings(method="registration"))
+    given, found = (matcher.pair(copies.source, copies.target, PairOptions(orient=how))[0] for how in ("given", "auto"))
+    assert not are_near_rigid(given)
+    assert are_near_rigid(orient(found))
 
 
 def test_a_method_that_was_asked_for_is_kept(blobs):

@@ -1,8 +1,9 @@
 """Which features know two shapes, or whether it is better to do without any. New here.
 
 Features are of the shapes that they were trained on: of people, or of animals. Their orienter tells how well it knows a
-shape, by how much it contradicts itself about it. Where no features know a pair, the maps that come into question are
-made, and the one that contradicts itself least is believed.
+shape, by how much it contradicts itself about it. Where no features know a pair, and the two shapes are nearly rigid
+copies, as bones of one kind are, they are registered. Otherwise the maps that come into question are made, and the one
+that contradicts itself least is believed.
 """
 
 from __future__ import annotations
@@ -74,7 +75,6 @@ class _Way:
 
     pairs: tuple[Pair, ...]
     candidate: Candidate
-    near_rigid: bool = False  # whether a registration finds most pairs to be nearly rigid copies
 
 
 @torch.no_grad()
@@ -96,22 +96,29 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
         ways.sort(key=_misfit_of)
     # Maps of two parts contradict themselves wherever these do not overlap.
     if _misfit_of(ways[0]) > settings.known_best and not pairs[0].are_parts:
-        ways = _by_their_maps(ways, list(_mapped(_without_features(pairs, shapes))), settings) or ways[:1]
+        without = list(_without_features(pairs, shapes))
+        if rigid := [way for way in without if _is_near_rigid(way)]:
+            ways = [*rigid, *ways]
+        else:
+            plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
+            tried = _mapped([*plausible, *without])
+            ways = sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]
     choice = tuple(way.candidate for way in ways)
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
 
 
-def _by_their_maps(known: Sequence[_Way], without: Sequence[_Way], settings: ChoiceSettings) -> list[_Way]:
-    """The ways whose maps come into question, that of the best map first.
+def _is_near_rigid(way: _Way) -> bool:
+    """Whether the way is a registration, and finds most of the pairs to be nearly rigid copies."""
+    if way.pairs[0].method.name != registration.METHOD.name:
+        return False
+    return 2 * sum(map(_are_near_rigid, way.pairs)) > len(way.pairs)
 
-    Bones look a little like hands to features of hands. But where two shapes are nearly rigid copies, nothing needs to
-    be known of them: features are left out, and registration is taken unless its map is clearly worse.
-    """
-    if any(way.near_rigid for way in without):
-        tried = list(without)
-    else:
-        tried = [*_mapped(way for way in known if _misfit_of(way) <= settings.plausible), *without]
-    return sorted(tried, key=lambda way: (way.candidate.map_misfit or 0.0) - settings.near_rigid * way.near_rigid)
+
+def _are_near_rigid(pair: Pair) -> bool:
+    try:
+        return registration.are_near_rigid(orient(pair))
+    except ShapeError:
+        return False
 
 
 def _suited(extractors: Sequence[FeatureExtractor], pair: Pair) -> list[FeatureExtractor]:
@@ -204,17 +211,13 @@ def _without_features(pairs: Sequence[Pair], shapes: SeenShapes) -> Iterator[_Wa
 def _mapped(ways: Iterable[_Way]) -> Iterator[_Way]:
     """The ways that lead to maps of most pairs, with what these tell."""
     for way in ways:
-        told = [_told_by_map(pair) for pair in way.pairs]
-        misfit = median(misfit for misfit, _ in told)
+        misfit = median(_misfit_of_map(pair) for pair in way.pairs)
         if misfit < math.inf:
-            near_rigid = 2 * sum(near_rigid for _, near_rigid in told) > len(told)
-            yield replace(way, candidate=replace(way.candidate, map_misfit=misfit), near_rigid=near_rigid)
+            yield replace(way, candidate=replace(way.candidate, map_misfit=misfit))
 
 
-def _told_by_map(pair: Pair) -> tuple[float, bool]:
+def _misfit_of_map(pair: Pair) -> float:
     """How much the map by features alone contradicts itself, and how far it misses the landmarks.
-
-    Of a registration also whether it finds nearly rigid copies.
 
     A map that was made to meet the landmarks would say nothing of the features.
     """
@@ -223,7 +226,6 @@ def _told_by_map(pair: Pair) -> tuple[float, bool]:
         unguided = replace(aligned, options=replace(pair.options, landmarks=None))
         match = Match.of(unguided, refine(unguided, method_maps(unguided)))
     except ShapeError:  # what cannot be matched one way may be another way
-        return math.inf, False
+        return math.inf
     missed = pair.settings.guidance.choice * landmark_misfit(pair, match)
-    near_rigid = pair.method.name == registration.METHOD.name and registration.are_near_rigid(aligned)
-    return map_misfit(match, pair.settings.choice) + missed, near_rigid
+    return map_misfit(match, pair.settings.choice) + missed

@@ -216,8 +216,9 @@ class ChoiceSettings(Settings):
     """The choice among features of several kinds of shapes, and of none. New here; chosen on pairs of training shapes.
 
     Features know a pair as well as their orienter knows the shape that it knows less well: by the misfit of the best
-    orientation, see ``homolog.features.Orientation``. Where no features know a pair, the maps that come into question
-    are made, and that of least ``homolog.matching.map_misfit`` is taken.
+    orientation, see ``homolog.features.Orientation``. Where no features know a pair, nearly rigid copies
+    (``homolog.maps.RegistrationStart``) are registered. Of others the maps that come into question are made, and that
+    of least ``homolog.matching.map_misfit`` is taken.
 
     Args:
         known: misfit up to which the usual features know a pair: nothing else is looked at. People have 0.04 to 0.1 by
@@ -227,9 +228,6 @@ class ChoiceSettings(Settings):
         plausible: misfit up to which maps by features are made; that of bones is some 0.4.
         cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
         flipped: weight of the share of triangles that it turns over.
-        near_rigid: of shapes that are nearly rigid copies, such as bones of one kind, features are left out, and the
-            map by registration is taken unless another one's misfit is lower by more than this. Chosen on synthetic
-            bones, where it is lower by up to 0.09, and on warped ones.
     """
 
     known: NotNegative = 0.1
@@ -237,7 +235,6 @@ class ChoiceSettings(Settings):
     plausible: NotNegative = 0.3
     cycle: NotNegative = 50.0
     flipped: NotNegative = 20.0
-    near_rigid: NotNegative = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
