@@ -38,9 +38,9 @@ class OperatorCache(CacheFolder):
     """Cache of operators on disk: a folder with an entry per shape and settings, safe to share between processes.
 
     An entry's name is the hash of the shape's points and faces and of the settings: no index is needed. Entries are
-    safetensors files, which cannot run code. They are written atomically and carry a checksum of name and contents: one that is
-    damaged, or has another's name, is computed anew. When the folder outgrows ``max_bytes``, the least recently used
-    entries are deleted.
+    safetensors files, which cannot run code. They are written atomically and carry a checksum of name and contents: one
+    that is damaged, or has another's name, is computed anew. When the folder outgrows ``max_bytes``, the least recently
+    used entries are deleted.
 
     Args:
         folder: where to keep entries; made on first use. ``OperatorCache.default()`` takes ``cache_folder()``.
