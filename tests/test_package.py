@@ -44,8 +44,8 @@ CORE = {
     "core.pretrained": {"core.errors", "core.files"},
     "core.folders": {"core.errors", "core.files", "core.records"},
     "core.method_names": {"core.plugins"},
-    "core.cluster": {"core.arguments", "core.ends", "core.errors", "core.files", "core.versions"},
-    "core.tasks": {"core.arguments", "core.cluster", "core.ends", "core.errors", "core.progress"},
+    "core.cluster": {"core.errors", "core.files", "core.arguments", "core.ends", "core.versions"},
+    "core.tasks": {"core.errors", "core.progress", "core.ends", "core.arguments", "core.cluster"},
     "core": set(),
 }
 GROUND = set(CORE)
