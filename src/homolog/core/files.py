@@ -222,17 +222,24 @@ def refuse_overwriting_inputs(outputs: Iterable[str | Path], inputs: Iterable[st
     """
     kept = _keeping.get() or _Kept(())
     read = [path for path in (*map(expanded, inputs), *kept.inputs) if is_there(path)]
+    known, folders = {_file_identity(path) for path in read}, [path for path in read if path.is_dir()]
     for output in map(expanded, outputs):
         target = resolved(output)
         if not output.exists() or target in kept.written:
             continue
-        for given in read:
-            if given.samefile(output):
-                raise ArgumentError(f"{output} is an input and would be replaced by the result; give another output")
-            if given.is_dir() and not kept.owns(target, given) and _lies_in(target, given):
+        if _file_identity(output) in known:
+            raise ArgumentError(f"{output} is an input and would be replaced by the result; give another output")
+        for given in folders:
+            if not kept.owns(target, given) and _lies_in(target, given):
                 raise ArgumentError(
                     f"{output} lies in the input {given} and would be replaced by the result; give another output"
                 )
+
+
+def _file_identity(path: Path) -> tuple[int, int]:
+    """Tells a file from all others, by whatever name; a set of many is searched at once."""
+    status = path.stat()
+    return status.st_dev, status.st_ino
 
 
 def _lies_in(target: Path, folder: Path) -> bool:
