@@ -8,7 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from homolog.pairs import read_mask
+from homolog.cli import collection
+from homolog.pairs import Candidate, read_mask
 from homolog.shapes import Shape, read_shape, write_shape
 
 pytest.importorskip("h5py")
@@ -212,3 +213,21 @@ def test_an_interrupt_keeps_what_is_done(homolog, shapes, tmp_path):
     written = (out / "shapes" / "1.ply").stat().st_mtime_ns
     assert homolog("collection", *shapes, "-o", out, *OPTIONS).code == 0
     assert (out / "shapes" / "1.ply").stat().st_mtime_ns == written
+
+
+@pytest.mark.parametrize(
+    ("choice", "told"),
+    [
+        ([("people", 0.05, None)], "All shapes are matched with the weights people, which know them (misfit 0.05)."),
+        (
+            [("registration", None, None), ("hands", 0.2, None)],
+            "All shapes are matched by registration: they are nearly rigid copies.",
+        ),
+        (
+            [("axiomatic", None, 0.3), ("hands", 0.2, 0.5)],
+            "All shapes are matched by axiomatic: its maps have the least misfit, 0.30 (hands 0.50).",
+        ),
+    ],
+)
+def test_what_all_shapes_are_matched_by(choice, told):
+    assert collection._of_choice([Candidate(*each) for each in choice]) == told

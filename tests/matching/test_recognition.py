@@ -28,11 +28,16 @@ class Positions:
     tells: bool = True
     n_eigenpairs: int = 64
     knows_parts: bool = False
+    most: float = 1.0
 
     @property
     def info(self):
         return FeatureInfo(
-            name=self.name, n_eigenpairs=self.n_eigenpairs, near_isometric=False, partial=self.knows_parts
+            name=self.name,
+            n_eigenpairs=self.n_eigenpairs,
+            near_isometric=False,
+            partial=self.knows_parts,
+            most_misfit=self.most,
         )
 
     def orienter(self, operators):
@@ -102,6 +107,13 @@ def test_those_that_know_it_better_are_taken_where_the_usual_ones_do_not(blobs, 
     assert torch.equal(pair.x.features, Positions("others", 0)(pair.x.operators))
 
 
+def test_features_may_say_that_they_know_shapes_less_well(blobs):
+    strict = Positions("strict", 0.11, most=0.08)
+    told = {each.name: each.map_misfit for each in chosen([Positions("usual", 0.5), strict], blobs).choice}
+    assert set(told) == {"strict", "axiomatic", "registration"} and None not in told.values()
+    assert chosen([Positions("usual", 0.5), replace(strict, misfit=0.07)], blobs).extractor.info.name == "strict"
+
+
 def test_a_pair_that_none_know_gets_the_best_map(blobs):
     good, bad, ignorant = Positions("good", 0.3), Positions("bad", 0.2, tells=False), Positions("ignorant", 0.5)
     pair = chosen([bad, good, ignorant], blobs)
@@ -133,8 +145,9 @@ def test_features_are_left_out_of_nearly_rigid_copies(copies):
     assert [(each.name, each.map_misfit) for each in pair.choice] == [
         (n, None) for n in ("registration", "some", "others")
     ]
-    known = chosen([Positions("usual", 0.2), Positions("others", 0.06)], copies, orient="auto")
-    assert known.extractor.info.name == "others"
+    for usual, others, first in ((0.2, 0.11, "others"), (0.11, 0.2, "registration"), (0.09, 0.2, "usual")):
+        known = chosen([Positions("usual", usual), Positions("others", others)], copies, orient="auto")
+        assert known.choice[0].name == first
 
 
 def test_bent_shapes_are_no_rigid_copies(copies):

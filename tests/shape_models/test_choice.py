@@ -9,7 +9,9 @@ import pytest
 from without_weights import axiomatic
 
 from homolog.datasets import demo_folder
+from homolog.maps import RegistrationSettings
 from homolog.matching import Match, Matcher, map_misfit
+from homolog.pairs import MatcherSettings
 from homolog.shape_models import ShapeModelSettings, batch, build, choice_for_all, subjects_of
 from homolog.shapes import Shape, read_shape, write_shape
 
@@ -45,7 +47,8 @@ def test_people_are_matched_by_the_weights_for_people(people, tmp_path):
 def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path, monkeypatch):
     """The best by the medians of what single matches have; later shapes follow without a question."""
     template, files, _ = family
-    matcher = Matcher.from_weights()
+    never_rigid = MatcherSettings(registration=RegistrationSettings(most_bent=0.0))
+    matcher = Matcher.from_weights(settings=never_rigid)
     built = build(template, files[:2], tmp_path / "out", matcher)
     best, *others = built.folder.choice()
     assert {"axiomatic", "registration"} <= {best.name, *(candidate.name for candidate in others)}
@@ -64,6 +67,15 @@ def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path
     matched_by = {row["matched_by"] for row in table(tmp_path / "out")}
     assert len(table(tmp_path / "out")) == 3 and len(matched_by) == 1
     assert matched_by.pop().startswith(best.name)
+
+
+@pytest.mark.slow
+def test_nearly_rigid_copies_are_registered(family, tmp_path):
+    template, files, _ = family
+    built = build(template, files[:2], tmp_path / "out", Matcher.from_weights())
+    best = built.folder.choice()[0]
+    assert (best.name, best.misfit, best.map_misfit) == ("registration", None, None)
+    assert [row["matched_by"] for row in table(tmp_path / "out")] == ["registration"] * 2
 
 
 @pytest.mark.slow

@@ -229,6 +229,8 @@ def collection(
 def _of_choice(choice: Sequence[Candidate]) -> str:
     """Which features or method all shapes are matched by, and what the others had."""
     best, *others = choice
+    if best.misfit is None and best.map_misfit is None:
+        return f"All shapes are matched by {best.name}: they are nearly rigid copies."
     if best.map_misfit is None:
         return f"All shapes are matched with the weights {best.name}, which know them (misfit {best.misfit:.2f})."
     told = ", ".join(f"{each.name} {each.map_misfit:.2f}" for each in others)

@@ -33,6 +33,8 @@ class FeatureInfo(Settings):
         near_isometric: whether surfaces are taken to bend without stretching much: maps between meshes are then
             functional maps, and all maps are refined as such. Where not, features alone say what goes where.
         temperature: of the soft map between features that were brought to unit norm.
+        most_misfit: misfit of the orienter up to which it may know a shape, see ``homolog.pairs.ChoiceSettings``. Heads
+            have 0.05 by the weights for heads, and anything like an egg 0.11.
         sha256: hash of the file; empty before it is saved.
 
     Raises:
@@ -55,6 +57,7 @@ class FeatureInfo(Settings):
     partial: bool = False
     near_isometric: bool = True
     temperature: Positive = 0.1
+    most_misfit: Positive = 1.0
     sha256: str = field(default="", compare=False)
 
     @property

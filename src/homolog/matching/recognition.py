@@ -90,16 +90,20 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     """
     settings = pairs[0].settings.choice
     first, *others = _suited(extractors, pairs[0])
-    ways = [_way(pairs if first is extractors[0] else [shapes.seen(pair, first) for pair in pairs])]
-    if _misfit_of(ways[0]) > settings.known:
+    usual = _way(pairs if first is extractors[0] else [shapes.seen(pair, first) for pair in pairs])
+    ways = [usual]
+    if _misfit_of(usual) > settings.known:
         ways += [_way([shapes.seen(pair, extractor) for pair in pairs]) for extractor in others]
         ways.sort(key=_misfit_of)
+    best = ways[0].pairs[0].extractor
+    assert best is not None
+    misfit, most = _misfit_of(ways[0]), min(settings.known_best, best.info.most_misfit)
     # Maps of two parts contradict themselves wherever these do not overlap.
-    if _misfit_of(ways[0]) > settings.known_best and not pairs[0].are_parts:
+    if misfit > (settings.known if ways[0] is usual else most) and not pairs[0].are_parts:
         without = list(_without_features(pairs, shapes))
         if rigid := [way for way in without if _is_near_rigid(way)]:
             ways = [*rigid, *ways]
-        else:
+        elif misfit > most:
             plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
             tried = _mapped([*plausible, *without])
             ways = sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]

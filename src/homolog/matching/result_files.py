@@ -159,6 +159,7 @@ class _Features(TypedDict, total=False):
     partial: bool
     near_isometric: bool
     temperature: Annotated[float, Gt(0)]
+    most_misfit: Annotated[float, Gt(0)]
     sha256: str
 
 
