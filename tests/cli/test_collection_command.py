@@ -151,7 +151,7 @@ def test_mistakes_are_one_line(homolog, shapes, files, tmp_path):
     template, one, two = shapes
     out = tmp_path / "out"
     for arguments, told in (
-        ([template], "missing argument"),
+        ([template], "no shapes are given; give at least one file"),
         ([template, one, one], "would both be called '1'"),
         ([tmp_path / "none.ply", one], "does not exist"),
         ([files.rubbish, one], "could not be read"),

@@ -90,7 +90,7 @@ def test_shapes_that_are_aligned_already_are_not_turned_by_features_that_are_cho
 
 def test_the_pretrained_weights_of_parts_stand_in_for_those_with_their_orienter():
     auto = Matcher.from_weights().feature_choice.extractors
-    assert [each.info.name for each in auto] == ["people", "animals", "hands", "views"]
+    assert [each.info.name for each in auto] == ["people", "animals", "hands", "heads", "views"]
     source, target = homolog.demo_shapes()
     full = Matcher.from_weights().pair(source, target)[0]
     assert [candidate.name for candidate in full.choice] == ["people"]

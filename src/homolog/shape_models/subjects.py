@@ -81,7 +81,7 @@ def subjects_of(files: Sequence[str | Path], masks: str | Path | None = None) ->
         ['anna', 'ben']
     """
     if not files:
-        raise ArgumentError("no shapes are given; give at least one file beside the template")
+        raise ArgumentError("no shapes are given; give at least one file beside the template, or --list FILE")
     subjects = [Subject(expanded(file).stem, expanded(file)) for file in files]
     known: dict[str, Subject] = {}
     for subject in subjects:
