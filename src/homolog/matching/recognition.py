@@ -101,7 +101,7 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     # Maps of two parts contradict themselves wherever these do not overlap.
     if misfit > (settings.known if ways[0] is usual else most) and not pairs[0].are_parts:
         without = list(_without_features(pairs, shapes))
-        if rigid := [way for way in without if _is_near_rigid(way)]:
+        if rigid := [way for way in without if median(map(_is_near_rigid, way.pairs)) == 1]:  # most of them
             ways = [*rigid, *ways]
         elif misfit > most:
             plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
@@ -111,14 +111,10 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
 
 
-def _is_near_rigid(way: _Way) -> bool:
-    """Whether the way is a registration, and finds most of the pairs to be nearly rigid copies."""
-    if way.pairs[0].method.name != registration.METHOD.name:
+def _is_near_rigid(pair: Pair) -> bool:
+    """Whether a pair is to be registered, and is found to be nearly rigid copies."""
+    if pair.method.name != registration.METHOD.name:
         return False
-    return 2 * sum(map(_are_near_rigid, way.pairs)) > len(way.pairs)
-
-
-def _are_near_rigid(pair: Pair) -> bool:
     try:
         return registration.are_near_rigid(orient(pair))
     except ShapeError:
