@@ -50,7 +50,8 @@ class Aligned:
         """Some of the aligned shapes, or one, centred at the origin."""
         if not isinstance(key, slice):
             return np.asarray(self[key : key + 1][0])
-        return _moved(_centred(self.given[key], self.weights), self.rotations[key], self.scales[key])
+        centred = _centred(self.given[key], self.weights)
+        return np.asarray(self.scales[key][:, None, None] * centred @ self.rotations[key].transpose(0, 2, 1))
 
     @cached_property
     def points(self) -> Float[np.ndarray, "s n 3"]:
@@ -124,12 +125,6 @@ def _middles(points: Float[np.ndarray, "s n 3"], weights: Float[np.ndarray, " n"
 
 def _centred(points: Float[np.ndarray, "s n 3"], weights: Float[np.ndarray, " n"] | None) -> Float[np.ndarray, "s n 3"]:
     return np.asarray(points - _middles(points, weights)[:, None])
-
-
-def _moved(
-    centred: Float[np.ndarray, "s n 3"], rotations: Float[np.ndarray, "s 3 3"], scales: Float[np.ndarray, " s"]
-) -> Float[np.ndarray, "s n 3"]:
-    return np.asarray(scales[:, None, None] * centred @ rotations.transpose(0, 2, 1))
 
 
 def _check(points: Rows, start: Float[np.ndarray, "n 3"] | None, weights: Float[np.ndarray, " n"] | None) -> None:
