@@ -17,6 +17,7 @@ from homolog.core.cluster import Cluster
 from homolog.core.errors import ArgumentError, DataError, HomologError, MissingExtraError
 from homolog.core.files import atomic_path
 from homolog.core.tasks import run_tasks
+from homolog.synthesis import synthesize_animals
 
 ray = pytest.importorskip("ray", reason="Ray is missing; pip install 'homolog[cluster]'")
 pytestmark = [
@@ -129,6 +130,12 @@ def test_an_address_where_nobody_answers_is_one_line(monkeypatch):
     for address in ("127.0.0.1:1", "ray://127.0.0.1:1", "here:there"):
         with pytest.raises(ArgumentError, match=f"there is no Ray cluster at '{address}'"):
             run([partial(abs, 1)], Cluster(address))
+
+
+def test_nothing_is_made_for_a_cluster_that_does_not_answer(tmp_path):
+    with pytest.raises(ArgumentError, match=r"there is no Ray cluster at '127\.0\.0\.1:1'"):
+        synthesize_animals(tmp_path / "animals", 2, processes=Cluster("127.0.0.1:1"))
+    assert not (tmp_path / "animals").exists()
 
 
 def test_without_ray_the_extra_is_named(monkeypatch):

@@ -40,7 +40,7 @@ _TO_ANSWER = 10.0
 _SHORT = 20
 # Variables that say who may use a Ray, and those that are chosen, or that Ray sets, as it begins.
 _OF_TOKENS = ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
-_OF_RAYS_BEGIN = ("RAY_USAGE_STATS_ENABLED", *_OF_TOKENS)
+_OF_RAYS_BEGIN = ("RAY_USAGE_STATS_ENABLED", "RAY_BACKEND_LOG_LEVEL", *_OF_TOKENS)
 # Results are small, so that Ray needs little of the memory that it would set aside for them.
 _STORE_BYTES = 200 * 2**20
 
@@ -120,9 +120,8 @@ def _begun(ray: Any, cluster: Cluster) -> Iterator[None]:
     """Begin a Ray, or connect with one, without a word of it and with our own ends after signals."""
     with ExitStack() as until_the_end:
         settings: dict[str, Any] = {"address": cluster.address}
-        if not cluster.is_local:
-            _check_answer(cluster.address)
-        else:
+        check_answer(cluster)
+        if cluster.is_local:
             folder = tempfile.mkdtemp(prefix="homolog-ray-", dir=_short_folder())  # its logs and sockets
             until_the_end.callback(shutil.rmtree, folder, ignore_errors=True)
             settings = {"address": "local", "num_cpus": cluster.workers, "include_dashboard": False}
@@ -144,15 +143,19 @@ def _short_folder() -> str | None:
     return None if is_short else "/tmp"
 
 
-def _check_answer(address: str) -> None:
-    """Refuse an address where nobody answers: Ray would try for minutes, and say so each second."""
-    host, is_given, port = address.removeprefix("ray://").rpartition(":")
-    if not is_given:  # such as "auto", which Ray looks up
+def check_answer(cluster: Cluster) -> None:
+    """Refuse an address where nobody answers: Ray would try for minutes, and say so each second.
+
+    Raises:
+        ArgumentError: if nobody does.
+    """
+    host, is_given, port = cluster.address.removeprefix("ray://").rpartition(":")
+    if not is_given:  # "ray", or such as "auto", which Ray looks up
         return
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=_TO_ANSWER).close()
     except (OSError, ValueError, OverflowError) as error:
-        raise ArgumentError(_unreachable(Cluster(address), error)) from None
+        raise ArgumentError(_unreachable(cluster, error)) from None
 
 
 def _unreachable(cluster: Cluster, error: Exception) -> str:
@@ -164,9 +167,9 @@ def _unreachable(cluster: Cluster, error: Exception) -> str:
 
 @contextmanager
 def _environment(*, is_local: bool) -> Iterator[None]:
-    """What Ray reads as it begins: it tells nobody of its use, and lets in nobody who lacks this process's token."""
+    """What Ray reads as it begins: no report of use, no log, nobody let in without this process's token."""
     before = {name: os.environ.get(name) for name in _OF_RAYS_BEGIN}
-    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal"}
     if is_local and not any(before[name] for name in _OF_TOKENS):
         os.environ["RAY_AUTH_TOKEN"] = _token()  # without one, Ray would make one, and keep it in the user's folder
     try:

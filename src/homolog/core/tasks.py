@@ -21,7 +21,7 @@ from joblib.externals.loky.backend import get_context, resource_tracker
 from joblib.parallel import LokyBackend
 
 from homolog.core.arguments import check_count
-from homolog.core.cluster import Cluster, Processes, connected
+from homolog.core.cluster import Cluster, Processes, check_answer, connected
 from homolog.core.ends import bound_end, end_with_parent
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Progress, ignore
@@ -38,8 +38,10 @@ _PATIENCE, _OF_TASKS = 4.0, 1.0
 
 
 def check_processes(processes: Processes) -> None:
-    """Refuse a number of processes that is not positive."""
-    if not isinstance(processes, Cluster):
+    """Refuse a number of processes that is not positive, or a cluster that does not answer."""
+    if isinstance(processes, Cluster):
+        check_answer(processes)
+    else:
         check_count("processes", processes)
 
 
