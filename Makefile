@@ -8,7 +8,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint c
 
 help:
 	@echo "make demo    set up, and match the two shapes that ship with the project"
-	@echo "make test    set up, and run the quick tests (7 to 11 minutes on two cores)"
+	@echo "make test    set up, and run the quick tests (7 to 8 minutes on two cores)"
 	@echo "make test-all  run those and the long ones: processes, pages, browser (15 to 25 minutes)"
 	@echo "make lint    set up, and run the linter and the type checker; prints the code's shape"
 	@echo "make docs    set up, and build the site into build/site"

@@ -40,7 +40,7 @@ _TO_ANSWER = 10.0
 _SHORT = 20
 # Variables that say who may use a Ray, and those that are chosen, or that Ray sets, as it begins.
 _OF_TOKENS = ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
-_OF_RAYS_BEGIN = ("RAY_USAGE_STATS_ENABLED", "RAY_BACKEND_LOG_LEVEL", *_OF_TOKENS)
+_OF_RAYS_BEGIN = ("RAY_USAGE_STATS_ENABLED", *_OF_TOKENS)
 # Results are small, so that Ray needs little of the memory that it would set aside for them.
 _STORE_BYTES = 200 * 2**20
 
@@ -167,9 +167,9 @@ def _unreachable(cluster: Cluster, error: Exception) -> str:
 
 @contextmanager
 def _environment(*, is_local: bool) -> Iterator[None]:
-    """What Ray reads as it begins: no report of use, no log, nobody let in without this process's token."""
+    """What Ray reads as it begins: no report of use, nobody let in without this process's token."""
     before = {name: os.environ.get(name) for name in _OF_RAYS_BEGIN}
-    os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_BACKEND_LOG_LEVEL": "fatal"}
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
     if is_local and not any(before[name] for name in _OF_TOKENS):
         os.environ["RAY_AUTH_TOKEN"] = _token()  # without one, Ray would make one, and keep it in the user's folder
     try:
