@@ -35,7 +35,7 @@ Weights = Annotated[
         "--weights",
         metavar="NAME|FILE",
         help="Trained weights: the name of pretrained ones, a .safetensors file, or a .pth that the paper's authors "
-        "released. auto: those that know the two shapes, of people or parts of people, animals or hands, or none.",
+        "released. auto: those that know the two shapes, of people or parts of them, animals, hands or heads, or none.",
         show_default=AUTO_WEIGHTS,
         rich_help_panel=METHOD,
     ),

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import homolog
-from homolog.cli.options import ClusterOption, Processes, Quiet, Seed, Verbose, workers
-from homolog.cli.synth_options import NBodies, Output, Stretch, Vertices, make_bodies
+from homolog.cli.options import ClusterOption, Processes, Quiet, ResumedOutput, Seed, Verbose, workers
+from homolog.cli.synth_options import NBodies, Stretch, Vertices, make_bodies
 
 
 def animals(
-    output: Output = Path("animals"),
+    output: ResumedOutput = Path("animals"),
     n_bodies: NBodies = 400,
     vertices: Vertices = 5000,
     stretch: Stretch = 1.0,

@@ -9,13 +9,13 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import ClusterOption, Processes, Quiet, Seed, Verbose, workers
-from homolog.cli.synth_options import NBodies, Output, Stretch, TurnOption, Vertices, make_bodies
+from homolog.cli.options import ClusterOption, Processes, Quiet, ResumedOutput, Seed, Verbose, workers
+from homolog.cli.synth_options import NBodies, Stretch, TurnOption, Vertices, make_bodies
 from homolog.core.choices import Bone
 
 
 def bones(
-    output: Output = Path("bones"),
+    output: ResumedOutput = Path("bones"),
     bone: Annotated[Bone, typer.Option(help="Which bone.")] = "femur",
     n_bodies: NBodies = 400,
     turn: TurnOption = "any",

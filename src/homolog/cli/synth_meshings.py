@@ -8,9 +8,9 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import INPUT, ClusterOption, DatasetOption, Processes, Quiet, Seed, workers
+from homolog.cli.options import INPUT, ClusterOption, DatasetOption, Processes, Quiet, ResumedOutput, Seed, workers
 from homolog.cli.progress import progress_bar
-from homolog.cli.synth_options import Output, Stretch, Vertices
+from homolog.cli.synth_options import Stretch, Vertices
 from homolog.core.choices import Split
 
 
@@ -21,7 +21,7 @@ def meshings(
     ],
     dataset: DatasetOption = None,
     split: Annotated[Split, typer.Option(help="Which shapes.", rich_help_panel=INPUT)] = "test",
-    output: Output = Path("meshings"),
+    output: ResumedOutput = Path("meshings"),
     vertices: Vertices = 5000,
     stretch: Stretch = 3.0,
     seed: Seed = 0,

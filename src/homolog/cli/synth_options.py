@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import homolog
-from homolog.cli.options import ResumedOutput, set_verbosity
+from homolog.cli.options import set_verbosity
 from homolog.cli.progress import progress_bar
 from homolog.core.choices import Turn
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from homolog.core.cluster import Processes
     from homolog.synthesis import BodyFolder
 
-Output = ResumedOutput
 NBodies = Annotated[int, typer.Option("--n-bodies", "-n", metavar="N", help="How many bodies.", min=1)]
 Vertices = Annotated[int, typer.Option(metavar="N", help="About how many vertices each mesh has.", min=500)]
 Stretch = Annotated[

@@ -9,8 +9,18 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import INPUT, ClusterOption, Processes, Quiet, Seed, Verbose, check_inputs, workers
-from homolog.cli.synth_options import NBodies, Output, Stretch, TurnOption, Vertices, make_bodies
+from homolog.cli.options import (
+    INPUT,
+    ClusterOption,
+    Processes,
+    Quiet,
+    ResumedOutput,
+    Seed,
+    Verbose,
+    check_inputs,
+    workers,
+)
+from homolog.cli.synth_options import NBodies, Stretch, TurnOption, Vertices, make_bodies
 
 
 def organs(
@@ -24,7 +34,7 @@ def organs(
             rich_help_panel=INPUT,
         ),
     ],
-    output: Output = Path("organs"),
+    output: ResumedOutput = Path("organs"),
     n_bodies: NBodies = 400,
     strength: Annotated[
         float, typer.Option(metavar="FACTOR", help="How much the variants differ from SHAPE.", min=0.0, max=2.0)

@@ -9,13 +9,13 @@ from typing import Annotated
 import typer
 
 import homolog
-from homolog.cli.options import ClusterOption, Processes, Quiet, Seed, Verbose, workers
-from homolog.cli.synth_options import NBodies, Output, Stretch, Vertices, make_bodies
+from homolog.cli.options import ClusterOption, Processes, Quiet, ResumedOutput, Seed, Verbose, workers
+from homolog.cli.synth_options import NBodies, Stretch, Vertices, make_bodies
 from homolog.core.choices import Poses
 
 
 def people(
-    output: Output = Path("people"),
+    output: ResumedOutput = Path("people"),
     n_bodies: NBodies = 500,
     vertices: Vertices = 5000,
     stretch: Stretch = 1.0,

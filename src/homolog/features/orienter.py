@@ -85,7 +85,8 @@ class Orienter:
         for _ in range(_STEPS - 1):
             found = self._step(seen, torch.stack([orientation.rotation for orientation in found]))
         distinct = self._distinct(found)
-        answers = self._answers(seen, torch.stack([orientation.rotation for orientation in distinct]))
+        rotations = torch.stack([orientation.rotation for orientation in distinct])
+        answers = self._answers(seen, seen.points @ rotations.mT)
         return tuple(
             replace(orientation, upright=best_similarity(sampled.points, answer, seen.mass))
             for orientation, answer in zip(distinct, answers, strict=True)
@@ -93,15 +94,16 @@ class Orienter:
 
     def _step(self, basis: Basis, rotations: Float[Tensor, "s 3 3"]) -> list[Orientation]:
         """The rotations that the network answers to poses, and by how much its points differ there from the answers."""
-        points, answers = basis.points @ rotations.mT, torch.stack(self._answers(basis, rotations))
+        points = basis.points @ rotations.mT
+        answers = torch.stack(self._answers(basis, points))
         further = best_rotation(points, answers, basis.mass.expand(len(rotations), -1))
         distances = (points @ further.mT - answers).norm(dim=2)
         misfits = (distances @ basis.mass / basis.mass.sum()).tolist()
         return [Orientation(rotation, misfit) for rotation, misfit in zip(further @ rotations, misfits, strict=True)]
 
-    def _answers(self, basis: Basis, rotations: Float[Tensor, "s 3 3"]) -> list[Float[Tensor, "n 3"]]:
+    def _answers(self, basis: Basis, points: Float[Tensor, "s n 3"]) -> list[Float[Tensor, "n 3"]]:
         """Where the network puts the points of a shape in several poses."""
-        return self.network.several([basis.points @ rotation.T for rotation in rotations], [basis] * len(rotations))
+        return self.network.several(list(points), [basis] * len(points))
 
     @staticmethod
     def _distinct(orientations: Iterable[Orientation]) -> list[Orientation]:

@@ -37,8 +37,8 @@ def cube_rotations() -> Float[Tensor, "24 3 3"]:
 
 
 @takes_arrays
-def rotation_angle(rotation: Float[Tensor, "3 3"]) -> Float[Tensor, ""]:
-    """Angle of a rotation in degrees, 0 to 180.
+def rotation_angle(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
+    """Angle of a rotation, or of each of several, in degrees, 0 to 180.
 
     Examples:
         >>> import torch
@@ -46,7 +46,8 @@ def rotation_angle(rotation: Float[Tensor, "3 3"]) -> Float[Tensor, ""]:
         >>> float(rotation_angle(torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])))
         90.0
     """
-    return torch.rad2deg(torch.acos(((rotation.trace() - 1) / 2).clamp(-1, 1)))
+    trace = rotation.diagonal(dim1=-2, dim2=-1).sum(dim=-1)
+    return torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1)))
 
 
 def distinct_rotations(rotations: Iterable[Float[Tensor, "3 3"]], *, degrees: float = 30.0) -> list[int]:
@@ -58,10 +59,10 @@ def distinct_rotations(rotations: Iterable[Float[Tensor, "3 3"]], *, degrees: fl
         >>> distinct_rotations([torch.eye(3), torch.eye(3)])
         [0]
     """
-    stacked = torch.stack([*rotations])
-    traces = torch.einsum("aij,bij->ab", stacked, stacked)
-    apart = torch.rad2deg(torch.acos(((traces - 1) / 2).clamp(-1, 1))) > degrees
-    kept: list[int] = []
+    if not (given := list(rotations)):
+        return []
+    stacked, kept = torch.stack(given), list[int]()
+    apart = rotation_angle(stacked[:, None] @ stacked.mT) > degrees
     for number, are_apart in enumerate(apart.tolist()):
         if all(are_apart[other] for other in kept):
             kept.append(number)

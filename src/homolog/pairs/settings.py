@@ -224,9 +224,9 @@ class ChoiceSettings(Settings):
         known: misfit up to which the usual features know a pair: nothing else is looked at. People have 0.04 to 0.1 by
             the weights for people, animals 0.11 and more.
         known_best: misfit up to which those that know a pair best are taken without a look at any map, if
-            ``FeatureInfo.most_misfit`` is not less. Animals have
-            0.04 to 0.12 by the weights for animals, hands and heads 0.04 to 0.05 by those of their own. Tibiae have
-            0.11 by the usual ones: above ``known``, nearly rigid copies are registered.
+            ``FeatureInfo.most_misfit`` is not less. Animals have 0.04 to 0.12 by the weights for animals, hands and
+            heads 0.04 to 0.05 by those of their own. Tibiae have 0.11 by the usual ones: above ``known``, nearly rigid
+            copies are registered.
         plausible: misfit up to which maps by features are made; that of bones is some 0.4.
         cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
         flipped: weight of the share of triangles that it turns over.

@@ -41,8 +41,8 @@ class TemplateSymmetry:
         Points without a partner are NaN in the arrays, and lie at the mean of the others in the shape.
         """
         known = self.partners.valid & shapes.kept & shapes.kept[self.partners.corners].all(axis=1)
-        partners = np.stack([self.partners.interpolate(points) for points in shapes.points])
         points = np.asarray(shapes.points[:])  # both parts are held in memory
+        partners = np.stack([self.partners.interpolate(each) for each in points])
         found = symmetric_components(points[:, known], partners[:, known], scale=shapes.settings.scale)
         self._components = found
         folder = made_folder(shapes.folder.root / ASYMMETRY_FOLDER)

@@ -209,7 +209,7 @@ def _calibration(stored: StoredModel, fit: ModelFit, deviation: float) -> float:
     precisions = scale**2 * turn.T @ fit.seen.precisions @ turn  # in the model's coordinates
     here, ratios = Placement(np.eye(3), np.zeros(3)), list[float]()
     for number in asked:
-        others = principal_modes(np.delete(shapes, number, axis=0), kept=None if stored.weights is None else kept)
+        others = principal_modes(np.delete(shapes, number, axis=0), kept=stored.model.kept)
         seen = Observations(fit.seen.places, fit.seen.places.interpolate(shapes[number]), precisions)
         found = placed_posterior(others, seen, here, scale=len(fit.posterior.covariance) > 6 + len(stored.model.modes))
         errors = ((found.points - shapes[number]) ** 2).sum(axis=1)[kept]

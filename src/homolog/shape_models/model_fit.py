@@ -116,6 +116,7 @@ class ModelFitter:
     ) -> None:
         self.model, self.faces, self.deviation = model, faces, deviation
         self.settings = settings or ModelFitSettings()
+        self._own = np.arange(len(model.mean)) if model.kept is None else np.flatnonzero(model.kept)
         if faces is not None and model.kept is not None:  # no sample is compared with what the model was not made of
             self.faces = faces[model.kept[faces].all(axis=1)]
         self._size = float(np.sqrt(3 * model.mean.var(axis=0).mean()))
@@ -210,9 +211,8 @@ class ModelFitter:
         """The closest point of the placed model that faces as each sample does, its normal on a mesh, the distance."""
         samples = part.points
         if self.faces is None:
-            own = np.arange(len(points)) if self.model.kept is None else np.flatnonzero(self.model.kept)
-            away, nearest = KDTree(points[own]).query(samples)
-            nearest = own[nearest]
+            away, nearest = KDTree(points[self._own]).query(samples)
+            nearest = self._own[nearest]
             corners = np.pad(nearest[:, None], ((0, 0), (0, 2)))
             return SurfacePoints(corners, np.tile([1.0, 0.0, 0.0], (len(samples), 1))), None, away
         corners = points[self.faces]
@@ -234,8 +234,8 @@ class ModelFitter:
     def rigid_starts(self, part: PartSamples) -> Iterator[Placement]:
         """Where closest points put the part on the mean as a rigid body, from all rotations and many places."""
         part = part.sampled(_FEW)
-        own = np.arange(len(self.model.mean)) if self.model.kept is None else np.flatnonzero(self.model.kept)
-        chosen = own[farthest_points(self.model.mean[own], min(_ON_MODEL, len(own)), seed=0)]
+        own = self.model.mean[self._own]
+        chosen = self._own[farthest_points(own, min(_ON_MODEL, len(own)), seed=0)]
         mean, some, across = self.model.mean[chosen], part.points, None
         tree = KDTree(mean)
         if self.faces is not None and part.normals is not None:
