@@ -37,13 +37,13 @@ from homolog.cli.options import (
     set_verbosity,
     workers,
 )
-from homolog.cli.progress import progress_bar, say, tell_files
+from homolog.cli.progress import progress_bar, say, say_error, tell_files
 from homolog.cli.wording import in_options
 from homolog.core.choices import System, Up
 
 if TYPE_CHECKING:
     from homolog.pairs import Candidate
-    from homolog.shape_models import BuiltModel, Outcome
+    from homolog.shape_models import BuiltModel
 
 Collected = Literal["template", "shapes", "both"]
 
@@ -217,7 +217,7 @@ def collection(
             **known,
             processes=workers(processes, cluster),
             progress=progress,
-            listener=_tell,
+            listener=say_error,
             report=report,
         )
     if not quiet:
@@ -235,11 +235,6 @@ def _of_choice(choice: Sequence[Candidate]) -> str:
         return f"All shapes are matched with the weights {best.name}, which know them (misfit {best.misfit:.2f})."
     told = ", ".join(f"{each.name} {each.map_misfit:.2f}" for each in others)
     return f"All shapes are matched by {best.name}: its maps have the least misfit, {best.map_misfit:.2f} ({told})."
-
-
-def _tell(outcome: Outcome) -> None:
-    if outcome.error:
-        say(f"Error: {outcome.error}")
 
 
 def _summary(built: BuiltModel, warnings_of_all: Iterable[str]) -> None:

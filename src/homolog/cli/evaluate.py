@@ -329,7 +329,8 @@ def evaluate(
     how: dict[str, Any] = {"match": scored, "match_pair": match_pair, "processes": workers_of}
     with progress_bar(quiet=quiet) as progress:
         evaluation = homolog.evaluation.evaluate(matcher, folder, protocol, **how, progress=progress)
-    figures = {**evaluation.to_dict(), **_setup(folder, protocol), **_made_by(matcher, maps, adapt)}
+    made_by = {"maps": str(maps)} if matcher is None else {"adapt": adapt, **described(matcher)}
+    figures = {**evaluation.to_dict(), **_setup(folder, protocol), **made_by}
     _write(evaluation, folder, figures, json, csv, plot)
     if not quiet:
         _tell(evaluation, figures, _title(folder, protocol), table=not on_stdout(json))
@@ -341,11 +342,6 @@ def _partial_pairs(description: DatasetDescription, partial: bool | None, *, bot
         raise ArgumentError("--both-partial and --partial or --full are both given; give one of them")
     told = description.partial if partial is None else partial
     return "both" if both_partial else told
-
-
-def _made_by(matcher: Matcher | None, maps: Path | None, adapt: int) -> dict[str, Any]:
-    """How the maps were made, for the JSON."""
-    return {"maps": str(maps)} if matcher is None else {"adapt": adapt, **described(matcher)}
 
 
 def _check_maps(context: typer.Context, maps: Path | None, base: int | None) -> None:

@@ -49,6 +49,20 @@ def say(line: str) -> None:
     console.print(line, markup=False, soft_wrap=not console.is_terminal)
 
 
+class MayHaveFailed(Protocol):
+    """What came of one of several inputs."""
+
+    @property
+    def error(self) -> str:
+        """Why there is no result; empty where there is one."""
+
+
+def say_error(found: MayHaveFailed) -> None:
+    """Print why an input has no result, if it has none."""
+    if found.error:
+        say(f"Error: {found.error}")
+
+
 def tell_files(paths: Iterable[Path], notes: Iterable[str] = ()) -> None:
     """Print what is to be noted of a result on stderr, and its files on stdout, a line each."""
     for note in notes:

@@ -26,12 +26,12 @@ from homolog.cli.options import (
     check_inputs,
     set_verbosity,
 )
-from homolog.cli.progress import progress_bar, say, tell_files
+from homolog.cli.progress import progress_bar, say, say_error, tell_files
 from homolog.cli.wording import in_options
 from homolog.core.errors import ArgumentError
 
 if TYPE_CHECKING:
-    from homolog.shape_models import TrackedFrame
+    pass
 
 
 def track(
@@ -98,7 +98,7 @@ def track(
             orient=orient,
             output=output,
             progress=progress,
-            listener=_tell,
+            listener=say_error,
         )
         paths = models.write_track(output, found, files=files)
     if not quiet:
@@ -125,8 +125,3 @@ def _files(frames: list[Path]) -> list[Path]:
     return sorted(
         files, key=lambda path: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)]
     )
-
-
-def _tell(frame: TrackedFrame) -> None:
-    if frame.error:
-        say(f"Error: {frame.error}")

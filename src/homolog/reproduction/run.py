@@ -332,11 +332,9 @@ class _Run:
             return self.settings.weights if plan else None, None
         training = self.training(row, column)
         if training.done() is None:
-            training.run(self.settings.device, lambda *told: self._tell_training(plan.name, *told))
+            name = f"training {plan.name}"
+            training.run(self.settings.device, lambda done, of, what: self.progress(done, of, f"{name}: {what}"))
         return str(training.weights), training
-
-    def _tell_training(self, name: str, done: int, total: int, what: str) -> None:
-        self.progress(done, total, f"training {name}: {what}")
 
     def _training(self, row: Row, column: str) -> TrainingRun:
         plan = training_of(row, column)

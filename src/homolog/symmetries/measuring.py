@@ -53,13 +53,11 @@ def local_stretch(shape: Shape, images: Float[np.ndarray, "n 3"]) -> Float[np.nd
     known = np.isfinite(images).all(axis=1)
     weights = weights * known[ends].all(axis=0)
     own, at_images = (
-        smoother.solve(np.bincount(ends[0], weights * _squared_lengths(places, ends), len(places)))
+        smoother.solve(
+            np.bincount(ends[0], weights * ((places[ends[0]] - places[ends[1]]) ** 2).sum(axis=1), len(places))
+        )
         for places in (shape.points, np.nan_to_num(images))
     )
     has_edges = known & (own > 0)
     ratio = np.divide(at_images, own, out=np.full(len(own), np.nan), where=has_edges)
     return np.asarray(np.sqrt(np.maximum(ratio, 0.0)))
-
-
-def _squared_lengths(places: Float[np.ndarray, "n 3"], ends: np.ndarray) -> Float[np.ndarray, " e"]:
-    return np.asarray(((places[ends[0]] - places[ends[1]]) ** 2).sum(axis=1))

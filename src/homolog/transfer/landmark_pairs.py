@@ -78,15 +78,11 @@ def _read(path: Path, named: str | Path, axes: System | None) -> _Places:
         allowed = ", ".join((*LANDMARK_SUFFIXES, ".npy"))
         raise DataError(f"{named} has the suffix {path.suffix!r}, but landmarks must have one of {allowed}")
     found = read_landmarks(named)
-    names = _telling(found.names)
+    are_numbers = found.names == tuple(map(str, range(1, len(found.names) + 1)))  # which nameless landmarks get
+    names = () if are_numbers else found.names
     if axes is not None:
         return _Places(found.points_in(axes), names)
     return _Places(found.points, names, found.system)
-
-
-def _telling(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of landmarks; none where they are the numbers of nameless ones."""
-    return () if names == tuple(map(str, range(1, len(names) + 1))) else names
 
 
 def _check_names(named: str | Path, names: tuple[str, ...]) -> None:
