@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import homolog
+from homolog.core.threads import other_running_threads
 
 ROOT = Path(homolog.__file__).parent
 MODULES = sorted(path for path in ROOT.rglob("*.py"))
@@ -269,10 +270,34 @@ def test_tuning_leaves_what_the_user_has_chosen(monkeypatch, chosen, expected):
         monkeypatch.delenv(name, raising=False)
     for name, value in chosen.items():
         monkeypatch.setenv(name, value)
+    monkeypatch.setattr("homolog.core.threads.other_running_threads", lambda: 0)
     homolog.tune_threads()
     assert {name: os.environ[name] for name in TUNED if name in os.environ} == expected
     for name in TUNED:  # monkeypatch knows of those alone that it has set itself
         os.environ.pop(name, None)
+
+
+@pytest.mark.parametrize(
+    ("others", "cores", "spins"), [(0, 1, "10000"), (1, 4, "10000"), (2, 4, "1000"), (9, 4, "1000")]
+)
+def test_threads_sleep_sooner_beside_others(monkeypatch, others, cores, spins):
+    for name in TUNED:
+        monkeypatch.setenv(name, "")  # so that it is set back
+        monkeypatch.delenv(name)
+    monkeypatch.setattr("homolog.core.threads.other_running_threads", lambda: others)
+    monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    homolog.tune_threads()
+    assert os.environ["GOMP_SPINCOUNT"] == spins
+
+
+@pytest.mark.parametrize(
+    ("told", "others"),
+    [("1.20 0.95 0.80 3/412 9120\n", 2), ("0.00 0.00 0.00 0/80 1\n", 0), ("", 0), ("1.0 1.0 1.0 many 1", 0), (None, 0)],
+)
+def test_other_running_threads(tmp_path, told, others):
+    if told is not None:
+        (tmp_path / "loadavg").write_text(told)
+    assert other_running_threads(tmp_path / "loadavg") == others
 
 
 @pytest.mark.process
