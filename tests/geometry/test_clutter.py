@@ -6,10 +6,12 @@ import trimesh
 
 import homolog
 from homolog import Shape, repair
-from homolog.geometry import find_clutter, set_apart
-from homolog.geometry.clutter import _is_noisy
+from homolog.geometry import ClutterSettings, find_clutter, set_apart
+from homolog.geometry.outliers import is_noisy
 from homolog.shapes import add_noise
 from homolog.synthesis.degradation import add_strays
+
+MATCHER = homolog.MatcherSettings(method="axiomatic")
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +72,7 @@ def test_noise_is_not_told_by_outliers(body):
     unit = float(np.sqrt(homolog.geometry.surface_area(body)))
     cloud = add_strays(body, 0.3, kind="near", unit=unit, seed=0)
     noisy = add_noise(body.as_cloud(), 0.004 * unit, seed=0)
-    assert [_is_noisy(each.points) for each in (body, cloud, noisy)] == [False, False, True]
+    assert [is_noisy(each.points) for each in (body, cloud, noisy)] == [False, False, True]
 
 
 def test_limbs_of_a_view_are_no_clusters(body):
@@ -151,6 +153,17 @@ def test_indices_lead_back_to_the_file(body):
     np.testing.assert_array_equal(repaired.shape.points[kept], scan.points[repaired.clean_index >= 0])
     assert repaired.clean_index[0] == -1
     assert repaired.clean_index[-1] == repaired.clean_index[body.n_points + 1]
+
+
+def test_settings_move_the_bounds(body):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.05).vertices + body.points.max(axis=0) + 0.3
+    scan = with_points(body, ball)
+    apart = [find_clutter(scan, settings).objects for settings in (ClutterSettings(), ClutterSettings(gap=5.0))]
+    assert [each[body.n_points :].mean() for each in apart] == [1, 0]
+    settings = homolog.MatcherSettings(method="axiomatic", clutter=ClutterSettings(gap=5.0))
+    kept, left_out = (homolog.Matcher(settings=each).preprocess(scan) for each in (settings, MATCHER))
+    assert kept.repaired.kept.size == scan.n_points > left_out.repaired.kept.size
+    assert settings.to_dict()["clutter"]["gap"] == 5.0
 
 
 @pytest.mark.slow

@@ -3,10 +3,12 @@
 from homolog.core.caches import cache_folder
 from homolog.geometry.basis import Basis, some_points
 from homolog.geometry.cache import OperatorCache
-from homolog.geometry.clutter import CLUTTER_RULES, MASKED, Clutter, find_clutter, find_outliers, restricted, set_apart
+from homolog.geometry.clutter import CLUTTER_RULES, MASKED, Clutter, find_clutter, restricted, set_apart
+from homolog.geometry.clutter_settings import ClutterSettings
 from homolog.geometry.geodesics import Geodesics, distances_from, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
+from homolog.geometry.outliers import find_outliers
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
 from homolog.geometry.spectrum import Spectrum, lowest_eigenpairs
 from homolog.geometry.surface import (
@@ -27,6 +29,7 @@ __all__ = [
     "BarycentricPoints",
     "Basis",
     "Clutter",
+    "ClutterSettings",
     "Frame",
     "Geodesics",
     "LaplacianKind",

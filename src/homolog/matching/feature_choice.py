@@ -89,6 +89,7 @@ class FeatureChoice:
         preprocess = Preprocessor(
             extractor=extractor,
             orientation=settings.orientation,
+            clutter=settings.clutter,
             proxies=settings.proxy,
             settings=settings.operators or of_features,
             device=device,

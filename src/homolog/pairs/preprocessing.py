@@ -23,6 +23,7 @@ from homolog.core.unchanged import left_unchanged
 from homolog.features import FeatureExtractor, Orientation, checked_features, computed_features
 from homolog.geometry import (
     MASKED,
+    ClutterSettings,
     Operators,
     OperatorSettings,
     Surface,
@@ -199,11 +200,13 @@ class Preprocessor:
         device: where.
         source: where operators come from; an ``OperatorCache``'s ``operators`` keeps them on disk.
         orientation: how a shape is turned that the features' orienter finds to stand another way.
+        clutter: where the bounds of what does not belong to a shape lie.
         proxies: when a surface around a mesh is matched in its place, and how it is made.
     """
 
     extractor: FeatureExtractor | None = None
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
+    clutter: ClutterSettings = field(default_factory=ClutterSettings)
     proxies: ProxySettings = field(default_factory=ProxySettings)
     settings: OperatorSettings = field(default_factory=OperatorSettings)
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
@@ -274,7 +277,7 @@ class Preprocessor:
             repaired, as_cloud = _repaired(mirrored(upright) if mirror else upright, as_cloud=as_cloud)
             repaired = repaired if mask is None else masked(repaired, mask)
             if clutter == "remove":
-                repaired = set_apart(repaired, partial=partial)
+                repaired = set_apart(repaired, self.clutter, partial=partial)
             severe = next((each for each in repaired.report.findings if each.severity != "note"), None)
             if strict and severe is not None:
                 raise ShapeError(f"{repaired.shape.name}: {severe} (refused as strict)")

@@ -14,7 +14,7 @@ from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.method_names import AUTO, method_names
 from homolog.core.reprs import function_name
 from homolog.core.settings import Count, NotNegative, Positive, Settings, Share
-from homolog.geometry import OperatorSettings
+from homolog.geometry import ClutterSettings, OperatorSettings
 from homolog.maps import ConfidenceSettings, RefinementSettings, RegistrationSettings
 
 # A temperature or a size that the features decide, where none is given.
@@ -322,6 +322,7 @@ class MatcherSettings(Settings):
         axiomatic: the method of that name.
         registration: the method of that name.
         choice: among features of several kinds of shapes, and of none.
+        clutter: what does not belong to a shape; ``PairOptions.clutter`` says whether it is set apart.
         proxy: when a surface around a mesh, or a simpler shape, is matched in its place.
         orientation: the search for the way round of full shapes; ``PairOptions.orient`` says whether there is one.
         alignment: of a partial shape with the full one before matching; None for none.
@@ -348,6 +349,7 @@ class MatcherSettings(Settings):
     axiomatic: AxiomaticSettings = field(default_factory=AxiomaticSettings)
     registration: RegistrationSettings = field(default_factory=RegistrationSettings)
     choice: ChoiceSettings = field(default_factory=ChoiceSettings)
+    clutter: ClutterSettings = field(default_factory=ClutterSettings)
     proxy: ProxySettings = field(default_factory=ProxySettings)
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
     alignment: Annotated[AlignmentSettings, "or None"] | None = field(default_factory=AlignmentSettings)
