@@ -1,5 +1,6 @@
 """Of several kinds of features, those are compared that know a pair; where none do, the best map decides."""
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -11,9 +12,10 @@ from scipy.spatial.transform import Rotation
 import homolog
 from homolog.core.errors import ArgumentError
 from homolog.features import FeatureInfo, Orientation
-from homolog.matching import Matcher, map_misfit
+from homolog.matching import Matcher, map_misfit, search
 from homolog.matching.search import orient
-from homolog.methods.registration import are_near_rigid
+from homolog.methods import registration
+from homolog.methods.registration import started
 from homolog.pairs import MatcherSettings, PairOptions
 from homolog.shapes import Shape
 from homolog.synthesis import view
@@ -150,18 +152,58 @@ def test_features_are_left_out_of_nearly_rigid_copies(copies):
         assert known.choice[0].name == first
 
 
-def test_bent_shapes_are_no_rigid_copies(copies):
+@pytest.fixture(scope="module")
+def bent(copies):
     x, y, z = copies.source.points.T
-    bent = np.stack([np.sin(0.9 * y) * (1.2 - x), np.cos(0.9 * y) * (1.2 - x), z], axis=1)
+    points = np.stack([np.sin(0.9 * y) * (1.2 - x), np.cos(0.9 * y) * (1.2 - x), z], axis=1)
+    return SimpleNamespace(source=copies.source, target=Shape(points, copies.source.faces))
+
+
+def test_bent_shapes_are_no_rigid_copies(bent):
     matcher = Matcher(None, settings=MatcherSettings(method="registration"))
-    assert not are_near_rigid(orient(matcher.pair(copies.source, Shape(bent, copies.source.faces))[0]))
+    assert not started(orient(matcher.pair(bent.source, bent.target)[0])).start.near_rigid
 
 
 def test_shapes_that_are_trusted_to_stand_alike_are_not_looked_at(copies):
     matcher = Matcher(None, settings=MatcherSettings(method="registration"))
     given, found = (matcher.pair(copies.source, copies.target, PairOptions(orient=how))[0] for how in ("given", "auto"))
-    assert not are_near_rigid(given)
-    assert are_near_rigid(orient(found))
+    assert started(given).start is None
+    assert started(orient(found)).start.near_rigid
+
+
+@pytest.mark.slow
+@pytest.mark.slow
+@pytest.mark.parametrize(("shapes", "wanted"), [("copies", ["registration"]), ("bent", ["axiomatic", "registration"])])
+def test_what_the_choice_found_of_a_pair_is_not_looked_for_again(shapes, wanted, request, monkeypatch):
+    """The way round and the start of a registration, and maps that were tried; the match is that without a choice."""
+    given, calls = request.getfixturevalue(shapes), Counter()
+
+    def counted(module, name):
+        function = getattr(module, name)
+
+        def call(*args, **options):
+            calls[name] += 1
+            return function(*args, **options)
+
+        monkeypatch.setattr(module, name, call)
+
+    counted(registration, "registration_start")
+    counted(registration, "registered_surfaces")
+    counted(search, "closest_point_rotations")
+    matcher = Matcher([Positions("usual", 0.5), Positions("others", 0.6)])
+    pair = matcher.pair(given.source, given.target)[0]
+    before = dict(calls)
+    match = matcher.match_pair(pair)
+    assert pair.method.name in wanted
+    again = Counter(calls) - Counter(before)
+    assert again == ({"registered_surfaces": 1} if shapes == "copies" else {})
+    plain = Matcher(None, settings=MatcherSettings(method=pair.method.name)).match(given.source, given.target)
+    assert np.array_equal(match.source_to_target, plain.source_to_target)
+    assert np.array_equal(match.target_to_source, plain.target_to_source)
+    assert match.report["orientation"] == plain.report["orientation"]
+    others = matcher.alternatives(pair, 2)
+    assert np.array_equal(others[0].target_to_source, match.target_to_source)
+    assert others[0].report["choice"] == match.report["choice"]
 
 
 def test_a_method_that_was_asked_for_is_kept(blobs):

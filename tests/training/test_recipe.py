@@ -56,7 +56,7 @@ MISTAKES = {
     "[training]\nzzz = 1": ["[training]", "unknown key 'zzz'", "it knows steps, pairs_per_step"],
     "[training]\nsteps = 1.5": ["[training] steps is 1.5", "a whole number"],
     "[training]\nsteps = true": ["[training] steps is True", "a whole number"],
-    "[training]\nsteps = 0": ["[training] steps is 0", "at least 1"],
+    "[training]\nsteps = -1": ["[training] steps is -1", "at least 0"],
     "[training]\nprecision = '16'": ["[training] precision is '16'", "32, bf16"],
     "[training]\nprecision = 32": ["[training] precision is 32", "one of '32', 'bf16'"],
     "[optimiser]\nlearning_rate = nan": ["[optimiser] learning_rate is nan", "a number above 0"],
@@ -167,4 +167,4 @@ def test_the_schema_knows_every_key():
     assert set(loss["properties"]) == {*BUILTIN_LOSSES, *(f.name for f in fields(LossSettings))} - {"weights"}
     assert set(schema["properties"]) == {f.name for f in fields(Recipe)}
     assert schema["$defs"]["OptimiserSettings"]["properties"]["schedule"]["enum"] == ["cosine", "constant", "one-cycle"]
-    assert schema["$defs"]["TrainingSettings"]["properties"]["steps"]["minimum"] == 1
+    assert schema["$defs"]["TrainingSettings"]["properties"]["pairs_per_step"]["minimum"] == 1

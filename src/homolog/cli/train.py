@@ -125,4 +125,7 @@ def train(
         raise typer.Exit(0 if homolog.training.is_started_by_another() else 2) from None
     if first and not quiet:
         typer.echo(f"Trained {state.step} steps in {state.seconds / 60:.1f} minutes.", err=True)
-        typer.echo(expanded(output) / homolog.training.WEIGHTS)
+        made = expanded(output) / homolog.training.WEIGHTS
+        if lender := homolog.load_weights(made).info.lender:
+            typer.echo(f"The orienter is that of the weights {lender!r}, which know these shapes.", err=True)
+        typer.echo(made)

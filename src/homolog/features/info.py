@@ -35,6 +35,7 @@ class FeatureInfo(Settings):
         temperature: of the soft map between features that were brought to unit norm.
         most_misfit: misfit of the orienter up to which it may know a shape, see ``homolog.pairs.ChoiceSettings``. Heads
             have 0.05 by the weights for heads, and anything like an egg 0.11.
+        lender: name of the weights whose orienter these hold; empty where theirs was trained with them, or is none.
         sha256: hash of the file; empty before it is saved.
 
     Raises:
@@ -58,6 +59,7 @@ class FeatureInfo(Settings):
     near_isometric: bool = True
     temperature: Positive = 0.1
     most_misfit: Positive = 1.0
+    lender: str = ""
     sha256: str = field(default="", compare=False)
 
     @property

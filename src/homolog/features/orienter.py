@@ -110,6 +110,30 @@ class Orienter:
         ranked = sorted(orientations, key=lambda orientation: orientation.misfit)
         return [ranked[number] for number in distinct_rotations(found.rotation for found in ranked)]
 
+    @torch.no_grad()
+    def turned(self, rotation: Float[Tensor, "3 3"]) -> Orienter:
+        """An orienter that stands shapes otherwise: so that ``points @ rotation.T`` stand as by this one.
+
+        Its network is the same but for its first and its last layer, which turn what goes in and what comes out.
+
+        Args:
+            rotation: takes positions as the new orienter stands shapes to those by this one (3, 3).
+
+        Examples:
+            >>> import homolog
+            >>> from homolog.maps import cube_rotations, rotation_angle
+            >>> orienter, turn = homolog.load_weights("people").orienter, cube_rotations()[5]
+            >>> operators = homolog.compute_operators(homolog.demo_shapes()[0])
+            >>> one, other = (each(operators)[0].rotation for each in (orienter, orienter.turned(turn)))
+            >>> float(rotation_angle(turn @ other @ one.T)) < 1
+            True
+        """
+        network = copy.deepcopy(self.network)
+        network.first.weight.copy_(network.first.weight @ rotation)
+        network.last.weight.copy_(rotation.T @ network.last.weight)
+        network.last.bias.copy_(rotation.T @ network.last.bias)
+        return replace(self, network=network)
+
     def to(self, device: torch.device) -> Orienter:
         """The same on a device, in evaluation mode."""
         return replace(self, network=copy.deepcopy(self.network).to(device).eval())

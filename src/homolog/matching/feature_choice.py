@@ -144,7 +144,8 @@ class FeatureChoice:
         pair = self.best_for([pair], timings)[0]
         if options.mirror != "auto":
             return pair
-        plain = replace(pair, options=replace(pair.options, mirror=None))
+        unmirrored = replace(pair.options, mirror=None)
+        plain = replace(pair.before_search or pair, options=unmirrored, choice=pair.choice)
         oriented = orient(plain)
         if not are_mirror_images(oriented):
             return replace(oriented, before_search=plain)

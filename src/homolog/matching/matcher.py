@@ -212,7 +212,7 @@ class Matcher:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
         pair = guided(align_parts(orient(pair)))
-        maps = refine(pair, method_maps(pair))
+        maps = pair.maps or refine(pair, method_maps(pair))
         return Match.of(pair, meet_landmarks(pair, maps))
 
     def _checked(self, pair: Pair, units: tuple[str, ...]) -> Match:

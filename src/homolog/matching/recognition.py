@@ -100,8 +100,11 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     misfit, most = _misfit_of(ways[0]), min(settings.known_best, best.info.most_misfit)
     # Maps of two parts contradict themselves wherever these do not overlap.
     if misfit > (settings.known if ways[0] is usual else most) and not pairs[0].are_parts:
-        without = list(_without_features(pairs, shapes))
-        if rigid := [way for way in without if median(map(_is_near_rigid, way.pairs)) == 1]:  # most of them
+        without = list(map(_started, _without_features(pairs, shapes)))
+        starts = [(way, [pair.start for pair in way.pairs]) for way in without]
+        if rigid := [
+            way for way, each in starts if median(start is not None and start.near_rigid for start in each) == 1
+        ]:
             ways = [*rigid, *ways]
         elif misfit > most:
             plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
@@ -111,14 +114,17 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
 
 
-def _is_near_rigid(pair: Pair) -> bool:
-    """Whether a pair is to be registered, and is found to be nearly rigid copies."""
-    if pair.method.name != registration.METHOD.name:
-        return False
-    try:
-        return registration.are_near_rigid(orient(pair))
-    except ShapeError:
-        return False
+def _started(way: _Way) -> _Way:
+    """Pairs that are to be registered, with their orientation and where registration begins, for what comes later."""
+
+    def found(pair: Pair) -> Pair:
+        try:
+            return registration.started(replace(orient(pair), before_search=pair))
+        except ShapeError:
+            return pair
+
+    is_registered = way.pairs[0].method.name == registration.METHOD.name
+    return replace(way, pairs=tuple(map(found, way.pairs))) if is_registered else way
 
 
 def _suited(extractors: Sequence[FeatureExtractor], pair: Pair) -> list[FeatureExtractor]:
@@ -211,21 +217,29 @@ def _without_features(pairs: Sequence[Pair], shapes: SeenShapes) -> Iterator[_Wa
 def _mapped(ways: Iterable[_Way]) -> Iterator[_Way]:
     """The ways that lead to maps of most pairs, with what these tell."""
     for way in ways:
-        misfit = median(_misfit_of_map(pair) for pair in way.pairs)
+        tried = [_tried(pair) for pair in way.pairs]
+        misfit = median(misfit for _, misfit in tried)
         if misfit < math.inf:
-            yield replace(way, candidate=replace(way.candidate, map_misfit=misfit))
+            pairs = tuple(pair for pair, _ in tried)
+            yield replace(way, pairs=pairs, candidate=replace(way.candidate, map_misfit=misfit))
 
 
-def _misfit_of_map(pair: Pair) -> float:
+def _tried(pair: Pair) -> tuple[Pair, float]:
     """How much the map by features alone contradicts itself, and how far it misses the landmarks.
 
-    A map that was made to meet the landmarks would say nothing of the features.
+    A map that was made to meet the landmarks would say nothing of the features. Without any, the pair of two full
+    shapes keeps the map that was made.
     """
     try:
-        aligned = align_parts(orient(pair))
+        oriented = orient(pair)
+        aligned = align_parts(oriented)
         unguided = replace(aligned, options=replace(pair.options, landmarks=None))
-        match = Match.of(unguided, refine(unguided, method_maps(unguided)))
+        maps = refine(unguided, method_maps(unguided))
+        match = Match.of(unguided, maps)
     except ShapeError:  # what cannot be matched one way may be another way
-        return math.inf
+        return pair, math.inf
     missed = pair.settings.guidance.choice * landmark_misfit(pair, match)
-    return map_misfit(match, pair.settings.choice) + missed
+    misfit = map_misfit(match, pair.settings.choice) + missed
+    if pair.options.partial is None and pair.options.landmarks is None:
+        pair = replace(oriented, maps=maps, before_search=pair.before_search or pair)
+    return pair, misfit

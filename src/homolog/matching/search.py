@@ -85,7 +85,7 @@ def orientations(pair: Pair, count: int) -> list[Pair]:
     features.
     """
     if count > 1 and pair.before_search is not None:
-        pair = pair.before_search
+        pair = replace(pair.before_search, choice=pair.choice, adaptation=pair.adaptation)
     is_trusted = pair.orientation is not None or pair.options.orient == "given"
     if is_trusted or pair.options.partial is not None or not pair.follows_pose:
         return [pair]

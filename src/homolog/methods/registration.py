@@ -12,13 +12,13 @@ from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import Pair, PointMaps, PreprocessedShape, Supports
 
 
-def are_near_rigid(pair: Pair) -> bool:
-    """Whether two oriented shapes are nearly rigid copies, or have a distinct form and are not bent against each other.
+def started(pair: Pair) -> Pair:
+    """An oriented pair with where its registration begins: that also tells whether the shapes are nearly rigid copies.
 
-    Bones of one kind are. Where the way round is trusted as given, nothing is looked at.
+    Or whether they have a distinct form and are not bent against each other, as bones of one kind. Where the way round
+    is trusted as given, nothing is looked at.
     """
-    start = _surfaces(pair)[2]
-    return start is not None and start.near_rigid
+    return replace(pair, start=_surfaces(pair)[2])
 
 
 def _point_maps(pair: Pair) -> PointMaps:
@@ -33,7 +33,7 @@ def _surfaces(pair: Pair) -> tuple[SampledSurface, SampledSurface, RegistrationS
     if pair.options.orient != "auto":
         return x, y, None
     oriented = _with_normals(x, pair.x), _with_normals(y, pair.y)
-    start = registration_start(*oriented, settings=pair.settings.registration)
+    start = pair.start or registration_start(*oriented, settings=pair.settings.registration)
     return (*oriented, start) if start.near_rigid else (x, y, start)
 
 

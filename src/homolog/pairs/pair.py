@@ -16,7 +16,7 @@ from homolog.core.choices import Side
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo
-from homolog.maps import Similarity
+from homolog.maps import RegistrationStart, Similarity
 from homolog.pairs.guidance import Guidance
 from homolog.pairs.method import Method, check_supported
 from homolog.pairs.options import SIDES, PairOptions
@@ -128,6 +128,8 @@ class Pair:
         alignment: what took the partial shape as it was given onto the full one, or of two parts the target onto the
             source, in normalised coordinates; None where it stays.
         fit: how well two parts lie on each other; None where that was not looked for.
+        start: from where the shapes as they are turned are registered; None where that was not looked for.
+        maps: refined point maps of the pair as it is, where the choice among features made them; None elsewhere.
 
     Raises:
         ArgumentError: if the options want shapes that were preprocessed in another way, a shape is partial or a cloud,
@@ -146,6 +148,8 @@ class Pair:
     before_search: Pair | None = None
     alignment: Similarity | None = None
     fit: PartsFit | None = None
+    start: RegistrationStart | None = None
+    maps: PointMaps | None = None
 
     @classmethod
     def of(
@@ -302,7 +306,7 @@ class Pair:
             replace(shape, features=preprocessor.features(shape.operators, shape=shape.name))
             for shape in (self.source, self.target)
         )
-        return replace(self, source=source, target=target, extractor=extractor, before_search=None)
+        return replace(self, source=source, target=target, extractor=extractor, before_search=None, maps=None)
 
     def __repr__(self) -> str:
         return f"Pair(source={self.source!r},\n     target={self.target!r})"

@@ -3,6 +3,7 @@
 from homolog.training.adaptation import AdaptationSettings, adapt_if_better, adapt_to_pair, adapt_to_pairs
 from homolog.training.augmentation import augmented
 from homolog.training.distributed import is_started_by_another
+from homolog.training.lending import LentOrienter, lent_orienter
 from homolog.training.loop import is_first_process, train
 from homolog.training.losses import BUILTIN_LOSSES, Loss
 from homolog.training.objective import losses_of, pair_losses
@@ -34,6 +35,7 @@ __all__ = [
     "AugmentationSettings",
     "CloudSettings",
     "DataSettings",
+    "LentOrienter",
     "Loss",
     "LossSettings",
     "OptimiserSettings",
@@ -56,6 +58,7 @@ __all__ = [
     "is_begun",
     "is_first_process",
     "is_started_by_another",
+    "lent_orienter",
     "losses_of",
     "pair_losses",
     "read_recipe",

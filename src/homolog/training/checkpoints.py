@@ -35,6 +35,7 @@ _WITHOUT_EFFECT = frozenset(
         "data.memory_gb",
         "data.workers",
         "orienter.learning_rate",
+        "orienter.lender",
         "orienter.shapes_per_step",
         "orienter.steps",
         "training.checkpoint_minutes",

@@ -29,6 +29,7 @@ from homolog.pairs import Device, MatcherSettings, OperatorSource, choose_device
 from homolog.training.data import TrainingSet
 from homolog.training.distributed import is_started_by_another, process_group, shared_errors
 from homolog.training.interrupts import Interrupts, deferred_interrupts
+from homolog.training.lending import lender_of, lent_orienter
 from homolog.training.losses import TOTAL, Loss
 from homolog.training.objective import losses_of, pair_losses
 from homolog.training.orienter import train_orienter
@@ -71,7 +72,8 @@ def train(
 
     With several processes this starts the others itself, by the command that started this one; every one computes some
     of a step's pairs, and all take the step with the mean gradient. Ctrl-C and SIGTERM save a checkpoint first. After
-    the last step the first process trains the orienter, see ``train_orienter``, where the weights have none yet.
+    the last step the first process finds the orienter, where the weights have none yet: pretrained weights that know
+    the shapes lend theirs, see ``lent_orienter``, or else it is trained, see ``train_orienter``.
 
     Args:
         recipe: what to do.
@@ -98,7 +100,8 @@ def train(
         DataError: if ``data`` has too few shapes.
         ShapeError: if a shape cannot be used.
         TrainingError: if a loss is not finite, or the checkpoint does not fit the recipe or the data.
-        WeightsError: if there are no such weights, or they are of another network than the recipe's.
+        WeightsError: if there are no such weights, or they are of another network than the recipe's; likewise of those
+            that are to lend an orienter.
         MissingExtraError: without the packages of the extra ``train``.
 
     Examples:
@@ -116,6 +119,7 @@ def train(
         _log.warning(
             "upright is true, though [augmentation] turn is 'any'; set upright = false for shapes in any pose."
         )
+    lender_of(recipe)  # a wrong name is refused before anything is done
     shapes = TrainingSet.open(data, recipe, description)
     folder = RunFolder(expanded(run), recipe, shapes, tuple(losses))
     fabric = _fabric(recipe.training, device, processes, machines)
@@ -143,6 +147,8 @@ def train(
         if state.step < recipe.training.steps:
             with deferred_interrupts() as interrupts:
                 _Training(fabric, folder, store, objective, state, report).run(interrupts)
+        elif fabric.is_global_zero and not folder.last.is_file():  # the weights that it starts from, as they are
+            folder.save_last(state)
         if fabric.is_global_zero and folder.lacks_orienter():
             _add_orienter(folder, store, state, report)
         return state
@@ -183,16 +189,22 @@ def _fabric(settings: TrainingSettings, device: Device, processes: int, machines
 
 
 def _add_orienter(folder: RunFolder, store: ShapeStore, state: TrainingState, progress: Progress) -> None:
-    """Train the orienter that the weights lack, and write it into them and into the report."""
+    """Find or train the orienter that the weights lack, and write it into them and into the report."""
     settings, names = folder.recipe.orienter, folder.shapes.trained
+    told: dict[str, float | str]
     try:
-        orienter, loss = train_orienter(store, names, settings, seed=folder.recipe.seed, progress=progress)
+        lent = lent_orienter(store, names, progress=progress)
+        if lent is None:
+            orienter, loss = train_orienter(store, names, settings, seed=folder.recipe.seed, progress=progress)
+            told = {"steps": settings.steps, "loss": loss}
+        else:
+            orienter, told = lent.orienter, lent.described()
     except BaseException as error:
         if not isinstance(error, Exception):  # Ctrl-C and the like
             _log.warning("Stopped before the orienter was trained; --resume trains it.")
         raise
-    folder.add_orienter(orienter.to(torch.device("cpu")))
-    folder.save_report(state, torch.device(store.device), orienter={"steps": settings.steps, "loss": loss})
+    folder.add_orienter(orienter.to(torch.device("cpu")), lender=lent.lender if lent else "")
+    folder.save_report(state, torch.device(store.device), orienter=told)
 
 
 class _Training:

@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from homolog.core.files import made_folder, sha256, write_json
 from homolog.core.progress import Progress
 from homolog.core.records import read_record
 from homolog.core.versions import versions
-from homolog.features import FeatureInfo, Orienter, load_weights, save_weights
+from homolog.features import FeatureInfo, NetworkFeatures, Orienter, load_weights, save_weights
 from homolog.pairs import OperatorSource
 from homolog.training.alignment import Aligned, aligned, oriented
 from homolog.training.checkpoints import load_checkpoint, save_checkpoint
@@ -107,14 +107,14 @@ class RunFolder:
         """
         if self.rotations().keys() == set(self.shapes.used):
             return
-        orienter = None if weights is None else load_weights(weights).orienter
-        if orienter is None:
+        lender = None if weights is None else load_weights(weights)
+        if lender is None or lender.orienter is None:
             found = aligned(self.shapes, progress)
         else:
             start = TrainingState.new(self.recipe, weights=weights)  # before anything is written: they must fit
             of_mesh = partial(operators, settings=self.recipe.operators)
-            found = oriented(self.shapes, orienter, of_mesh, progress)
-            self._export(start, orienter)
+            found = oriented(self.shapes, lender.orienter, of_mesh, progress)
+            self._export(start, lender=lender)
         write_json(self._alignment, {name: asdict(how) for name, how in found.items()})
 
     def rotations(self) -> dict[str, Float[np.ndarray, "3 3"]]:
@@ -156,15 +156,16 @@ class RunFolder:
         wanted = self.recipe.upright and self.recipe.orienter.steps > 0
         return wanted and load_weights(self.path / WEIGHTS).orienter is None
 
-    def add_orienter(self, orienter: Orienter) -> None:
-        """Write the weights anew, with an orienter."""
+    def add_orienter(self, orienter: Orienter, *, lender: str = "") -> None:
+        """Write the weights anew, with an orienter, and whose it was."""
         found = load_weights(self.path / WEIGHTS)
-        save_weights(self.path / WEIGHTS, found.network, found.info, orienter=orienter)
+        info = replace(found.info, lender=lender)
+        save_weights(self.path / WEIGHTS, found.network, info, orienter=orienter)
 
     def save_report(
-        self, state: TrainingState, device: torch.device, *, orienter: dict[str, float] | None = None
+        self, state: TrainingState, device: torch.device, *, orienter: dict[str, float | str] | None = None
     ) -> None:
-        """Write the report, with steps and loss of the orienter once there is one."""
+        """Write the report, with steps and loss of the orienter, or who lent it, once there is one."""
         report = {
             "recipe": asdict(self.recipe),
             "losses": {loss.name: loss.weight for loss in self.losses},
@@ -182,12 +183,16 @@ class RunFolder:
         }
         write_json(self.path / _REPORT, report)
 
-    def _export(self, state: TrainingState, orienter: Orienter | None = None) -> None:
-        """Write the weights for use, with the orienter that those have which are there already."""
-        file = self.path / WEIGHTS
-        if orienter is None and file.is_file():
-            orienter = load_weights(file).orienter
-        save_weights(file, state.result(), weights_info(self.recipe), orienter=orienter)
+    def _export(self, state: TrainingState, *, lender: NetworkFeatures | None = None) -> None:
+        """Write the weights for use, with a lender's orienter, or the one that those have which are there already."""
+        file, info = self.path / WEIGHTS, weights_info(self.recipe)
+        if lender is not None:
+            save_weights(file, state.result(), replace(info, lender=lender.info.name), orienter=lender.orienter)
+            return
+        kept = load_weights(file) if file.is_file() else None
+        if kept is not None:
+            info = replace(info, lender=kept.info.lender)
+        save_weights(file, state.result(), info, orienter=None if kept is None else kept.orienter)
 
     @cached_property
     def _digest(self) -> str:

@@ -21,6 +21,8 @@ from homolog.training.quantities import QuantitySettings
 Schedule = Literal["cosine", "constant", "one-cycle"]
 Precision = Literal["32", "bf16"]
 TrainedInput = Literal["xyz", "xyz+wks"]
+AUTO_LENDER, NO_LENDER = "auto", "none"
+"""The orienter of pretrained weights that know the training shapes, if any do; or in no case another's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -188,11 +190,15 @@ class OrienterSettings(Settings):
     Weights with ``upright = false`` need none, and get none.
 
     Args:
-        steps: updates of its weights; 0 for no orienter.
+        lender: weights whose orienter is taken in place of one trained on these shapes: ``"auto"`` for pretrained ones
+            that know them, if any do; ``"none"``; or a file, or the name of pretrained weights. A lent one saw many
+            more shapes than most trainings have.
+        steps: updates of the weights of an orienter of its own; 0 for no orienter.
         shapes_per_step: shapes whose mean gradient makes a step.
         learning_rate: the highest; it rises over 100 steps and falls in a cosine.
     """
 
+    lender: str = AUTO_LENDER
     steps: Annotated[CountOrZero, "0 for no orienter"] = 4000
     shapes_per_step: Count = 4
     learning_rate: Positive = 2e-3
@@ -203,13 +209,13 @@ class TrainingSettings(Settings):
     """How long, and in what portions.
 
     Args:
-        steps: updates of the weights.
+        steps: updates of the weights; 0 to leave those that it starts from as they are, and give them an orienter.
         pairs_per_step: pairs of shapes whose mean gradient makes a step.
         precision: ``"32"``, or ``"bf16"`` for matrix products in bfloat16 on GPUs that have it.
         checkpoint_minutes: minutes between checkpoints; 0 for one after every step.
     """
 
-    steps: Count = 10_000
+    steps: Annotated[CountOrZero, "0 for an orienter alone"] = 10_000
     pairs_per_step: Count = 1
     precision: Precision = "32"
     checkpoint_minutes: NotNegative = 5.0

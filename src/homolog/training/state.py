@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from homolog.core.errors import WeightsError
+from homolog.core.errors import ArgumentError, WeightsError
 from homolog.features import DiffusionNet, FeatureInfo, load_weights
 from homolog.training.settings import OptimiserSettings, Recipe
 
@@ -56,6 +56,7 @@ class TrainingState:
         """The state before the first step, with random weights or with some that were trained before.
 
         Raises:
+            ArgumentError: if there are no weights and no steps.
             WeightsError: if there are no such weights, or they are of another network than the recipe's.
         """
         if weights is not None:
@@ -63,6 +64,8 @@ class TrainingState:
             state = cls.of(network.to(device).train(), recipe.optimiser)
             state.started_from = {"name": info.name, "licence": info.licence, "sha256": info.sha256}
             return state
+        if not recipe.training.steps:
+            raise ArgumentError("[training] steps is 0, which trains nothing; give --weights to start from")
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             network = DiffusionNet(recipe.network)

@@ -125,6 +125,10 @@ class ShapeStore:
         for variant in (MESH, *range(len(self.variants))):
             self._operators_of(self._cloud(name, variant).shape)
 
+    def mesh_operators(self, name: str) -> Operators:
+        """The operators of a shape itself, at all its points; of unit area, and turned."""
+        return self._operators_of(self._mesh(name))
+
     def shape(self, sampled: SampledShape, *, cloud_on_mesh: bool = False) -> TrainingShape:
         """One shape with one of its clouds, at one of its subsets of points.
 
@@ -149,7 +153,7 @@ class ShapeStore:
     def _eigenvectors_at_template(self, name: str) -> Float[Tensor, "t k"]:
         """A mesh's eigenvectors at each point of the template, NaN where it has none; as many as maps are of."""
         vertices = torch.from_numpy(self._template(name))
-        eigenvectors = self._operators_of(self._mesh(name)).eigenvectors[:, : self.recipe.loss.map_eigenpairs]
+        eigenvectors = self.mesh_operators(name).eigenvectors[:, : self.recipe.loss.map_eigenpairs]
         found = torch.where((vertices >= 0)[:, None], eigenvectors[vertices], torch.nan)
         return found.to(self.device)
 
@@ -208,7 +212,7 @@ class ShapeStore:
                 columns = tuple(nearest_columns(weights[subset]) for subset in rows)
             else:
                 columns = (np.arange(weights.shape[1]),) * len(rows)
-            meshes = at_subsets(self._operators_of(self._mesh(name)).basis, columns, self.device)
+            meshes = at_subsets(self.mesh_operators(name).basis, columns, self.device)
         pairings = (interpolation(weights[i][:, j]).to(self.device) for i, j in zip(rows, columns, strict=True))
         return Samples(
             rows,
