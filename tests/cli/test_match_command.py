@@ -116,6 +116,7 @@ def test_report(homolog, files, tmp_path):
     }
     assert found["adapt"] == 0 and found["adaptation"] is None
     assert found["features"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
+    assert found["features"]["file"] == str(files.weights)
     assert (found["features"]["name"], found["features"]["licence"]) == ("untrained", "none")
     assert found["settings"]["method"] == "auto"
     assert found["settings"]["operators"] == {"n_eigenpairs": 128, "laplacian": "robust", "n_neighbours": 14}

@@ -75,3 +75,9 @@ def test_errors_are_json_for_programs(homolog, files, tmp_path):
         message = json.loads(ended.err.splitlines()[-1])
         assert list(message) == ["error"] and said in message["error"]
     assert homolog("match", "--help").out.count("--progress") == 0
+
+
+def test_what_a_server_shows_says_nothing_of_where_its_weights_lie(homolog, files, tmp_path):
+    words = ("--weights", files.weights, "--method", "nearest-features", "--progress=json")
+    assert homolog("match", files.mesh, files.other, "-o", tmp_path, *words).code == 0
+    assert "file" not in json.loads((tmp_path / "report.json").read_text())["features"]

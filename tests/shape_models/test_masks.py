@@ -126,6 +126,16 @@ def test_a_fragment_is_completed_by_what_takes_part(damaged, collected):
     assert max(away) < 0.005
 
 
+def test_a_fragment_is_matched_with_what_takes_part(damaged, collected):
+    """No point of it has a counterpart where the model was not made of anything, and the other way round."""
+    _, kept = damaged
+    stored = StoredModel.read(collected)
+    found = complete(stored.mean, stored, axiomatic(), settings=ModelFitSettings(samples=100))
+    assert found.match is not None and (found.match.target_to_source[~kept] == -1).all()
+    reached = found.match.source_to_target[found.match.source_to_target >= 0]
+    assert len(reached) > 100 and kept[reached].all()
+
+
 def test_only_shapes_whose_masks_changed_are_done_anew(damaged, collected, tmp_path):
     root, _ = damaged
     shutil.copytree(collected, tmp_path / "out")

@@ -70,6 +70,12 @@ def test_weights_and_masks_of_which_the_file_is_not_known(known):
         assert (words[words.index("--weights") + 1] if "--weights" in words else None) == said
 
 
+def test_weights_that_came_from_a_file_are_named_even_if_they_are_called_as_pretrained_ones(known):
+    features = {"name": "people", "sha256": "0", "file": "my weights/people.safetensors"}
+    words = shlex.split(guide_of(told(known, features=features)).command)
+    assert words[words.index("--weights") + 1] == "my weights/people.safetensors"
+
+
 def test_a_mask_that_came_from_a_file_is_named(known):
     inputs = {"source": {"mask": "masks/no feet.npy"}, "target": {"mask": "target_mask"}}
     words = shlex.split(guide_of(told(known, inputs=inputs)).command)

@@ -219,7 +219,7 @@ def match(
     with progress_bar(quiet=quiet, form=progress_form) as progress:
         steps = STEPS + has_choice(weights, method) + adapt + (adapt > 0) + 2 * (alternatives - 1)
         timings = Timings(listener=counted(progress, steps, verbose=verbose))
-        matcher = build_matcher(weights, method, device, no_cache=no_cache)
+        matcher = build_matcher(weights, method, device, no_cache=no_cache, file_told=progress_form != "json")
         pair, files = matcher.pair(source, target, options, timings=timings)
         matcher, pair = adapted(matcher, pair, adapt, timings)
         each = [timings, *(timings.branch() for _ in range(alternatives - 1))]

@@ -7,6 +7,7 @@ import logging
 import os
 import stat
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -275,9 +276,20 @@ def changes_of(given: list[str] | None) -> dict[str, Any]:
 
 
 def build_matcher(
-    weights: str | None, method: str, device: Device, *, no_cache: bool, left_out: Iterable[str] = ()
+    weights: str | None,
+    method: str,
+    device: Device,
+    *,
+    no_cache: bool,
+    left_out: Iterable[str] = (),
+    file_told: bool = True,
 ) -> Matcher:
-    """The matcher that the shared options ask for, without some stages; some methods need no weights."""
+    """The matcher that the shared options ask for, without some stages; some methods need no weights.
+
+    ``file_told`` is whether reports say which file the weights came from: what a server shows, tells nothing of its
+    folders.
+    """
+    from homolog.features import NetworkFeatures
     from homolog.geometry import OperatorCache, compute_operators
     from homolog.matching import Matcher, features_of_weights
     from homolog.pairs import MatcherSettings
@@ -285,7 +297,10 @@ def build_matcher(
     operators = compute_operators if no_cache else OperatorCache.default().operators
     without: dict[str, Any] = dict.fromkeys(left_out)
     settings = MatcherSettings(method=method, **without)
-    return Matcher(features_of_weights(weights, settings), settings=settings, device=device, operators=operators)
+    features: Any = features_of_weights(weights, settings)
+    if not file_told and isinstance(features, NetworkFeatures):
+        features = replace(features, file="")
+    return Matcher(features, settings=settings, device=device, operators=operators)
 
 
 def described(matcher: Matcher, *, warnings: str = "warnings") -> dict[str, Any]:

@@ -54,6 +54,7 @@ class NetworkFeatures:
         network: the network.
         info: what its weights expect.
         orienter: tells how shapes are to be turned before their features are computed; None where nothing does.
+        file: of one's own that the weights were read from; empty where there is none.
 
     Examples:
         >>> import homolog
@@ -65,6 +66,7 @@ class NetworkFeatures:
     network: DiffusionNet
     info: FeatureInfo = field(default_factory=FeatureInfo)
     orienter: Orienter | None = None
+    file: str = ""
 
     def __call__(self, operators: Operators | Basis, /) -> Float[Tensor, "n d"]:
         """Features of all points (n, d)."""

@@ -16,7 +16,7 @@ from homolog.core.arguments import check_kind
 from homolog.core.errors import WeightsError
 from homolog.core.files import sha256
 from homolog.core.messages import shown
-from homolog.core.pretrained import DEFAULT_WEIGHTS, weights_file
+from homolog.core.pretrained import DEFAULT_WEIGHTS, pretrained_weights, weights_file
 from homolog.core.reasons import reason_of
 from homolog.core.records import checked_json, record
 from homolog.core.tensors import read_tensors, write_tensors
@@ -106,7 +106,8 @@ def load_weights(weights: str | Path = DEFAULT_WEIGHTS) -> NetworkFeatures:
     networks = [network] if orienter is None else [network, orienter.network]
     if not all(torch.isfinite(tensor).all() for each in networks for tensor in each.state_dict().values()):
         raise WeightsError(f"{path} holds weights that are not finite; check the file")
-    return NetworkFeatures(network, info, orienter)
+    own = path not in pretrained_weights().values()
+    return NetworkFeatures(network, info, orienter, file=str(path) if own else "")
 
 
 def _network(settings: NetworkSettings, tensors: Mapping[str, Tensor]) -> DiffusionNet:

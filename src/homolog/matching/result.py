@@ -507,7 +507,9 @@ def _overlap(pair: Pair, match: Match) -> dict[str, Any]:
 
 def _report(pair: Pair, match: Match) -> dict[str, Any]:
     """What is known of a match, for JSON."""
-    info = None if pair.extractor is None else asdict(pair.extractor.info)
+    features = None if pair.extractor is None else asdict(pair.extractor.info)
+    if features is not None and (file := getattr(pair.extractor, "file", "")):
+        features["file"] = file
     inputs = {
         side: {
             "name": shape.name,
@@ -528,7 +530,7 @@ def _report(pair: Pair, match: Match) -> dict[str, Any]:
         "orientation": _orientation(pair),
         "alignment": _alignment(pair),
         **({"overlap": _overlap(pair, match)} if pair.are_parts else {}),
-        "features": info,
+        "features": features,
         "settings": pair.settings.to_dict(),
         "device": str(pair.source.operators.points.device),
         "matched": {f"{side}_{name}": n for side in SIDES for name, n in described.matched(side).items()},

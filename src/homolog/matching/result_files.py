@@ -161,6 +161,7 @@ class _Features(TypedDict, total=False):
     temperature: Annotated[float, Gt(0)]
     most_misfit: Annotated[float, Gt(0)]
     sha256: str
+    file: str
 
 
 class _Inputs(TypedDict, total=False):

@@ -289,7 +289,14 @@ def _matched(fragment: Shape, stored: StoredModel, matcher: Matcher, known: _Kno
     if chosen := known.indices:
         on_mean = known.places.interpolate(stored.mean.points)[chosen]
         pairs = (np.array([known.given[known.names[number]] for number in chosen]), on_mean)
-    options = PairOptions(partial="source", source_up=up, target_up=stored.settings.template_up, landmarks=pairs)
+    # No point of the fragment comes to lie on what the model was not made of.
+    options = PairOptions(
+        partial="source",
+        source_up=up,
+        target_up=stored.settings.template_up,
+        target_mask=stored.weights,
+        landmarks=pairs,
+    )
     return matcher.match(fragment, replace(stored.mean, name="the mean"), options, timings=timings)
 
 

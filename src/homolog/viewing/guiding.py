@@ -107,7 +107,8 @@ def _made_with(report: Mapping[str, Any]) -> list[str]:
         words += ["--method", method]
     features = report.get("features") or {}
     if features.get("sha256") and not report.get("choice"):
-        words += ["--weights", features["name"] if features["name"] in pretrained_weights() else "FILE"]
+        known = features["name"] in pretrained_weights()
+        words += ["--weights", features.get("file", features["name"] if known else "FILE")]
     if report.get("adapt"):
         words += ["--adapt", str(report["adapt"])]
     return words
