@@ -286,15 +286,16 @@ def _known_landmarks(fragment: Shape, stored: StoredModel, file: str | Path | No
 
 def _matched(fragment: Shape, stored: StoredModel, matcher: Matcher, known: _Known, up: Up, timings: Timings) -> Match:
     pairs: Any = None
+    # No point of the fragment comes to lie on what the model was not made of.
+    mask: Any = stored.weights
     if chosen := known.indices:
         on_mean = known.places.interpolate(stored.mean.points)[chosen]
         pairs = (np.array([known.given[known.names[number]] for number in chosen]), on_mean)
-    # No point of the fragment comes to lie on what the model was not made of.
     options = PairOptions(
         partial="source",
         source_up=up,
         target_up=stored.settings.template_up,
-        target_mask=stored.weights,
+        target_mask=mask,
         landmarks=pairs,
     )
     return matcher.match(fragment, replace(stored.mean, name="the mean"), options, timings=timings)
