@@ -143,3 +143,20 @@ def test_resumed_weights_keep_whose_orienter_they_hold(meshes, small, tmp_path):
     more = replace(recipe, orienter=replace(recipe.orienter, lender="none"))
     loop.train(more, meshes, run, device="cpu", resume=True)
     assert homolog.load_weights(run / "weights.safetensors").info.lender == "somebody"
+
+
+def test_a_lent_orienter_is_trained_on_where_the_recipe_says_so(meshes, small, tmp_path):
+    torch.manual_seed(0)
+    lent = homolog.features.Orienter(DiffusionNet(ORIENTER_NETWORK).eval())
+    features = DiffusionNet(ORIENTER_NETWORK)
+    save_weights(tmp_path / "lender.safetensors", features, FeatureInfo(name="somebody"), orienter=lent)
+    how = {"lender": str(tmp_path / "lender.safetensors"), "steps": 9, "lent_steps": 2, "learning_rate": 1e-6}
+    loop.train(small(orienter=how, training={"steps": 1}), meshes, tmp_path / "run", device="cpu")
+    found = homolog.load_weights(tmp_path / "run" / "weights.safetensors")
+    assert found.info.lender == "somebody"
+    told = json.loads((tmp_path / "run" / "report.json").read_text())["orienter"]
+    assert (told["lender"], told["steps"]) == ("somebody", 2) and told["loss"] > 0
+    # The first and the last layer are turned; the blocks between are the lender's, and a little on.
+    blocks = zip(found.orienter.network.blocks.parameters(), lent.network.blocks.parameters(), strict=True)
+    moved = [float((one - other).detach().abs().max()) for one, other in blocks]
+    assert 0 < max(moved) < 1e-4

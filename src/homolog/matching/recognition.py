@@ -141,6 +141,9 @@ def _suited(extractors: Sequence[FeatureExtractor], pair: Pair) -> list[FeatureE
 
 
 def _have_one_orienter(one: FeatureExtractor, other: FeatureExtractor) -> bool:
+    """Whether they have the same, or one has the other's, trained on for its own shapes."""
+    if one.info.lender == other.info.name or other.info.lender == one.info.name:
+        return True
     networks: list[Any] = [getattr(_orienter_of(each), "network", None) for each in (one, other)]
     if None in networks:  # an orienter of somebody's own
         return False

@@ -36,6 +36,7 @@ _WITHOUT_EFFECT = frozenset(
         "data.workers",
         "orienter.learning_rate",
         "orienter.lender",
+        "orienter.lent_steps",
         "orienter.shapes_per_step",
         "orienter.steps",
         "training.checkpoint_minutes",

@@ -8,6 +8,7 @@ import math
 import os
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -194,11 +195,12 @@ def _add_orienter(folder: RunFolder, store: ShapeStore, state: TrainingState, pr
     told: dict[str, float | str]
     try:
         lent = lent_orienter(store, names, progress=progress)
-        if lent is None:
-            orienter, loss = train_orienter(store, names, settings, seed=folder.recipe.seed, progress=progress)
-            told = {"steps": settings.steps, "loss": loss}
-        else:
-            orienter, told = lent.orienter, lent.described()
+        orienter, told = (None, {}) if lent is None else (lent.orienter, lent.described())
+        if orienter is None or settings.lent_steps:
+            how = settings if lent is None else replace(settings, steps=settings.lent_steps)
+            seed = folder.recipe.seed
+            orienter, loss = train_orienter(store, names, how, start=orienter, seed=seed, progress=progress)
+            told |= {"steps": how.steps, "loss": loss}
     except BaseException as error:
         if not isinstance(error, Exception):  # Ctrl-C and the like
             _log.warning("Stopped before the orienter was trained; --resume trains it.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -47,7 +48,13 @@ _STREAM = 5
 
 
 def train_orienter(
-    store: ShapeStore, names: Sequence[str], settings: OrienterSettings, *, seed: int = 0, progress: Progress = ignore
+    store: ShapeStore,
+    names: Sequence[str],
+    settings: OrienterSettings,
+    *,
+    start: Orienter | None = None,
+    seed: int = 0,
+    progress: Progress = ignore,
 ) -> tuple[Orienter, float]:
     """Train an orienter on shapes that stand alike: as meshes, and as each of the clouds of a recipe.
 
@@ -60,6 +67,7 @@ def train_orienter(
         store: gives the shapes.
         names: of the shapes to train on.
         settings: how; at least one step.
+        start: one that is trained on; by default a new one.
         seed: of the first weights and of all that is drawn.
         progress: called with what is done.
 
@@ -89,7 +97,7 @@ def train_orienter(
     )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        network = DiffusionNet(ORIENTER_NETWORK)
+        network = DiffusionNet(ORIENTER_NETWORK) if start is None else copy.deepcopy(start.network).requires_grad_()
     state = TrainingState.of(network.to(store.device).train(), optimiser)
     mean = torch.zeros((), device=store.device)
     for step in range(settings.steps):

@@ -193,12 +193,15 @@ class OrienterSettings(Settings):
         lender: weights whose orienter is taken in place of one trained on these shapes: ``"auto"`` for pretrained ones
             that know them, if any do; ``"none"``; or a file, or the name of pretrained weights. A lent one saw many
             more shapes than most trainings have.
+        lent_steps: updates of a lent orienter on these shapes, so that it comes to know their partial clouds, say; 0 to
+            leave it as it is.
         steps: updates of the weights of an orienter of its own; 0 for no orienter.
         shapes_per_step: shapes whose mean gradient makes a step.
         learning_rate: the highest; it rises over 100 steps and falls in a cosine.
     """
 
     lender: str = AUTO_LENDER
+    lent_steps: CountOrZero = 0
     steps: Annotated[CountOrZero, "0 for no orienter"] = 4000
     shapes_per_step: Count = 4
     learning_rate: Positive = 2e-3
