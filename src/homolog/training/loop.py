@@ -141,10 +141,10 @@ def train(
         with shared_errors():
             store = ShapeStore(shapes, recipe, source, fabric.device, rotations=folder.rotations())
             state = folder.load(fabric.device, weights=weights)
-        with shared_errors():
-            store.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
-        keep_freed_memory()
         if state.step < recipe.training.steps:
+            with shared_errors():
+                store.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
+            keep_freed_memory()
             with deferred_interrupts() as interrupts:
                 _Training(fabric, folder, store, objective, state, report).run(interrupts)
         elif fabric.is_global_zero and not folder.last.is_file():  # the weights that it starts from, as they are
@@ -199,6 +199,7 @@ def _add_orienter(folder: RunFolder, store: ShapeStore, state: TrainingState, pr
             told = {"steps": settings.steps, "loss": loss}
         else:
             orienter, told = lent.orienter, lent.described()
+            _log.info("The orienter is that of the weights %r (misfit %.3f).", lent.lender, lent.misfit)
     except BaseException as error:
         if not isinstance(error, Exception):  # Ctrl-C and the like
             _log.warning("Stopped before the orienter was trained; --resume trains it.")
