@@ -60,8 +60,9 @@ def lend(meshes, small, monkeypatch):
 
 
 def test_those_that_know_the_shapes_best_lend_and_stand_them_as_they_are(lend):
-    found = lend({"some": Knows(0.1), "best": Knows(0.05), "none": Knows(0.4)})
-    assert (found.lender, found.licence, found.misfit, found.alike) == ("best", "that of best", 0.05, 1.0)
+    found = lend({"some": Knows(0.12), "best": Knows(0.11), "none": Knows(0.4)})
+    assert (found.lender, found.licence, found.misfit, found.alike) == ("best", "that of best", 0.11, 1.0)
+    assert lend({"first": Knows(0.09), "others": None}).lender == "first"  # which know them well enough
     assert found.turned == pytest.approx(float(rotation_angle(STANDS)), abs=0.5)
     stands = torch.stack([found.orienter(None)[0].rotation for _ in range(4)])
     assert rotation_angle(stands).max() < 10.5
@@ -114,7 +115,7 @@ def test_weights_of_people_who_lie_get_the_orienter_of_people(tmp_path, caplog):
     changes = {"training.steps": 0, "validation.shapes": 0, "licence": "CC0-1.0", "clouds.noise": []}
     with caplog.at_level(logging.INFO, logger="homolog"):
         loop.train(read_recipe("quick", changes), tmp_path / "lying", tmp_path / "run", weights="people", device="cpu")
-    assert "The orienter is that of the weights 'people', which know the shapes" in caplog.text
+    assert "The orienter is that of the weights 'people' (misfit 0.0" in caplog.text
     made, people = homolog.load_weights(tmp_path / "run" / "weights.safetensors"), homolog.load_weights("people")
     assert made.info.lender == "people" and people.info.lender == ""
     for name, weight in people.network.state_dict().items():

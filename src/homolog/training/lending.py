@@ -8,7 +8,7 @@ shapes of this one is the mean of the rotations that it finds of them.
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,22 +110,27 @@ def lent_orienter(store: ShapeStore, names: Sequence[str], *, progress: Progress
         progress(done, len(looked_at), "looking for an orienter that knows the shapes")
     if named is not None:
         return _lent(named, shapes)
-    lenders = list(map(load_weights, OF_PARTS if store.recipe.partial is not None else KINDS))
-    limits = [min(ChoiceSettings().known_best, lender.info.most_misfit) for lender in lenders]
-    found = [_lent(lender, shapes) for lender in lenders]
-    known = [lent for lent, limit in zip(found, limits, strict=True) if lent.misfit <= limit]
-    best = min(known, key=lambda lent: lent.misfit, default=None)
-    if best is None:
-        return None
-    if best.alike < _SHARE:
+    best = _best_of(OF_PARTS if store.recipe.partial is not None else KINDS, shapes)
+    if best is not None and best.alike < _SHARE:
         _log.warning(
             "The weights %r know the shapes, but find %d %% of them to stand otherwise than the others do, and lend no "
             "orienter; look at the shapes, or set [data] align = true.",
             *(best.lender, round(100 * (1 - best.alike))),
         )
         return None
-    _log.info("The orienter is that of the weights %r, which know the shapes (misfit %.3f).", best.lender, best.misfit)
     return best
+
+
+def _best_of(names: Iterable[str], shapes: Sequence[Operators]) -> LentOrienter | None:
+    """The orienter of those weights that know the shapes best, if any do; the first that know them well are taken."""
+    settings, known = ChoiceSettings(), list[LentOrienter]()
+    for lender in map(load_weights, names):
+        lent = _lent(lender, shapes)
+        if lent.misfit <= min(settings.known_best, lender.info.most_misfit):
+            known.append(lent)
+            if lent.misfit <= settings.known:
+                break
+    return min(known, key=lambda lent: lent.misfit, default=None)
 
 
 def _some_full(store: ShapeStore, names: Sequence[str]) -> list[str]:

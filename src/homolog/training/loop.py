@@ -142,10 +142,10 @@ def train(
         with shared_errors():
             store = ShapeStore(shapes, recipe, source, fabric.device, rotations=folder.rotations())
             state = folder.load(fabric.device, weights=weights)
-        with shared_errors():
-            store.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
-        keep_freed_memory()
         if state.step < recipe.training.steps:
+            with shared_errors():
+                store.prepare(shapes.used[fabric.global_rank :: fabric.world_size], report)
+            keep_freed_memory()
             with deferred_interrupts() as interrupts:
                 _Training(fabric, folder, store, objective, state, report).run(interrupts)
         elif fabric.is_global_zero and not folder.last.is_file():  # the weights that it starts from, as they are
@@ -196,6 +196,8 @@ def _add_orienter(folder: RunFolder, store: ShapeStore, state: TrainingState, pr
     try:
         lent = lent_orienter(store, names, progress=progress)
         orienter, told = (None, {}) if lent is None else (lent.orienter, lent.described())
+        if lent is not None:
+            _log.info("The orienter is that of the weights %r (misfit %.3f).", lent.lender, lent.misfit)
         if orienter is None or settings.lent_steps:
             how = settings if lent is None else replace(settings, steps=settings.lent_steps)
             seed = folder.recipe.seed
