@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import importlib
 import os
 import shutil
 import tarfile
@@ -24,8 +26,10 @@ from torch.multiprocessing.reductions import StorageWeakRef
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import homolog
+from homolog.core.reader_process import ReaderProcessError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.geometry.operators import compressed_rows
+from homolog.matching import mirror, search
 from homolog.shapes import Shape, read_shape, write_shape
 
 # The same examples on every run, and no failure because a machine is slow.
@@ -59,6 +63,73 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("HOMOLOG_CACHE", str(tmp_path_factory.mktemp("operator-cache")))
         patch.delenv("HOMOLOG_CACHE_GB", raising=False)
         yield
+
+
+def _identity(given: object) -> object:
+    """What tells one argument from another: of a tensor all that it holds."""
+    if isinstance(given, Tensor):
+        return given.device, given.dtype, given.shape, hashlib.sha256(given.cpu().numpy().tobytes()).digest()
+    return repr(given)
+
+
+def _copied(found: object) -> object:
+    """With tensors of its own, which may be changed."""
+    if isinstance(found, Tensor):
+        return found.clone()
+    return type(found)(map(_copied, found)) if isinstance(found, tuple | list) else found
+
+
+@pytest.fixture(scope="session", autouse=True)
+def search_anew() -> Iterator[Callable[[pytest.MonkeyPatch], None]]:
+    """Search for the way round of the same points once: matches of small shapes spend most of their time there.
+
+    Returns:
+        A function that has a test search anew.
+    """
+    plain = [
+        (module, name, getattr(module, name))
+        for module, name in (
+            (mirror, "closest_point_rotations"),
+            (search, "closest_point_rotations"),
+            (search, "zoomout"),
+        )
+    ]
+
+    def remembered(function: Callable[..., object]) -> Callable[..., object]:
+        known: dict[object, object] = {}
+
+        def once(*given: object, **named: object) -> object:
+            key = *map(_identity, given), *((name, _identity(value)) for name, value in sorted(named.items()))
+            if key not in known:
+                known[key] = function(*given, **named)
+            return _copied(known[key])
+
+        return once
+
+    def anew(patch: pytest.MonkeyPatch) -> None:
+        for module, name, function in plain:
+            patch.setattr(module, name, function)
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name, function in plain:
+            patch.setattr(module, name, remembered(function))
+        yield anew
+
+
+@pytest.fixture
+def readers_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whole files are read in this process: each process of a reader takes a third of a second to start."""
+    root = Path(homolog.__file__).parents[1]
+
+    def read(script: Path, path: Path, *arguments: str, library: str) -> dict[str, np.ndarray]:
+        reader = importlib.import_module(".".join(script.relative_to(root).with_suffix("").parts))
+        try:
+            return reader.read(str(path), *arguments)
+        except (ValueError, OSError, RuntimeError) as error:
+            raise ReaderProcessError(str(error)) from None
+
+    for module in ("matching.result_files", "shapes.formats.vtk", "volumes.reading"):
+        monkeypatch.setattr(f"homolog.{module}.read_in_process", read)
 
 
 @pytest.fixture(params=["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])

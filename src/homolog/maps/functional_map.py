@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -156,7 +157,7 @@ def _factors(
     gram: Float[Tensor, "*batch k k"], penalty: Float[Tensor, "*batch j k"], right: Float[Tensor, "*batch j k"]
 ) -> Float[Tensor, "*batch j k k"]:
     """Cholesky factors of gram + diag(penalty_i) for each row i; an error where a system is singular or not finite."""
-    batch = torch.broadcast_shapes(gram.shape[:-2], penalty.shape[:-2])  # type: ignore[no-untyped-call]
+    batch = np.broadcast_shapes(gram.shape[:-2], penalty.shape[:-2])  # PyTorch's imports SymPy, which takes a second
     systems = gram.expand(*batch, *gram.shape[-2:])[..., None, :, :].repeat_interleave(penalty.shape[-2], dim=-3)
     diagonal = systems.diagonal(dim1=-2, dim2=-1).add_(penalty)
     factors: Tensor
