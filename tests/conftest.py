@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import gc
 import hashlib
 import importlib
 import os
@@ -28,6 +30,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 import homolog
 from homolog.core.reader_process import ReaderProcessError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
+from homolog.geometry import operators as geometry_operators
 from homolog.geometry.operators import compressed_rows
 from homolog.matching import mirror, search
 from homolog.shapes import Shape, read_shape, write_shape
@@ -39,14 +42,26 @@ torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
 LONG = ("bodies", "browser", "process", "pages", "slow")
+# Files whose tests take minutes each.
+LONGEST = ("test_crash", "test_fuzz")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what ``make test`` leaves out with one word, before tests are chosen by their marks."""
+    """Mark what ``make test`` leaves out with one word, before tests are chosen by their marks; the longest come first.
+
+    So no process is left alone with one of them when all others are done.
+    """
     for item in items:
         if any(item.get_closest_marker(name) for name in LONG):
             item.add_marker("long")
+    items.sort(key=lambda item: item.path.stem not in LONGEST)
+
+
+def pytest_collection_finish() -> None:
+    """Garbage is not looked for among all modules and tests again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -65,46 +80,49 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+# Pure functions on which matches of small shapes spend most of their time, and where they are called.
+_REMEMBERED = (
+    (geometry_operators, "lowest_eigenpairs"),
+    (mirror, "closest_point_rotations"),
+    (search, "closest_point_rotations"),
+    (search, "zoomout"),
+)
+_MOST_REMEMBERED = 40
+
+
 def _identity(given: object) -> object:
-    """What tells one argument from another: of a tensor all that it holds."""
+    """What tells one argument from another: of arrays all that they hold."""
     if isinstance(given, Tensor):
-        return given.device, given.dtype, given.shape, hashlib.sha256(given.cpu().numpy().tobytes()).digest()
+        return given.device, *_identity(given.cpu().numpy())
+    if sparse.issparse(given):
+        return tuple(_identity(part) for part in (given.indptr, given.indices, given.data))
+    if isinstance(given, np.ndarray):
+        return given.dtype, given.shape, hashlib.sha256(np.ascontiguousarray(given)).digest()
     return repr(given)
 
 
-def _copied(found: object) -> object:
-    """With tensors of its own, which may be changed."""
-    if isinstance(found, Tensor):
-        return found.clone()
-    return type(found)(map(_copied, found)) if isinstance(found, tuple | list) else found
+def _remembered(function: Callable[..., object]) -> Callable[..., object]:
+    known: dict[object, object] = {}
+
+    def once(*given: object, **named: object) -> object:
+        key = *map(_identity, given), *((name, _identity(value)) for name, value in sorted(named.items()))
+        if key not in known:
+            if len(known) == _MOST_REMEMBERED:
+                known.pop(next(iter(known)))
+            known[key] = function(*given, **named)
+        return copy.deepcopy(known[key])
+
+    return once
 
 
 @pytest.fixture(scope="session", autouse=True)
-def search_anew() -> Iterator[Callable[[pytest.MonkeyPatch], None]]:
-    """Search for the way round of the same points once: matches of small shapes spend most of their time there.
+def compute_anew() -> Iterator[Callable[[pytest.MonkeyPatch], None]]:
+    """What several tests compute from the same is computed once.
 
     Returns:
-        A function that has a test search anew.
+        A function that has a test compute it anew.
     """
-    plain = [
-        (module, name, getattr(module, name))
-        for module, name in (
-            (mirror, "closest_point_rotations"),
-            (search, "closest_point_rotations"),
-            (search, "zoomout"),
-        )
-    ]
-
-    def remembered(function: Callable[..., object]) -> Callable[..., object]:
-        known: dict[object, object] = {}
-
-        def once(*given: object, **named: object) -> object:
-            key = *map(_identity, given), *((name, _identity(value)) for name, value in sorted(named.items()))
-            if key not in known:
-                known[key] = function(*given, **named)
-            return _copied(known[key])
-
-        return once
+    plain = [(module, name, getattr(module, name)) for module, name in _REMEMBERED]
 
     def anew(patch: pytest.MonkeyPatch) -> None:
         for module, name, function in plain:
@@ -112,8 +130,16 @@ def search_anew() -> Iterator[Callable[[pytest.MonkeyPatch], None]]:
 
     with pytest.MonkeyPatch.context() as patch:
         for module, name, function in plain:
-            patch.setattr(module, name, remembered(function))
+            patch.setattr(module, name, _remembered(function))
         yield anew
+
+
+@pytest.fixture
+def small_sheets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Contact sheets have few pixels: drawing them takes longer than all else of a small collection."""
+    sheets = importlib.import_module("homolog.viewing.contact_sheet")
+    monkeypatch.setattr(sheets, "_WIDTH", 80)
+    monkeypatch.setattr(sheets, "_HEIGHT", 92)
 
 
 @pytest.fixture
