@@ -29,7 +29,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import homolog
 from homolog.core.reader_process import ReaderProcessError
-from homolog.geometry import Operators, OperatorSettings, compute_operators
+from homolog.geometry import Operators, OperatorSettings, clutter, compute_operators
 from homolog.geometry import operators as geometry_operators
 from homolog.geometry.operators import compressed_rows
 from homolog.matching import mirror, search
@@ -80,34 +80,38 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
-# Pure functions on which matches of small shapes spend most of their time, and where they are called.
+# Pure functions on which matches of small shapes spend most of their time: where they are called, and how many results
+# are kept.
 _REMEMBERED = (
-    (geometry_operators, "lowest_eigenpairs"),
-    (mirror, "closest_point_rotations"),
-    (search, "closest_point_rotations"),
-    (search, "zoomout"),
+    (clutter, "find_clutter", 200),
+    (geometry_operators, "lowest_eigenpairs", 40),
+    (mirror, "closest_point_rotations", 1000),
+    (search, "closest_point_rotations", 1000),
+    (search, "most_similar", 1000),
+    (search, "zoomout", 1000),
 )
-_MOST_REMEMBERED = 40
 
 
 def _identity(given: object) -> object:
     """What tells one argument from another: of arrays all that they hold."""
     if isinstance(given, Tensor):
-        return given.device, *_identity(given.cpu().numpy())
+        return given.device, *_identity(given.detach().cpu().numpy())
     if sparse.issparse(given):
         return tuple(_identity(part) for part in (given.indptr, given.indices, given.data))
+    if isinstance(given, Shape):
+        return _identity(given.points), _identity(given.faces)
     if isinstance(given, np.ndarray):
         return given.dtype, given.shape, hashlib.sha256(np.ascontiguousarray(given)).digest()
     return repr(given)
 
 
-def _remembered(function: Callable[..., object]) -> Callable[..., object]:
+def _remembered(function: Callable[..., object], most: int) -> Callable[..., object]:
     known: dict[object, object] = {}
 
     def once(*given: object, **named: object) -> object:
         key = *map(_identity, given), *((name, _identity(value)) for name, value in sorted(named.items()))
         if key not in known:
-            if len(known) == _MOST_REMEMBERED:
+            if len(known) == most:
                 known.pop(next(iter(known)))
             known[key] = function(*given, **named)
         return copy.deepcopy(known[key])
@@ -122,15 +126,15 @@ def compute_anew() -> Iterator[Callable[[pytest.MonkeyPatch], None]]:
     Returns:
         A function that has a test compute it anew.
     """
-    plain = [(module, name, getattr(module, name)) for module, name in _REMEMBERED]
+    plain = {(module, name): getattr(module, name) for module, name, _ in _REMEMBERED}
 
     def anew(patch: pytest.MonkeyPatch) -> None:
-        for module, name, function in plain:
+        for (module, name), function in plain.items():
             patch.setattr(module, name, function)
 
     with pytest.MonkeyPatch.context() as patch:
-        for module, name, function in plain:
-            patch.setattr(module, name, _remembered(function))
+        for module, name, most in _REMEMBERED:
+            patch.setattr(module, name, _remembered(plain[module, name], most))
         yield anew
 
 
