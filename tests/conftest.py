@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+import gc
+import hashlib
+import importlib
 import os
 import shutil
 import tarfile
@@ -24,8 +28,11 @@ from torch.multiprocessing.reductions import StorageWeakRef
 from torch.utils._python_dispatch import TorchDispatchMode
 
 import homolog
-from homolog.geometry import Operators, OperatorSettings, compute_operators
+from homolog.core.reader_process import ReaderProcessError
+from homolog.geometry import Operators, OperatorSettings, clutter, compute_operators
+from homolog.geometry import operators as geometry_operators
 from homolog.geometry.operators import compressed_rows
+from homolog.matching import mirror, search
 from homolog.shapes import Shape, read_shape, write_shape
 
 # The same examples on every run, and no failure because a machine is slow.
@@ -35,14 +42,26 @@ torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
 LONG = ("bodies", "browser", "process", "pages", "slow")
+# Files whose tests take minutes each.
+LONGEST = ("test_crash", "test_fuzz")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what ``make test`` leaves out with one word, before tests are chosen by their marks."""
+    """Mark what ``make test`` leaves out with one word, before tests are chosen by their marks; the longest come first.
+
+    So no process is left alone with one of them when all others are done.
+    """
     for item in items:
         if any(item.get_closest_marker(name) for name in LONG):
             item.add_marker("long")
+    items.sort(key=lambda item: item.path.stem not in LONGEST)
+
+
+def pytest_collection_finish() -> None:
+    """Garbage is not looked for among all modules and tests again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -59,6 +78,88 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv("HOMOLOG_CACHE", str(tmp_path_factory.mktemp("operator-cache")))
         patch.delenv("HOMOLOG_CACHE_GB", raising=False)
         yield
+
+
+# Pure functions on which matches of small shapes spend most of their time: where they are called, and how many results
+# are kept.
+_REMEMBERED = (
+    (clutter, "find_clutter", 200),
+    (geometry_operators, "lowest_eigenpairs", 40),
+    (mirror, "closest_point_rotations", 1000),
+    (search, "closest_point_rotations", 1000),
+    (search, "most_similar", 1000),
+    (search, "zoomout", 1000),
+)
+
+
+def _identity(given: object) -> object:
+    """What tells one argument from another: of arrays all that they hold."""
+    if isinstance(given, Tensor):
+        return given.device, *_identity(given.detach().cpu().numpy())
+    if sparse.issparse(given):
+        return tuple(_identity(part) for part in (given.indptr, given.indices, given.data))
+    if isinstance(given, Shape):
+        return _identity(given.points), _identity(given.faces)
+    if isinstance(given, np.ndarray):
+        return given.dtype, given.shape, hashlib.sha256(np.ascontiguousarray(given)).digest()
+    return repr(given)
+
+
+def _remembered(function: Callable[..., object], most: int) -> Callable[..., object]:
+    known: dict[object, object] = {}
+
+    def once(*given: object, **named: object) -> object:
+        key = *map(_identity, given), *((name, _identity(value)) for name, value in sorted(named.items()))
+        if key not in known:
+            if len(known) == most:
+                known.pop(next(iter(known)))
+            known[key] = function(*given, **named)
+        return copy.deepcopy(known[key])
+
+    return once
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compute_anew() -> Iterator[Callable[[pytest.MonkeyPatch], None]]:
+    """What several tests compute from the same is computed once.
+
+    Returns:
+        A function that has a test compute it anew.
+    """
+    plain = {(module, name): getattr(module, name) for module, name, _ in _REMEMBERED}
+
+    def anew(patch: pytest.MonkeyPatch) -> None:
+        for (module, name), function in plain.items():
+            patch.setattr(module, name, function)
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module, name, most in _REMEMBERED:
+            patch.setattr(module, name, _remembered(plain[module, name], most))
+        yield anew
+
+
+@pytest.fixture
+def small_sheets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Contact sheets have few pixels: drawing them takes longer than all else of a small collection."""
+    sheets = importlib.import_module("homolog.viewing.contact_sheet")
+    monkeypatch.setattr(sheets, "_WIDTH", 80)
+    monkeypatch.setattr(sheets, "_HEIGHT", 92)
+
+
+@pytest.fixture
+def readers_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whole files are read in this process: each process of a reader takes a third of a second to start."""
+    root = Path(homolog.__file__).parents[1]
+
+    def read(script: Path, path: Path, *arguments: str, library: str) -> dict[str, np.ndarray]:
+        reader = importlib.import_module(".".join(script.relative_to(root).with_suffix("").parts))
+        try:
+            return reader.read(str(path), *arguments)
+        except (ValueError, OSError, RuntimeError) as error:
+            raise ReaderProcessError(str(error)) from None
+
+    for module in ("matching.result_files", "shapes.formats.vtk", "volumes.reading"):
+        monkeypatch.setattr(f"homolog.{module}.read_in_process", read)
 
 
 @pytest.fixture(params=["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"])

@@ -80,12 +80,15 @@ def bodies(tmp_path_factory, demo):
 # Those that take longer than some five seconds.
 SLOW = (
     "evaluation/runner.evaluate",
+    "matching/alternatives.load_alternatives",
     "matching/in_one_call.match",
     "matching/matcher.Matcher",
     "matching/recognition.map_misfit",
+    "matching/result.Match",
     "symmetries/finding.Symmetry",
     "testing/method_checks.check_method",
     "viewing/notebook.plot",
+    "viewing/scene.scene_of",
 )
 
 

@@ -15,6 +15,7 @@ from homolog.shapes import Shape, read_shape, write_shape
 pytest.importorskip("h5py")
 pytest.importorskip("matplotlib")
 pytest.importorskip("PIL")
+pytestmark = pytest.mark.usefixtures("small_sheets")
 LOOKED_AT = [
     "shapes",
     "matches",

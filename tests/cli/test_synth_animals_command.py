@@ -27,6 +27,7 @@ def test_options_are_passed_on(homolog, monkeypatch, tmp_path):
     assert (settings.seed, settings.mesh.vertices, settings.mesh.stretch) == (5, 3000, 2.5)
 
 
+@pytest.mark.slow
 def test_two_animals_are_made_and_evaluated(homolog, tmp_path):
     made = homolog("synth", "animals", "-n", 2, "--vertices", 800, "-o", tmp_path / "set", "--processes", 1, "-q")
     assert (made.code, made.out) == (0, "")

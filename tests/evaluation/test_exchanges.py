@@ -20,7 +20,7 @@ NAMES = ("a", "b", "c")
 def box():
     """Points of a box that has other ends along y and z, its faces, and for each axis the map that mirrors its grid."""
     mesh = trimesh.creation.box((1.0, 4.0, 2.0))
-    for _ in range(4):
+    for _ in range(3):
         mesh = mesh.subdivide()
     x, y, z = mesh.vertices.T
     points = np.stack([x * (1 + 0.15 * y), y + 0.1 * y**2, z * (1 + 0.2 * z) + 0.1 * y], axis=1)

@@ -376,7 +376,7 @@ def test_pairs_file(family, tmp_path):
 @pytest.mark.parametrize("modality", ["mesh", "cloud", "mesh-to-cloud"])
 def test_the_real_matcher_takes_the_same_road(make, tmp_path, modality):
     """Relabelled copies of one blob: the axiomatic method finds nearly every point."""
-    blob = make.blob(3)
+    blob = make.blob(2)
     (tmp_path / "off").mkdir()
     (tmp_path / "corres").mkdir()
     for seed, name in enumerate(("one", "two")):

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import fast_simplification
 import numpy as np
 import pytest
 import torch
@@ -12,7 +13,7 @@ from homolog.features import DiffusionNet, FeatureInfo, NetworkSettings, save_we
 from homolog.geometry import OperatorCache, compute_operators
 from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings
-from homolog.shapes import Shape
+from homolog.shapes import Shape, repair
 
 # Both stand alike. Features without an axis up and without an orienter leave it to the search to find that.
 INFO = FeatureInfo(name="blobs", licence="none", upright=False, map_eigenpairs=40)
@@ -114,6 +115,18 @@ def build(network: DiffusionNet, tmp_path_factory: pytest.TempPathFactory) -> Bu
     def build(method="auto", *, with_network=True, info=INFO, operators=cache.operators):
         given = (network, info) if with_network else ()
         return Matcher(*given, settings=MatcherSettings(method=method), device="cpu", operators=operators)
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def coarse_body(demo) -> Callable[[int], Shape]:
+    """``coarse_body(n)`` is a demo body of about so many triangles, half as many points: bodies take long."""
+
+    def build(n_faces: int) -> Shape:
+        points, faces = demo.amber.points.astype(np.float32), demo.amber.faces.astype(np.int32)
+        points, faces = fast_simplification.simplify(points, faces, target_count=n_faces)
+        return repair(Shape(points, faces, name="body")).shape
 
     return build
 

@@ -28,9 +28,9 @@ class Trained(DiffusionNet):
 
 
 @pytest.fixture(scope="module")
-def upper(demo):
+def upper(coarse_body):
     """A body, what of it lies above the hips, and the indices of that in it."""
-    body = demo.amber
+    body = coarse_body(4800)
     height = body.points[:, 1]
     faces = body.faces[(height[body.faces] > np.median(height)).all(axis=1)]
     kept = np.unique(faces)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from dirty_shapes import dirtied
 from homolog.core.errors import ArgumentError, DataError
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.maps import confidence, overlap
-from homolog.matching import Match, align_partial, mat_process, read_point_map, refine, result_files
+from homolog.matching import Match, align_partial, read_point_map, refine
 from homolog.matching.inputs import options_of
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, repair
@@ -83,17 +82,6 @@ def test_all_arrays_are_those_of_the_pieces(build, blobs, method, partial):
 
 
 # ---- what is given
-
-
-@pytest.fixture
-def matlab_here(monkeypatch):
-    """MATLAB files are read in this process: each process of a reader takes a quarter of a second to start."""
-
-    def read(script, path, *, library):
-        assert library == "SciPy" and script == Path(mat_process.__file__)
-        return mat_process.read(str(path))
-
-    monkeypatch.setattr(result_files, "read_in_process", read)
 
 
 @pytest.fixture
@@ -194,7 +182,7 @@ def test_a_folder_has_neither_base_nor_direction(given, tmp_path, words):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.usefixtures("matlab_here")
+@pytest.mark.usefixtures("readers_here")
 @pytest.mark.parametrize("direction", ["target_to_source", "source_to_target"])
 @pytest.mark.parametrize("base", [None, 0, 1])
 @pytest.mark.parametrize("suffix", [".txt", ".vts", ".map", ".mat", ".npz"])
@@ -249,6 +237,7 @@ def test_files_that_are_no_maps_are_one_line(tmp_path, text):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.usefixtures("readers_here")
 @pytest.mark.parametrize("suffix", [".mat", ".npz"])
 def test_files_that_are_damaged_are_one_line(given, tmp_path, suffix):
     """Cut off anywhere, and of no content."""
@@ -290,6 +279,7 @@ def test_a_result_whose_arrays_cannot_be_unpacked_is_one_line(given, tmp_path):
         Match.load(tmp_path)
 
 
+@pytest.mark.usefixtures("readers_here")
 @pytest.mark.parametrize("values", [np.full(3, 2**63, np.uint64), np.array([np.inf, 1, 2]), np.array([1e300, 1, 2])])
 @pytest.mark.parametrize("suffix", [".mat", ".npz"])
 def test_numbers_that_are_no_indices_are_named(tmp_path, suffix, values):
@@ -299,6 +289,7 @@ def test_numbers_that_are_no_indices_are_named(tmp_path, suffix, values):
         read_point_map(tmp_path / f"map{suffix}")
 
 
+@pytest.mark.usefixtures("readers_here")
 @pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
 def test_maps_of_one_point_are_read(make, tmp_path, suffix):
     few = Shape(make.sphere(0).points[:1], name="point")
@@ -308,6 +299,7 @@ def test_maps_of_one_point_are_read(make, tmp_path, suffix):
     assert read_point_map(path, direction="target_to_source").shape == (1,)
 
 
+@pytest.mark.usefixtures("readers_here")
 def test_a_number_beside_a_map_is_not_taken_for_it(tmp_path):
     scipy.io.savemat(tmp_path / "map.mat", {"matches": np.array([3, 1, 2]), "scale": 2.0})
     assert read_point_map(tmp_path / "map.mat").tolist() == [2, 0, 1]
@@ -417,7 +409,7 @@ def test_its_repr_is_short_and_says_what_it_is(given, build, blobs):
         assert "array(" not in repr(each) and "tensor(" not in repr(each)
 
 
-@pytest.mark.usefixtures("matlab_here")
+@pytest.mark.usefixtures("readers_here")
 @pytest.mark.parametrize("base", [7, -1, "a", 1.0, True, None])
 @pytest.mark.parametrize("suffix", [".txt", ".vts", ".mat", ".npz"])
 def test_the_first_index_is_checked_as_a_map_is_read(given, tmp_path, suffix, base):

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 
-import fast_simplification
 import numpy as np
 import pytest
 import torch
@@ -11,6 +10,7 @@ from scipy.spatial import KDTree
 from homolog.core.errors import ArgumentError
 from homolog.geometry import compute_operators, unit_frame
 from homolog.maps import overlap
+from homolog.matching import unit_warnings
 from homolog.methods import FunctionMethod, Supports
 from homolog.pairs import PairOptions, PointMaps
 from homolog.shapes import Shape, repair
@@ -33,19 +33,21 @@ class Cut:
         return KDTree(self.part.points).query(self.whole.points)[1]
 
 
-@pytest.fixture(scope="module")
-def body(demo):
-    points, faces = fast_simplification.simplify(
-        demo.amber.points.astype(np.float32), demo.amber.faces.astype(np.int32), target_count=2400
-    )
-    return repair(Shape(points, faces, name="body")).shape
+@pytest.fixture(scope="module", params=[0.35, 0.6])
+def cut(coarse_body, request):
+    """Cut level: knees and chest, as shares of the height."""
+    return cut_at(coarse_body(2400), request.param)
 
 
 @pytest.fixture(scope="module", params=[0.35, 0.6])
-def cut(body, request):
-    """Cut level: knees and chest, as shares of the height."""
+def coarse_cut(coarse_body, request):
+    """The same of fewer points, for what is about sizes and units alone."""
+    return cut_at(coarse_body(800), request.param)
+
+
+def cut_at(body, share):
     height = body.points[:, 1]
-    level = height.min() + request.param * np.ptp(height)
+    level = height.min() + share * np.ptp(height)
     faces = body.faces[(height[body.faces] > level).all(axis=1)]
     inside = np.random.default_rng(0).permutation(np.unique(faces))
     place = np.full(body.n_points, -1)
@@ -167,26 +169,35 @@ def test_whole_pairs_have_no_missing_points(build, blobs, method):
     assert found.target_to_source.min() >= 0
 
 
+def multiplied(part, factor):
+    return Shape(part.points * factor, part.faces)
+
+
+def warned_of(build, cut, factor, **options):
+    """What is said of the units of a part, its points multiplied, before anything is matched."""
+    part = multiplied(cut.part, factor)
+    return unit_warnings(build(told(cut)).pair(cut.whole, part, partial="target", **options)[0])
+
+
 def told_units(build, cut, factor, as_cloud=None, **options):
     """What a match of the part, its points multiplied, warns of regarding units, and its maps."""
-    matcher = build(told(cut))
-    part = Shape(cut.part.points * factor, cut.part.faces)
-    found = matcher.match(cut.whole, part, partial="target", as_cloud=as_cloud, **options)
+    part = multiplied(cut.part, factor)
+    found = build(told(cut)).match(cut.whole, part, partial="target", as_cloud=as_cloud, **options)
     return [warning for warning in found.warnings if "units" in warning], found
 
 
 @pytest.mark.parametrize(("kind", "as_cloud"), KINDS)
-def test_a_part_in_other_units_is_named_and_scaled(build, cut, kind, as_cloud):
+def test_a_part_in_other_units_is_named_and_scaled(build, coarse_cut, kind, as_cloud):
     """Its area and the whole one's, both in the units of the whole."""
+    _, plain = told_units(build, coarse_cut, 1.0, as_cloud)
     for factor in (1000.0, 0.01):
-        (warning,), _ = told_units(build, cut, factor, as_cloud)
-        area = factor**2 * unit_frame(cut.part).scale ** 2
-        whole = unit_frame(cut.whole).scale ** 2
+        (warning,), _ = told_units(build, coarse_cut, factor, as_cloud)
+        area = factor**2 * unit_frame(coarse_cut.part).scale ** 2
+        whole = unit_frame(coarse_cut.whole).scale ** 2
         assert f"the partial shape's area is {area:.3g}, the full one's {whole:.3g}:" in warning
         assert "give partial_scale, by how much" in warning
         assert "\n" not in warning
-        _, plain = told_units(build, cut, 1.0, as_cloud)
-        none, found = told_units(build, cut, factor, as_cloud, partial_scale=1 / factor)
+        none, found = told_units(build, coarse_cut, factor, as_cloud, partial_scale=1 / factor)
         assert none == []
         np.testing.assert_array_equal(found.source_to_target >= 0, plain.source_to_target >= 0)
         np.testing.assert_array_equal(found.target_to_source, plain.target_to_source)
@@ -195,25 +206,27 @@ def test_a_part_in_other_units_is_named_and_scaled(build, cut, kind, as_cloud):
 @pytest.mark.parametrize(
     ("share", "warned"), [(0.005, True), (0.02, False), (0.9, False), (1.1, False), (1.3, True), (2.0, True)]
 )
-def test_only_what_can_be_no_parts_area_is_told(build, cut, share, warned):
+def test_only_what_can_be_no_parts_area_is_told(build, coarse_cut, share, warned):
     """Parts may be nearly whole, and estimates of areas a tenth too large; a third more than the whole is none."""
-    area, whole = (unit_frame(shape).scale ** 2 for shape in (cut.part, cut.whole))
-    warnings, _ = told_units(build, cut, np.sqrt(share * whole / area))
+    area, whole = (unit_frame(shape).scale ** 2 for shape in (coarse_cut.part, coarse_cut.whole))
+    warnings = warned_of(build, coarse_cut, np.sqrt(share * whole / area))
     assert len(warnings) == warned
     assert all(("name the other shape" in warning) == (share > 1) for warning in warnings)
 
 
-def test_a_raw_cloud_as_part_is_judged_too(build, cut):
-    clouds = Cut(cut.whole.as_cloud(), cut.part.as_cloud(), cut.part_to_whole, cut.kept)
-    assert told_units(build, clouds, 1.0)[0] == []
-    assert len(told_units(build, clouds, 1000.0)[0]) == 1
-    assert told_units(build, clouds, 1000.0, partial_scale=0.001)[0] == []
+def test_a_raw_cloud_as_part_is_judged_too(build, coarse_cut):
+    clouds = Cut(coarse_cut.whole.as_cloud(), coarse_cut.part.as_cloud(), coarse_cut.part_to_whole, coarse_cut.kept)
+    assert warned_of(build, clouds, 1.0) == ()
+    assert len(warned_of(build, clouds, 1000.0)) == 1
+    assert warned_of(build, clouds, 1000.0, partial_scale=0.001) == ()
 
 
 @pytest.mark.parametrize("partial_scale", [0, -2, float("nan"), float("inf"), "mm", None, True])
-def test_part_scales_that_are_none(build, cut, partial_scale):
+def test_part_scales_that_are_none(build, coarse_cut, partial_scale):
     with pytest.raises(ArgumentError, match=r"partial_scale is .*, but must be a number above 0, and finite"):
-        build("nearest-features").match(cut.whole, cut.part, partial="target", partial_scale=partial_scale)
+        build("nearest-features").match(
+            coarse_cut.whole, coarse_cut.part, partial="target", partial_scale=partial_scale
+        )
 
 
 def positions(build, whole, part, **options):

@@ -16,17 +16,18 @@ PIECES = 40
 
 
 @pytest.mark.parametrize("modality", ["mesh", "cloud"])
-def test_a_body_among_three_hundred_pieces_matches_the_body_alone(modality, demo, make):
-    littered = make.littered(demo.amber, 300)
+def test_a_body_among_three_hundred_pieces_matches_the_body_alone(modality, coarse_body, make):
+    body = coarse_body(2400)
+    littered = make.littered(body, 300)
     found = Matcher(settings=MatcherSettings(method="axiomatic")).match(
-        littered, demo.amber, as_cloud="both" if modality == "cloud" else None
+        littered, body, as_cloud="both" if modality == "cloud" else None
     )
-    n = demo.amber.n_points
-    extent = np.linalg.norm(np.ptp(demo.amber.points, axis=0))
-    forth = demo.amber.points[found.source_to_target[:n]] - demo.amber.points
+    n = body.n_points
+    extent = np.linalg.norm(np.ptp(body.points, axis=0))
+    forth = body.points[found.source_to_target[:n]] - body.points
     assert np.linalg.norm(forth, axis=1).mean() < 2e-3 * extent
     assert (found.target_to_source < n).all()
-    assert np.linalg.norm(littered.points[found.target_to_source] - demo.amber.points, axis=1).mean() < 2e-3 * extent
+    assert np.linalg.norm(littered.points[found.target_to_source] - body.points, axis=1).mean() < 2e-3 * extent
 
 
 @pytest.mark.parametrize("method", ["functional-map", "nearest-features"])

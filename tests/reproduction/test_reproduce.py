@@ -111,7 +111,7 @@ DAMAGES = {
 
 def test_a_damaged_cell_is_made_again(data, ready, caplog):
     output, only = ready, ReproductionSettings(only=("mesh",))
-    file = next((output / "plain" / "cells").glob("*mesh*--ours--*.json"))
+    file = next((output / "plain" / "cells").glob("*mesh*--paper--*.json"))
     whole = json.loads(file.read_text())
     for said, damage in DAMAGES.items():
         caplog.clear()
@@ -213,6 +213,7 @@ def test_only_some_shapes_are_tested(data, output):
     assert f"--pairs {listed}" in cell["command"]
 
 
+@pytest.mark.slow
 def test_weights_take_the_place_of_trainings(data, output):
     told = []
     settings = ReproductionSettings(weights="people")

@@ -12,6 +12,11 @@ from homolog.shapes import Shape, read_hashed_shape, write_shape
 STRETCHES = (0.9, 1.05, 1.2)
 
 
+@pytest.fixture(autouse=True)
+def _sheets_are_small(small_sheets):
+    """Of every collection here."""
+
+
 @pytest.fixture(scope="session")
 def family(tmp_path_factory, make):
     """A template and three relabelled, stretched and shifted copies of it; where each template point is on them."""

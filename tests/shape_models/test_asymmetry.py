@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -16,9 +17,10 @@ pytest.importorskip("h5py")
 pytest.importorskip("matplotlib")
 
 
-@pytest.fixture
-def collection(tmp_path):
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
     """Files of a template that x = 0 divides, of two wider copies, and of one with a bump on one side."""
+    root = tmp_path_factory.mktemp("files")
     sphere = trimesh.creation.icosphere(subdivisions=3)
     x, y, z = sphere.vertices.T
     points = sphere.vertices * (1 + 0.3 * y + 0.4 * np.exp(-(x**2 + (z - 0.9) ** 2) / 0.2))[:, None] * [1, 1.4, 0.8]
@@ -30,10 +32,15 @@ def collection(tmp_path):
         "bumped": points * (1 + 0.2 * bump),
     }
     for name, positions in shapes.items():
-        homolog.write_shape(tmp_path / f"{name}.ply", homolog.Shape(positions, sphere.faces))
-    found = homolog.symmetry(tmp_path / "template.ply", method="registration")
-    write_symmetry(tmp_path / "partners", found)
-    return tmp_path
+        homolog.write_shape(root / f"{name}.ply", homolog.Shape(positions, sphere.faces))
+    write_symmetry(root / "partners", homolog.symmetry(root / "template.ply", method="registration"))
+    return root
+
+
+@pytest.fixture
+def collection(files, tmp_path):
+    """A copy of the files, with the partners of the template's points."""
+    return shutil.copytree(files, tmp_path / "collection")
 
 
 def built(folder, names, **options):

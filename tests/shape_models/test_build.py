@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +65,17 @@ def test_several_processes_need_a_function(family, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.fixture(scope="module")
+def registered(family, tmp_path_factory):
+    """A folder of which all shapes are registered."""
+    template, files, _ = family
+    root = tmp_path_factory.mktemp("registered") / "out"
+    build(template, files, root, axiomatic())
+    return root
+
+
 @pytest.mark.parametrize("suffix", [".json", ".mrk.json", ".fcsv", ".csv"])
-def test_landmarks_are_carried_to_all_shapes(family, tmp_path, suffix):
+def test_landmarks_are_carried_to_all_shapes(family, registered, tmp_path, suffix):
     """Corners and middles of the template's triangles come where the true copies have them."""
     template, files, true = family
     shape = read_shape(template)
@@ -83,6 +93,7 @@ def test_landmarks_are_carried_to_all_shapes(family, tmp_path, suffix):
     marks = tmp_path / f"marks{suffix}"
     marks.write_text(texts[suffix])
     root = tmp_path / "out"
+    shutil.copytree(registered, root)
     built = build(template, files, root, axiomatic(), landmarks=marks)
     assert built.warnings == () and marks.read_text() == texts[suffix]
     table = list(csv.DictReader((root / "landmarks.csv").read_text().splitlines()))

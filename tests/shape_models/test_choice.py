@@ -30,6 +30,7 @@ def table(root):
     return list(csv.DictReader((root / "quality.csv").read_text().splitlines()))
 
 
+@pytest.mark.slow
 def test_people_are_matched_by_the_weights_for_people(people, tmp_path):
     one, other = people
     built = build(one, [other], tmp_path / "out", Matcher.from_weights())

@@ -33,6 +33,7 @@ def test_the_mirrored_copy_of_a_symmetric_shape_is_the_shape_in_its_own_numberin
     assert (found.mirrored.faces == turned.shape.faces).all()
 
 
+@pytest.mark.slow
 def test_without_weights_or_method_a_symmetric_shape_has_its_partners(turned):
     found = homolog.symmetry(turned.shape)
     assert np.mean(found.partner == turned.partner) > 0.98

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+
 import numpy as np
 import pytest
 import trimesh
@@ -28,6 +30,12 @@ def as_trimesh(shape):
 
 def radii(shape):
     return np.linalg.norm(shape.points, axis=1)
+
+
+@pytest.fixture(autouse=True)
+def _layers_are_told_on_a_coarse_grid(monkeypatch):
+    """Balls need no finer one."""
+    monkeypatch.setattr(importlib.import_module("homolog.volumes.wrapping"), "_COARSE", 48)
 
 
 @pytest.fixture(scope="module")

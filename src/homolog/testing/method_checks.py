@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -13,11 +15,11 @@ from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
 from homolog.core.errors import ArgumentError, HomologError
-from homolog.geometry import Operators
+from homolog.geometry import OperatorCache, Operators
 from homolog.maps import wave_kernel_signature
 from homolog.matching import Match, Matcher, checked_maps
 from homolog.methods import Method, as_method, find_method
-from homolog.pairs import MatcherSettings, Pair, PairOptions
+from homolog.pairs import MatcherSettings, OperatorSource, Pair, PairOptions
 from homolog.shapes import Shape
 
 # Points of the shapes that methods are tried on: enough for 100 eigenpairs, few enough for seconds.
@@ -52,9 +54,10 @@ def check_method(method: Any, *, features: Any = None) -> None:
     with _asserted():
         method = as_method(find_method(method) if isinstance(method, str) else method)
     assert isinstance(method.name, str) and method.name, "name: a method must have one"
-    checked = _Checked(method, features)
-    for check in _CHECKS:
-        check(checked)
+    with TemporaryDirectory() as folder:
+        checked = _Checked(method, features, OperatorCache(Path(folder)).operators)
+        for check in _CHECKS:
+            check(checked)
 
 
 @contextmanager
@@ -68,17 +71,19 @@ def _asserted(what: str = "") -> Iterator[None]:
 
 @dataclass(frozen=True)
 class _Checked:
-    """A method, and how it is called."""
+    """A method, and how it is called; the operators of a shape are computed once."""
 
     method: Method
-    features: Any = None
+    features: Any
+    operators: OperatorSource
 
     def matcher(self, *, refined: bool = False) -> Matcher:
         own = getattr(self.method, "features", None)
         needs = self.method.supports.needs_features and own is None
         given = (_positions_and_signatures if self.features is None else self.features) if needs else None
         settings = MatcherSettings(method=self.method)
-        return Matcher(given, settings=settings if refined else replace(settings, refinement=None), device="cpu")
+        settings = settings if refined else replace(settings, refinement=None)
+        return Matcher(given, settings=settings, device="cpu", operators=self.operators)
 
     def pair(self, source: Shape, target: Shape, **options: Any) -> Pair:
         return self.matcher().pair(source, target, PairOptions(**options))[0]
