@@ -4,6 +4,9 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
+# Bytecode is kept, whatever the environment says: without it each process of each call compiles all tests anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help demo test test-all lint docs gallery bench fuzz crash clean
 
 help:

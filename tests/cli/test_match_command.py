@@ -311,6 +311,7 @@ def test_adapting_needs_weights(homolog, files, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_people_are_matched_by_the_weights_for_people_by_default(homolog, tmp_path):
     ended = homolog("match", *(demo_folder().file(name) for name in demo_folder().names[:2]), "-o", tmp_path)
     features = report(tmp_path)["features"]

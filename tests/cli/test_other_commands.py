@@ -465,6 +465,7 @@ def test_doctor_says_what_is_wrong_with_the_cache(homolog, monkeypatch):
     assert "HOMOLOG_CACHE_GB is 'much'" in ended.err
 
 
+@pytest.mark.slow
 def test_demo(homolog, tmp_path):
     ended = homolog("demo", "-o", tmp_path / "demo")
     assert ended.code == 0, ended
