@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -46,7 +47,7 @@ def main() -> None:
         if options.views:
             seen = view(Shape(mesh.vertices, mesh.faces), seed=index).mesh.shape
             scan = Shape(seen.points @ turn.T, seen.faces, name=scan.name)
-        words = {"weights": "views", "partial": "target"} if options.views else {"weights": "people"}
+        words: dict[str, Any] = {"weights": "views", "partial": "target"} if options.views else {"weights": "people"}
         found = fit_body(scan, model=model, **words)
         away = 1000 * np.linalg.norm(found.registered.points - truth, axis=1)
         near = cKDTree(scan.points).query(truth)[0] < 0.01
