@@ -79,6 +79,24 @@ def test_a_scan_in_centimetres_turned_over_by_a_map_with_faults(worm, truth, sca
     assert told[0] == "fit along the map" and told[-1] == "fit to the surface"
 
 
+@pytest.mark.parametrize("as_cloud", [False, True])
+def test_what_a_partial_scan_lacks_follows_from_the_model(worm, truth, scan, as_cloud):
+    """Of one side of it, whose triangles face inward, in centimetres: nothing of the other side is drawn there."""
+    shape, order = scan
+    visible = worm.rest[:, 2] > -0.02
+    kept = np.flatnonzero(visible[order])
+    place = np.full(len(order), -1)
+    place[kept] = np.arange(len(kept))
+    faces = shape.faces[(place[shape.faces] >= 0).all(axis=1)]
+    part = Shape(shape.points[kept], None if as_cloud else place[faces])
+    there, back = place[np.argsort(order)], order[kept]
+    found = fit_to_match(Match(worm.template, part, there, back, method="a"), worm)
+    np.testing.assert_array_equal(found.seen, visible)
+    away = np.linalg.norm(found.registered.points - 100 * truth.points(worm), axis=1)
+    assert found.unit == "cm" and away[visible].mean() < 0.5 and away[~visible].mean() < 1.5, away.mean()
+    assert found.mean_distance < 0.005 < found.distances.mean() / 100 and found.warnings == ()
+
+
 def test_a_cloud_in_a_unit_of_its_own(worm, truth, scan):
     shape, order = scan
     small = Shape(7.3 * shape.points / 100)

@@ -48,25 +48,34 @@ def fit(
             rich_help_panel=INPUT,
         ),
     ] = "auto",
+    partial: Annotated[
+        bool,
+        typer.Option(
+            "--partial/--full",
+            help="The scan is a partial view or a part of a person: what is not there follows from the model.",
+            rich_help_panel=INPUT,
+        ),
+    ] = False,
     up: Annotated[Up, typer.Option(help="The axis that points up in the file.", rich_help_panel=INPUT)] = "y",
     orient: OrientOption = "auto",
     clutter: ClutterOption = "remove",
     weights: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--weights",
             metavar="NAME|FILE",
             help="Trained weights to match the scan with the model.",
+            show_default="people, or views with --partial",
             rich_help_panel=METHOD,
         ),
-    ] = "people",
+    ] = None,
     output: ResultOutput = Path("fit"),
     device: DeviceOption = "auto",
     no_cache: NoCache = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Fit the body model of synthetic people to a scan of a whole person, in any pose and any way round.
+    """Fit the body model of synthetic people to a scan of a person, in any pose and any way round.
 
     The scan is matched with the model's template; then sex, age, build and the rotations of all bones are fitted to
     the map, and to the scan's surface. Needs the extra `synth`; the model's first use on a machine takes minutes.
@@ -78,6 +87,8 @@ def fit(
       homolog fit scan.ply -o body
 
       homolog fit scan.obj --unit cm --up z -o body
+
+      homolog fit depth.ply --partial -o body
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(scan, weights=weights)
@@ -86,8 +97,9 @@ def fit(
         timings = Timings(listener=counted(progress, _STEPS + 1, verbose=verbose))
         with timings.measure(f"read the model {model}"):
             body = homolog.fitting.PeopleModel()
-        matcher = build_matcher(weights, "auto", device, no_cache=no_cache)
+        matcher = build_matcher(weights or ("views" if partial else "people"), "auto", device, no_cache=no_cache)
         options: dict[str, Any] = {"orient": orient, "clutter": clutter, "target_up": up}
+        options["partial"] = "target" if partial else None
         match = matcher.match(body.template, scan, timings=timings, **options)
         found = homolog.fitting.fit_to_match(match, body, unit=unit, progress=progress)
         paths = homolog.fitting.write_fit(output, found)
@@ -98,8 +110,9 @@ def fit(
 def _summary(found: homolog.fitting.BodyFit, paths: list[Path]) -> None:
     for warning in found.warnings:
         say(f"Warning: {in_options(warning)}")
-    mean = 1000 * float(found.distances.mean()) / found.units_per_metre
     unit = f"in {found.unit}" if found.unit != "free" else "in a unit of its own: the height is no metric one"
-    say(f"The body lies {mean:.1f} mm from the scan on average; the scan is {unit}.")
+    if not found.seen.all():
+        say(f"{found.seen.sum()} of the model's {len(found.seen)} points are on the scan; the others follow from it.")
+    say(f"The body lies {1000 * found.mean_distance:.1f} mm from the scan on average; the scan is {unit}.")
     say("Parameters: " + ", ".join(f"{name} {value:.2f}" for name, value in found.parameters.items()) + ".")
     tell_files(paths)

@@ -53,7 +53,8 @@ def write_fit(folder: str | Path, found: BodyFit) -> list[Path]:
     Raises:
         ArgumentError: if the folder cannot be written to, or a file in it is an input.
     """
-    shares = {name: float(np.percentile(found.distances, share)) for name, share in _PERCENTILES.items()}
+    of_seen = found.distances[found.seen]
+    shares = {name: float(np.percentile(of_seen, share)) for name, share in _PERCENTILES.items()}
     content = {
         "model": found.model,
         "parameters": found.parameters,
@@ -62,7 +63,8 @@ def write_fit(folder: str | Path, found: BodyFit) -> list[Path]:
         "scale": found.fit.scale,
         "unit": found.unit,
         "units_per_metre": found.units_per_metre,
-        "distance": {"mean": float(found.distances.mean()), **shares},
+        "distance": {"mean": float(of_seen.mean()), **shares},
+        "points_seen": int(found.seen.sum()),
         "warnings": list(found.warnings),
         "versions": versions(),
         "match": dict(found.match.report),

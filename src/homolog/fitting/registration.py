@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple, Protocol, get_args
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from homolog.core.arguments import check_choice, check_kind
@@ -26,8 +26,9 @@ Unit = Literal["auto", "m", "cm", "mm", "free"]
 UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 """How many of each are a metre."""
 
-# By how much a body in metres may be smaller or larger than the mean body: babies, and people who are tall.
-_SIZES = (0.22, 1.6)
+# By how much a body in metres may be smaller or larger than the mean body, in sqrt(area): babies of whom half is seen,
+# and people who are tall.
+_SIZES = (0.16, 1.6)
 _FEWEST = 100
 # At most so many pairs and points take part in a step.
 _MOST_PAIRS = 4000
@@ -78,6 +79,7 @@ class BodyFit:
         units_per_metre: how many of the scan's units are a metre.
         registered: the model's surface in the scan's coordinates and units.
         distances: of each of its points from the scan's surface, in the scan's units (n,).
+        seen: which of its points have a counterpart on the scan; all others follow from the model (n,).
         match: of the template with the scan.
         parameters: the shape parameters by name.
         bones: the rotation of each bone that is turned, as a matrix, by name.
@@ -93,33 +95,38 @@ class BodyFit:
     units_per_metre: float
     registered: Shape
     distances: Float[np.ndarray, " n"]
+    seen: Bool[np.ndarray, " n"]
     match: Match
     parameters: dict[str, float]
     bones: dict[str, Float[np.ndarray, "3 3"]]
 
     @property
+    def mean_distance(self) -> float:
+        """Of the points that are seen, in metres."""
+        return float(self.distances[self.seen].mean()) / self.units_per_metre
+
+    @property
     def warnings(self) -> tuple[str, ...]:
         """What the user should know, a line each."""
-        mean = float(self.distances.mean()) / self.units_per_metre
-        if mean <= _FAR:
+        if self.mean_distance <= _FAR:
             return self.match.warnings
         told = (
-            f"the fitted body lies {100 * mean:.1f} cm from the scan on average; look at it, at the scan's unit, and "
-            "at the map, which may be wrong"
+            f"the fitted body lies {100 * self.mean_distance:.1f} cm from the scan on average; look at it, at the "
+            "scan's unit, and at the map, which may be wrong"
         )
         return (*self.match.warnings, told)
 
     def __repr__(self) -> str:
-        mean = 1000 * float(self.distances.mean()) / self.units_per_metre
-        return f"BodyFit({self.model!r}: {mean:.1f} mm from {self.match.target.name!r} on average)"
+        return f"BodyFit({self.model!r}: {1000 * self.mean_distance:.1f} mm from {self.match.target.name!r} on average)"
 
 
 def fit_to_match(found: Match, model: BodyTemplate, *, unit: Unit = "auto", progress: Progress = ignore) -> BodyFit:
     """Fit a body model to a scan along a match of its template with the scan.
 
     Shape parameters, rotations of bones and the place of the whole are fitted to the pairs of both directions, by
-    confidence; points without a counterpart are left out. Then, round by round, points of the model are drawn to the
-    nearest points of the scan's surface whose normals agree, more and more along the normals alone.
+    confidence; points without a counterpart are left out, on the scan, and on the model where the scan is partial.
+    Then, round by round, points of the model are drawn to the nearest points of the scan's surface whose normals agree,
+    more and more along the normals alone.
 
     Args:
         found: the match; its source is the model's template.
@@ -138,18 +145,21 @@ def fit_to_match(found: Match, model: BodyTemplate, *, unit: Unit = "auto", prog
     scan = SurfaceProjector(found.target)
     name, per_metre = _unit_of(found, scan, unit)
     pairs = _pairs(found, per_metre)
+    seen = np.asarray(found.source_to_target >= 0)
+    if seen.sum() < _FEWEST:  # the map tells nothing of what is seen
+        seen = np.ones(len(seen), dtype=bool)
     rounds = len(_ALONG_MAP) + len(_TO_SURFACE)
     now = _placed(model, pairs)
     for number, (reach, stiffness, steps) in enumerate(_ALONG_MAP):
         progress(number, rounds, "fit along the map")
         goal = Goal(*pairs, reach=reach, stiffness=stiffness)
         now = fitted(model, now, goal, steps=steps, free_scale=name == "free")
-    side = outward(scan.surface) if scan.surface is not None else 0
+    side = _side(model, now, scan, per_metre)
     for number, (reach, stiffness, sliding, steps) in enumerate(_TO_SURFACE, len(_ALONG_MAP)):
         progress(number, rounds, "fit to the surface")
         goal = _from_scan(model, now, scan, found, per_metre, side)
         if number < len(_ALONG_MAP) + _BOTH_WAYS:
-            goal = _joined(goal, _to_scan(model, now, scan, per_metre, side or 1))
+            goal = _joined(goal, _to_scan(model, now, scan, seen, per_metre, side or 1))
         goal = goal._replace(reach=reach, stiffness=stiffness, sliding=sliding)
         now = fitted(model, now, goal, steps=steps, free_scale=name == "free")
     points = per_metre * now.points(model)
@@ -157,7 +167,7 @@ def fit_to_match(found: Match, model: BodyTemplate, *, unit: Unit = "auto", prog
     registered = Shape(points, model.template.faces, name=f"{model.name} on {found.target.name}")
     build = dict(zip(model.parameters, now.build.tolist(), strict=True))
     bones = {model.bones[number]: now.rotations[number] for number in model.turning.tolist()}
-    return BodyFit(model.name, now, name, per_metre, registered, distances, found, build, bones)
+    return BodyFit(model.name, now, name, per_metre, registered, distances, seen, found, build, bones)
 
 
 class _Pairs(NamedTuple):
@@ -211,6 +221,17 @@ def _placed(model: ArticulatedModel, pairs: _Pairs) -> Fit:
     return replace(rest, rotations=turned, shift=shift)
 
 
+def _side(model: BodyTemplate, now: Fit, scan: SurfaceProjector, per_metre: float) -> int:
+    """1 or -1 where a scan's triangles face outward or inward, of an open one by the model's nearest points; or 0."""
+    if scan.surface is None or (side := outward(scan.surface)):
+        return 0 if scan.surface is None else side
+    points, faces = now.points(model), model.template.faces
+    assert faces is not None
+    _, near = cKDTree(points).query(scan.shape.points / per_metre)
+    agreement = (Surface(points, faces).vertex_normals[near] * scan.surface.vertex_normals).sum(axis=1)
+    return int(np.sign(np.sign(agreement).mean()))
+
+
 def _from_scan(
     model: BodyTemplate, now: Fit, scan: SurfaceProjector, found: Match, per_metre: float, side: int
 ) -> Goal:
@@ -235,11 +256,14 @@ def _from_scan(
     return Goal(rows, positions, np.where(agree.any(axis=1), 1.0, _NONE), normals=normals[rows])
 
 
-def _to_scan(model: BodyTemplate, now: Fit, scan: SurfaceProjector, per_metre: float, side: int) -> Goal:
-    """Points of the model, and the nearest ones of the scan's surface, whose normals agree."""
+def _to_scan(
+    model: BodyTemplate, now: Fit, scan: SurfaceProjector, seen: Bool[np.ndarray, " n"], per_metre: float, side: int
+) -> Goal:
+    """Points of the model that are seen, and the nearest ones of the scan's surface, whose normals agree."""
     points, faces = now.points(model), model.template.faces
     assert faces is not None
-    rows = np.arange(0, len(points), max(1, len(points) // _MOST_PAIRS))
+    rows = np.flatnonzero(seen)
+    rows = rows[:: max(1, len(rows) // _MOST_PAIRS)]
     normals = Surface(points, faces).vertex_normals[rows]
     below = scan.project(per_metre * points[rows], side * normals)
     found = scan.normals(below)
@@ -265,7 +289,8 @@ def fit_body(
     """Fit the body model of ``homolog synth people`` to a scan of a person, in any pose and any way round.
 
     Args:
-        scan: a path, a shape, or whatever ``as_shape`` takes: a mesh or a cloud of a whole person.
+        scan: a path, a shape, or whatever ``as_shape`` takes: a mesh or a cloud of a person; of a part of one, such as
+            what one camera sees, with ``partial="target"``.
         model: the body model; by default ``PeopleModel()``, whose first use on a machine takes minutes.
         unit: of the scan's coordinates.
         progress: called before each round.

@@ -21,7 +21,7 @@ from homolog.geometry import some_points
 from homolog.geometry.projection import SurfacePoints, SurfaceProjector
 from homolog.maps import best_similarity, rigid_motion
 from homolog.matching import Match, Matcher
-from homolog.pairs import PairOptions
+from homolog.pairs import Mask, PairOptions
 from homolog.shape_models.model_fit import ModelFit, ModelFitSettings, ModelFitter, PartSamples
 from homolog.shape_models.stored_model import StoredModel
 from homolog.shapes import Shape, Up, repair, write_shape
@@ -286,8 +286,6 @@ def _known_landmarks(fragment: Shape, stored: StoredModel, file: str | Path | No
 
 def _matched(fragment: Shape, stored: StoredModel, matcher: Matcher, known: _Known, up: Up, timings: Timings) -> Match:
     pairs: Any = None
-    # No point of the fragment comes to lie on what the model was not made of.
-    mask: Any = stored.weights
     if chosen := known.indices:
         on_mean = known.places.interpolate(stored.mean.points)[chosen]
         pairs = (np.array([known.given[known.names[number]] for number in chosen]), on_mean)
@@ -295,7 +293,7 @@ def _matched(fragment: Shape, stored: StoredModel, matcher: Matcher, known: _Kno
         partial="source",
         source_up=up,
         target_up=stored.settings.template_up,
-        target_mask=mask,
+        target_mask=None if stored.weights is None else Mask(stored.weights),
         landmarks=pairs,
     )
     return matcher.match(fragment, replace(stored.mean, name="the mean"), options, timings=timings)
