@@ -164,6 +164,15 @@ def test_points_without_a_counterpart_are_counted_over_all_pairs(parts_set):
     assert [figures[key] for key in ("found", "true", "both")] == counts.tolist()
 
 
+def test_a_map_from_the_partial_shape_says_nothing_of_points_that_it_lacks(parts_set):
+    root, _ = parts_set
+    folder = ShapeFolder.open(root, "shrec16_cuts")
+    found = evaluate(None, folder, PARTS, match=lambda source, target: np.zeros(target.n_points, dtype=int))
+    figures = found.to_dict()
+    assert found.missing is None and "without_counterpart" not in figures
+    assert figures["doubtful_pairs"] is None and figures["least_confident_fifth_error_share"] is None
+
+
 def test_whole_shapes_have_no_such_figures(parts_set):
     root, _ = parts_set
     found = evaluate(Stub(random_answer), ShapeFolder.open(root, "shrec16_cuts"), Protocol())

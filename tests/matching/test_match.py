@@ -533,3 +533,31 @@ def test_options_that_do_not_exist_are_named_with_the_nearest(word, said):
         options_of(None, {word: "source"})
     assert f"an option is {word!r}, but must be one of as_cloud, partial" in str(caught.value)
     assert str(caught.value).endswith(said)
+
+
+def test_the_inverse_of_two_parts_is_moved_the_other_way(tetrahedra):
+    source, target = tetrahedra
+    turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    landmarks = {"source": [0, 1], "target": [2, 3], "names": ["source of pain", "left target"], "axes": ["LPS", None]}
+    options = {"partial": "both", "partial_scale": 0.001, "landmarks": landmarks, "source_up": "z", "target_up": "y"}
+    report = {"options": options, "alignment": {"rotation": turn, "degrees": 90.0, "scale": 4.0}}
+    match = Match(source, target, [0, 1, 2, 3], [3, 2, 1, 0], report=report)
+    found = match.inverse().report
+    assert found["alignment"] == {"rotation": np.transpose(turn).tolist(), "degrees": 90.0, "scale": 0.25}
+    assert found["options"]["partial_scale"] == pytest.approx(1000)
+    assert (found["options"]["source_up"], found["options"]["target_up"]) == ("y", "z")
+    assert found["options"]["landmarks"] == {
+        "source": [2, 3],
+        "target": [0, 1],
+        "names": ["source of pain", "left target"],
+        "axes": [None, "LPS"],
+    }
+    assert match.inverse().inverse().report["alignment"] == report["alignment"]
+    assert match.report == report
+
+
+@pytest.fixture
+def tetrahedra():
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    return Shape(points, faces, name="one"), Shape(2 * points, faces, name="two")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from homolog.core.errors import ArgumentError
 from homolog.core.plugins import offered
 from homolog.features import FeatureInfo, as_extractor
 from homolog.maps import nearest_neighbour
-from homolog.matching import Matcher
+from homolog.matching import Matcher, refine
 from homolog.methods import FunctionMethod, Supports, find_method, method_names
 from homolog.pairs import MatcherSettings, PointMaps
 
@@ -29,6 +30,16 @@ OWN = FeatureInfo(name="own", input="operators", upright=False, map_eigenpairs=4
 def assert_same(found, expected):
     for name in ARRAYS:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+# ---- methods of two parts
+
+
+def test_maps_of_two_parts_by_a_method_of_ones_own_are_kept():
+    theirs = FunctionMethod("theirs", lambda pair: None, Supports(parts=True))
+    pair = SimpleNamespace(are_parts=True, settings=MatcherSettings(), fit=object(), method=theirs)
+    maps = PointMaps(torch.zeros(3, dtype=torch.long), torch.zeros(4, dtype=torch.long))
+    assert refine(pair, maps) is maps
 
 
 # ---- features

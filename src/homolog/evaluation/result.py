@@ -36,7 +36,7 @@ class PairErrors:
             is not known, or not both are parts.
         clutter: how well points that do not belong to the shapes are found; None where none were added.
         quality: what the maps tell of themselves, without the truth; None if whoever made them does not say.
-        doubtful: whether the match had a warning of low confidence.
+        doubtful: whether the match had a warning of low confidence; None where it has no confidences of its own.
         metrics: figures of one's own.
         exchanged: what the map exchanges; None where that is not looked for.
         chosen: the features, or the method without any, that were chosen among several; None where there was no choice.
@@ -52,7 +52,7 @@ class PairErrors:
     overlap: Detection | None = None
     clutter: Detection | None = None
     quality: MapQuality | None = None
-    doubtful: bool = False
+    doubtful: bool | None = None
     metrics: Mapping[str, float] = field(default_factory=dict)
     exchanged: Exchange | None = None
     chosen: str | None = None
@@ -106,9 +106,10 @@ class Evaluation:
         return np.concatenate([pair.matched for pair in self.pairs])
 
     @property
-    def n_doubtful(self) -> int:
-        """How many matches had a warning of low confidence."""
-        return sum(pair.doubtful for pair in self.pairs)
+    def n_doubtful(self) -> int | None:
+        """How many matches had a warning of low confidence; None where none has confidences of its own."""
+        told = [pair.doubtful for pair in self.pairs if pair.doubtful is not None]
+        return sum(told) if told else None
 
     @property
     def exchanges(self) -> dict[Exchange, int] | None:
@@ -175,7 +176,8 @@ class Evaluation:
         """Figures for JSON; geodesic errors are multiplied by 100, as tables in the field show them."""
         errors, matched, kind = self.errors, self.matched, self.error_kind
         confidences = np.concatenate([pair.confidences for pair in self.pairs])
-        share = least_confident_share(errors[matched], confidences[matched]) if matched.any() else np.nan
+        ranks = matched.any() and np.ptp(confidences[matched]) > 0
+        share = least_confident_share(errors[matched], confidences[matched]) if ranks else np.nan
         names = sorted({name for pair in self.pairs for name in pair.metrics})
         metrics = {name: float(np.mean([pair.metrics[name] for pair in self.pairs])) for name in names}
         missing, overlap, clutter = self.missing, self.overlap, self.clutter

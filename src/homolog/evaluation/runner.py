@@ -63,6 +63,9 @@ class ScoredPair:
 
 # Several processes are given so many pairs of one source at a time, which share its features and searches on it.
 _PAIRS_OF_A_PART = 16
+# In the report of a match: the maps that are known. A map from the target says nothing of source points, not even that
+# they have no counterpart.
+_ONE_WAY = ["target_to_source"]
 
 Metric = Callable[[ScoredPair], float]
 """A figure of one pair; its mean over pairs is reported."""
@@ -338,7 +341,8 @@ class _Run:
     def found_clutter(self, pair: PairOfNames, match: Match) -> Detection | None:
         """How well the added points were found: those that have no counterpart. Of full shapes, parts lack others."""
         lacking = {False: (), True: ("source",), "both": SIDES}[self.protocol.partial]  # the other shape is a part
-        sides = [side for side in SIDES if self.is_cluttered(side) and side not in lacking]
+        told: tuple[Side, ...] = ("target",) if _is_one_way(match) else SIDES
+        sides = [side for side in told if self.is_cluttered(side) and side not in lacking]
         if not sides:
             return None
         maps = {"source": match.source_to_target, "target": match.target_to_source}
@@ -399,7 +403,8 @@ class _Run:
         mapped: Int[np.ndarray, " p"],
         errors: Float[np.ndarray, " p"],
     ) -> PairErrors:
-        known = self.ground_truth.counterparts(*pair) if self.protocol.partial is True else None
+        tells_missing = self.protocol.partial is True and not _is_one_way(match)
+        known = self.ground_truth.counterparts(*pair) if tells_missing else None
         scored = ScoredPair(match, truth, errors)
         return PairErrors(
             pair=pair,
@@ -410,7 +415,7 @@ class _Run:
             overlap=self._found_overlap(pair, match),
             clutter=self.found_clutter(pair, match),
             quality=match.quality,
-            doubtful=match.quality is not None and bool(low_confidence_warnings(match, self.warnings)),
+            doubtful=None if match.quality is None else bool(low_confidence_warnings(match, self.warnings)),
             metrics={name: _figure(name, metric, scored, pair) for name, metric in self.metrics.items()},
             exchanged=self._exchanged(pair, match),
             chosen=next((candidate["name"] for candidate in match.report.get("choice", ())), None),
@@ -422,7 +427,7 @@ class _Run:
 
         Of the source alone, where the target is a cloud with points of its own.
         """
-        if self.protocol.partial != "both":
+        if self.protocol.partial != "both" or _is_one_way(match):
             return None
         known = [(match.source_to_target, self.ground_truth.counterparts(*pair))]
         if pair[1] not in self.clouds:
@@ -466,6 +471,10 @@ def _figure(name: str, metric: Metric, scored: ScoredPair, pair: PairOfNames) ->
     return figure
 
 
+def _is_one_way(match: Match) -> bool:
+    return match.report.get("directions") == _ONE_WAY
+
+
 class _ByFunction:
     """Maps by a method of one's own, which is given the shapes that are scored."""
 
@@ -494,7 +503,7 @@ class _ByFunction:
         name = f"{' - '.join(pair)}: target_to_source"
         back = check_point_map(name, found, n_points=target.n_points, n_others=source.n_points)
         nowhere = np.full(source.n_points, -1)
-        return Match(source, target, nowhere, back, method=self.method)
+        return Match(source, target, nowhere, back, method=self.method, report={"directions": _ONE_WAY})
 
 
 class _ByMatcher:

@@ -32,8 +32,9 @@ def method_maps(pair: Pair) -> PointMaps:
 def refine(pair: Pair, maps: PointMaps) -> PointMaps:
     """Point maps refined by ZoomOut, guided by features and landmarks; as they are where the settings say so.
 
-    Those of two parts are made anew, see ``maps_of_parts``. Nothing is refined whose method gives no near-isometric
-    maps, or whose features are for other shapes. Where there are no features, it is ZoomOut as published.
+    Those of two parts by a method of Homolog's own are made anew, see ``maps_of_parts``. Nothing is refined whose
+    method gives no near-isometric maps, or whose features are for other shapes. Where there are no features, it is
+    ZoomOut as published.
 
     Args:
         pair: the shapes, with features or without.
@@ -41,8 +42,8 @@ def refine(pair: Pair, maps: PointMaps) -> PointMaps:
     """
     settings = pair.settings.refinement
     if pair.are_parts:
-        fits = settings is not None and pair.fit is not None and pair.method.supports.refinement
-        return maps_of_parts(pair) if fits else maps
+        is_own = pair.method.name in own_methods() and pair.method.supports.refinement
+        return maps_of_parts(pair) if is_own and settings is not None and pair.fit is not None else maps
     if settings is None or not (pair.near_isometric and pair.method.supports.refinement):
         return maps
     x, y = pair.x.operators, pair.y.operators

@@ -543,7 +543,26 @@ def _exchanged_report(report: Mapping[str, Any], names: Sequence[str]) -> dict[s
     told = {name: _exchanged(entry, names) if name in _SIDED else entry for name, entry in report.items()}
     if "inputs" in report:
         told["inputs"] = {_exchanged(side): shape for side, shape in report["inputs"].items()}
+    options = report.get("options") or {}
+    if options.get("landmarks"):  # whose names are a user's
+        told["options"]["landmarks"] = _exchanged_landmarks(options["landmarks"])
+    if options.get("partial") == "both":  # the target's lengths are multiplied then, and it is moved onto the source
+        told["options"]["partial_scale"] = 1 / options["partial_scale"]
+        told["alignment"] = _inverse_alignment(report.get("alignment"))
     return told
+
+
+def _exchanged_landmarks(landmarks: Mapping[str, Any]) -> dict[str, Any]:
+    """Pairs of landmarks, whose uncertainties stay in the units of what was the target, with their sides exchanged."""
+    exchanged = {"source": landmarks["target"], "target": landmarks["source"], "axes": landmarks["axes"][::-1]}
+    return {**landmarks, **exchanged}
+
+
+def _inverse_alignment(alignment: Mapping[str, Any] | None) -> dict[str, Any] | None:
+    """What took one part onto the other, the other way."""
+    if alignment is None:
+        return None
+    return {**alignment, "rotation": np.transpose(alignment["rotation"]).tolist(), "scale": 1 / alignment["scale"]}
 
 
 def _exchanged(entry: Any, names: Sequence[str] = ()) -> Any:
