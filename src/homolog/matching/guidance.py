@@ -15,7 +15,7 @@ from torch import Tensor
 from homolog.geometry import distances_from
 from homolog.geometry.deformation import DeformedTemplate, WeightedPairs
 from homolog.geometry.projection import SurfaceProjector
-from homolog.maps import ConfidenceSettings, confidence
+from homolog.maps import ConfidenceSettings, confidence, nearest_neighbour
 from homolog.matching.result import Match
 from homolog.pairs import SIDES, GuidanceSettings, Pair, PointMaps, PreprocessedShape
 
@@ -42,8 +42,9 @@ def meet_landmarks(pair: Pair, maps: PointMaps) -> PointMaps:
     """Point maps that meet the landmarks, each to its uncertainty, without a tear; as they are without any.
 
     Each shape is deformed onto the other, as rigidly as may be, along both point maps and the landmarks. What a
-    landmark then misses is pulled there with its surroundings, and every point goes to the nearest one. Of a method
-    whose maps are smooth, such as ``registration``, there is the pull alone, unless they miss the landmarks by far.
+    landmark then misses is pulled there with its surroundings, and every point goes to the nearest one: the nearest in
+    place and normal together, as bodies of other proportions come to lie across each other. Of a method whose maps
+    are smooth, such as ``registration``, there is the pull alone, unless they miss the landmarks by far.
 
     Args:
         pair: with landmarks or without.
@@ -55,9 +56,10 @@ def meet_landmarks(pair: Pair, maps: PointMaps) -> PointMaps:
     meeting = _Meeting(pair, x, y)
     if not pair.method.supports.refinement and meeting.missed(maps) < pair.settings.guidance.trusted:
         return meeting.moved(maps)
-    for _ in range(pair.settings.guidance.rounds):
+    for _ in range(pair.settings.guidance.rounds - 1):
         maps = meeting.deformed(maps)
-    return maps
+    # By how much a landmark is missed is a matter of places alone.
+    return replace(meeting, by_place=bool(meeting.uncertainties.any())).deformed(maps)
 
 
 def landmark_misfit(pair: Pair, match: Match) -> float:
@@ -121,6 +123,11 @@ class _Surface:
         return np.flatnonzero(self.shape.operators.in_main_component.cpu().numpy())
 
     @cached_property
+    def normals(self) -> Float[np.ndarray, "n 3"] | None:
+        surface = self.projector.surface
+        return None if surface is None else surface.vertex_normals
+
+    @cached_property
     def tree(self) -> KDTree:
         return KDTree(self.projector.shape.points[self.main])
 
@@ -137,6 +144,7 @@ class _Meeting:
     pair: Pair
     x: _Surface
     y: _Surface
+    by_place: bool = False
 
     @property
     def settings(self) -> GuidanceSettings:
@@ -168,13 +176,12 @@ class _Meeting:
 
     def deformed(self, maps: PointMaps) -> PointMaps:
         """The maps once the shapes are deformed onto each other along them; a part alone is deformed onto its whole."""
-        y_on_x = self._onto(self.y, self.x, maps.y_to_x, None if self.pair.is_partial else maps.x_to_y)
-        y_to_x = self._nearest(y_on_x, self.y, self.x)
+        on_x, of_x = self._onto(self.y, self.x, maps.y_to_x, None if self.pair.is_partial else maps.x_to_y)
+        y_to_x = self._met(_counterparts(on_x, of_x, self.x.main), self.y, self.x)
         if self.pair.is_partial:
-            among = KDTree(y_on_x[self.y.main]).query(self.x.projector.shape.points)[1]
-            return self._maps(self._met(self.y.main[among], self.x, self.y), y_to_x)
-        x_on_y = self._onto(self.x, self.y, maps.x_to_y, maps.y_to_x)
-        return self._maps(self._nearest(x_on_y, self.x, self.y), y_to_x)
+            return self._maps(self._met(_counterparts(of_x, on_x, self.y.main), self.x, self.y), y_to_x)
+        on_y, of_y = self._onto(self.x, self.y, maps.x_to_y, maps.y_to_x)
+        return self._maps(self._met(_counterparts(on_y, of_y, self.y.main), self.x, self.y), y_to_x)
 
     def _maps(self, x_to_y: Int[np.ndarray, " n_x"], y_to_x: Int[np.ndarray, " n_y"]) -> PointMaps:
         device = self.pair.x.operators.points.device
@@ -182,8 +189,8 @@ class _Meeting:
 
     def _onto(
         self, one: _Surface, other: _Surface, there: Int[Tensor, " n"], back: Int[Tensor, " m"] | None
-    ) -> Float[np.ndarray, "n 3"]:
-        """Where the points of one shape lie on the other, in its coordinates."""
+    ) -> tuple[Float[Tensor, "n e"], Float[Tensor, "m e"]]:
+        """The points of one shape where they lie on the other, and those of the other, by all that is compared."""
         pairs = _pairs(one, other, there, back, self.pair.settings.confidence, self.settings.points)
         certain = WeightedPairs(
             np.concatenate([pairs.points, one.at]),
@@ -192,7 +199,23 @@ class _Meeting:
             n_certain=len(one.at),
         )
         template = DeformedTemplate(one.projector, other.projector, certain, stiffness=self.settings.stiffness)
-        return self._pulled(template.solve()[1], one, other)
+        side, solved = template.solve()
+        positions, normals, others = self._pulled(solved, one, other), None, None
+        if side and one.projector.surface is not None:
+            normals = side * replace(one.projector.surface, vertices=positions).vertex_normals
+            others = other.normals
+        target, unit = other.projector.shape.points, other.shape.operators.scale
+        middle = target.mean(axis=0)
+        return self._compared((positions - middle) / unit, normals), self._compared((target - middle) / unit, others)
+
+    def _compared(
+        self, positions: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"] | None
+    ) -> Float[Tensor, "n e"]:
+        """Places and normals of points as one embedding; places alone where these are to be met."""
+        parts = [positions]
+        if normals is not None and not self.by_place:
+            parts.append(self.settings.normals * normals)
+        return torch.from_numpy(np.concatenate(parts, axis=1)).to(self.pair.x.operators.points)
 
     def _pulled(self, positions: Float[np.ndarray, "n 3"], one: _Surface, other: _Surface) -> Float[np.ndarray, "n 3"]:
         """The positions with what landmarks still miss made up for, and with their surroundings."""
@@ -213,6 +236,14 @@ class _Meeting:
         certain = self.uncertainties == 0
         found[one.at[certain]] = other.at[certain]
         return found
+
+
+def _counterparts(
+    points: Float[Tensor, "n e"], others: Float[Tensor, "m e"], among: Int[np.ndarray, " r"]
+) -> Int[np.ndarray, " n"]:
+    """For each point the nearest one among some others."""
+    found: np.ndarray = among[nearest_neighbour(points, others[torch.from_numpy(among)]).index.cpu().numpy()]
+    return found
 
 
 def _pairs(
