@@ -43,7 +43,7 @@ def meet_landmarks(pair: Pair, maps: PointMaps) -> PointMaps:
 
     Each shape is deformed onto the other, as rigidly as may be, along both point maps and the landmarks. What a
     landmark then misses is pulled there with its surroundings, and every point goes to the nearest one: the nearest in
-    place, features and normal together, as bodies of other proportions slide along each other. Of a method whose maps
+    place and normal together, as bodies of other proportions come to lie across each other. Of a method whose maps
     are smooth, such as ``registration``, there is the pull alone, unless they miss the landmarks by far.
 
     Args:
@@ -121,11 +121,6 @@ class _Surface:
     def main(self) -> Int[np.ndarray, " m"]:
         """The points that others are mapped to."""
         return np.flatnonzero(self.shape.operators.in_main_component.cpu().numpy())
-
-    @cached_property
-    def features(self) -> Float[Tensor, "n d"]:
-        """Those of unit norm, without what landmarks add."""
-        return replace(self.shape, channels=None).unit_features()
 
     @cached_property
     def normals(self) -> Float[np.ndarray, "n 3"] | None:
@@ -211,19 +206,16 @@ class _Meeting:
             others = other.normals
         target, unit = other.projector.shape.points, other.shape.operators.scale
         middle = target.mean(axis=0)
-        here = self._compared(one, (positions - middle) / unit, normals)
-        return here, self._compared(other, (target - middle) / unit, others)
+        return self._compared((positions - middle) / unit, normals), self._compared((target - middle) / unit, others)
 
     def _compared(
-        self, one: _Surface, positions: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"] | None
+        self, positions: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"] | None
     ) -> Float[Tensor, "n e"]:
-        """Places, features and normals of points as one embedding; places alone where these are to be met."""
-        parts = [torch.from_numpy(positions).to(one.features)]
-        if not self.by_place:
-            parts.append(self.settings.features * one.features)
+        """Places and normals of points as one embedding; places alone where these are to be met."""
+        parts = [positions]
         if normals is not None and not self.by_place:
-            parts.append(self.settings.normals * torch.from_numpy(normals).to(one.features))
-        return torch.cat(parts, dim=1)
+            parts.append(self.settings.normals * normals)
+        return torch.from_numpy(np.concatenate(parts, axis=1)).to(self.pair.x.operators.points)
 
     def _pulled(self, positions: Float[np.ndarray, "n 3"], one: _Surface, other: _Surface) -> Float[np.ndarray, "n 3"]:
         """The positions with what landmarks still miss made up for, and with their surroundings."""

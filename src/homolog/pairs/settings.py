@@ -253,9 +253,8 @@ class GuidanceSettings(Settings):
         pull: of a landmark on the deformed shape, as a share of the weight of all its points.
         stiffness: of the deformed shape, in spacings of its points: what is smaller keeps its form.
         points: weight of the point maps in the deformation.
-        features: distance, in units of sqrt(area), that weighs as much as a difference of one in unit features where
+        normals: distance, in units of sqrt(area), that weighs as much as a difference of one in unit normals where
             points of the deformed shape look for their counterparts.
-        normals: the same of normals.
         rounds: of deformation, at least 1.
         trusted: maps of methods that are not refined are smooth by themselves: nothing is deformed where they miss
             landmarks by less than this on average, in units of sqrt(area). Chosen on vertebrae.
@@ -269,9 +268,8 @@ class GuidanceSettings(Settings):
     pull: Positive = 0.02
     stiffness: Positive = 5.0
     points: Positive = 0.5
-    features: NotNegative = 0.1
     normals: NotNegative = 0.1
-    rounds: Count = 3
+    rounds: Count = 2
     trusted: NotNegative = 0.1
     reach: Positive = 0.1
 
