@@ -31,6 +31,7 @@ class Positions:
     n_eigenpairs: int = 64
     knows_parts: bool = False
     most: float = 1.0
+    lender: str = ""
 
     @property
     def info(self):
@@ -40,6 +41,7 @@ class Positions:
             near_isometric=False,
             partial=self.knows_parts,
             most_misfit=self.most,
+            lender=self.lender,
         )
 
     def orienter(self, operators):
@@ -75,6 +77,16 @@ def test_of_partial_pairs_those_that_know_parts_are_asked_first(blobs, partial, 
     assert other.extractor.info.name == "usual"
 
 
+@pytest.mark.parametrize(("partial", "taken"), [(None, ["animals", "people"]), ("source", ["parts of animals"])])
+def test_features_with_a_lent_orienter_know_what_the_lender_knows(blobs, partial, taken):
+    """Of both, those are asked that suit the pair, however much better the other's orienter likes it."""
+    people, animals = Positions("people", 0.3), Positions("animals", 0.06 if partial is None else 0.01)
+    parts = Positions("parts of animals", 0.01 if partial is None else 0.06, knows_parts=True, lender="animals")
+    options = PairOptions(partial=partial, orient="given")
+    pair = Matcher([people, animals, parts]).pair(blobs.source, blobs.target, options)[0]
+    assert [candidate.name for candidate in pair.choice] == taken
+
+
 class Turning(Positions):
     """Features whose orienter finds every shape to lie on its side."""
 
@@ -92,7 +104,7 @@ def test_shapes_that_are_aligned_already_are_not_turned_by_features_that_are_cho
 
 def test_the_pretrained_weights_of_parts_stand_in_for_those_with_their_orienter():
     auto = Matcher.from_weights().feature_choice.extractors
-    assert [each.info.name for each in auto] == ["people", "animals", "hands", "heads", "views"]
+    assert [each.info.name for each in auto] == ["people", "animals", "hands", "heads", "views", "animal_parts"]
     source, target = homolog.demo_shapes()
     full = Matcher.from_weights().pair(source, target)[0]
     assert [candidate.name for candidate in full.choice] == ["people"]

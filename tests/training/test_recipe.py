@@ -121,14 +121,27 @@ def test_a_recipe_that_is_not_there(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["faust", "scape", "paper_faust", "paper_scape", "quick", "cuts", "holes", "views", "people", "organs"]
+    "name",
+    [
+        "faust",
+        "scape",
+        "paper_faust",
+        "paper_scape",
+        "quick",
+        "cuts",
+        "holes",
+        "views",
+        "animal_parts",
+        "people",
+        "organs",
+    ],
 )
 def test_shipped_recipes_can_be_read(name):
     recipe = read_recipe(name)
     assert builtin_recipes()[name].stem == name
     assert recipe.name == name
     assert recipe.licence != "unknown"
-    assert (recipe.partial is not None) == (name in ("cuts", "holes", "views"))
+    assert (recipe.partial is not None) == (name in ("cuts", "holes", "views", "animal_parts"))
 
 
 def test_every_setting_is_documented():

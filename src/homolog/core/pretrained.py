@@ -13,7 +13,7 @@ AUTO_WEIGHTS = "auto"
 """In place of a name: the pretrained weights of all kinds, of which those are used that know a pair best."""
 KINDS = ("people", "animals", "hands", "heads")
 """The names of the pretrained weights of these kinds, the usual ones first."""
-OF_PARTS = ("views",)
+OF_PARTS = ("views", "animal_parts")
 """The names of those that were trained on partial shapes of one of these kinds, and are for partial pairs."""
 
 _FOLDER = Path(__file__).parents[1] / "features" / "pretrained"
