@@ -15,7 +15,7 @@ import pytest
 import homolog as homolog_package
 from homolog.cli import doctor as doctor_module
 from homolog.cli.options import check_file
-from homolog.core.errors import DataError
+from homolog.core.errors import ArgumentError, DataError
 from homolog.matching import Match, Matcher
 from homolog.pairs import Preprocessor
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
@@ -225,6 +225,24 @@ def test_a_mistake_is_one_line(homolog, data, tmp_path, mistake):
 def test_a_place_for_the_score_is_asked_for_first(homolog, data, tmp_path, monkeypatch):
     monkeypatch.setattr(Preprocessor, "__call__", None)
     assert homolog("evaluate", data, "--json", tmp_path / "gone" / "x.json").is_one_line_of_complaint()
+    ended = homolog("evaluate", data, "--plot", tmp_path / "curve.jpg")
+    assert ended.is_one_line_of_complaint(), ended
+    assert "has the suffix '.jpg', but a plot must have one of .png, .pdf, .svg" in ended.err
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    ended = homolog("evaluate", data, "--plot", tmp_path / "curve.png")
+    assert ended.is_one_line_of_complaint() and "pip install 'homolog[plot]'" in ended.err, ended
+
+
+def test_the_figures_are_written_before_the_plot(homolog, data, tmp_path, monkeypatch):
+    def fails(*given):
+        raise ArgumentError("no plot today")
+
+    monkeypatch.setattr(homolog_package.evaluation, "plot_pck", fails)
+    pytest.importorskip("matplotlib", reason="matplotlib is missing; pip install 'homolog[plot]'")
+    places = ["--json", tmp_path / "score.json", "--plot", tmp_path / "curve.png"]
+    ended = homolog("evaluate", data, "--method", "axiomatic", *places)
+    assert ended.code == 2 and "no plot today" in ended.err
+    assert strictly((tmp_path / "score.json").read_text())["pairs"]
 
 
 def forbidden(monkeypatch, folder):

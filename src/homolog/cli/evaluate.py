@@ -46,6 +46,7 @@ from homolog.cli.wording import in_options
 from homolog.core.choices import Background, Modalities, OutlierKind, Split, Turn, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import write_csv
+from homolog.core.plots import check_plot
 from homolog.core.versions import versions
 from homolog.methods import AUTO
 
@@ -297,6 +298,8 @@ def evaluate(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_files(csv, plot, None if on_stdout(json) else json)
+    if plot is not None:
+        check_plot(plot)
     _check_maps(context, maps, base)
     check_inputs(weights=weights)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
@@ -369,11 +372,11 @@ def _write(
     csv: Path | None,
     plot: Path | None,
 ) -> None:
+    write_figures(json, figures)
     if csv is not None:
         write_csv(csv, evaluation.rows())
     if plot is not None:
         homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
-    write_figures(json, figures)
 
 
 def _tell(evaluation: Evaluation, figures: dict[str, Any], title: str, *, table: bool) -> None:
