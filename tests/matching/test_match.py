@@ -426,6 +426,16 @@ def test_the_first_index_is_checked_as_a_map_is_read(given, tmp_path, suffix, ba
     np.testing.assert_array_equal(read_point_map(tmp_path / f"map{suffix}", base=np.int64(usual)), expected)
 
 
+@pytest.mark.usefixtures("readers_here")
+@pytest.mark.parametrize("base", [0, 1])
+@pytest.mark.parametrize("suffix", [".mat", ".npz"])
+def test_files_of_arrays_say_from_which_index_they_count(given, tmp_path, suffix, base):
+    given.save(tmp_path / f"map{suffix}", base=base)
+    for direction in ("target_to_source", "source_to_target"):
+        found = read_point_map(tmp_path / f"map{suffix}", direction=direction)
+        np.testing.assert_array_equal(found, getattr(given, direction))
+
+
 @pytest.mark.parametrize("text", ["-2\n0\n", "3\n-7\n"])
 def test_numbers_below_none_are_no_indices(tmp_path, text):
     (tmp_path / "map.txt").write_text(text)
