@@ -127,6 +127,17 @@ def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
 
 
 @pytest.mark.slow
+def test_evaluate_with_settings_and_options_that_win(homolog, data, tmp_path):
+    (tmp_path / "own.toml").write_text('method = "axiomatic"\n[axiomatic]\nn_eigenpairs = 12\n')
+    scores = [tmp_path / "first.json", tmp_path / "again.json", tmp_path / "refined.json"]
+    own = ["--settings", tmp_path / "own.toml", "--no-refinement"]
+    for options, score in ((own, 0), (["--settings", scores[0]], 1), (["--settings", scores[0], "--refinement"], 2)):
+        assert homolog("evaluate", data, "-q", *options, "--json", scores[score]).code == 0
+    first, again, refined = (strictly(score.read_text())["settings"] for score in scores)
+    assert first == again and (first["axiomatic"]["n_eigenpairs"], first["refinement"]) == (12, None)
+    assert refined["refinement"] is not None and {**refined, "refinement": None} == first
+
+
 def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatch):
     adapted = []
 

@@ -219,7 +219,7 @@ def _words_of(annotation: Any) -> tuple[str, ...]:
 
 def _nested(annotation: Any, value: Any, key: str, where: str) -> Any:
     kind = _parts(annotation)[0]
-    if not is_dataclass(kind):
+    if value is None or not is_dataclass(kind):
         return value
     if not isinstance(value, Mapping):
         raise ArgumentError(f"{where} {key} is {value!r}, but must be a section [{key}]")
