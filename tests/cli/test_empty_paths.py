@@ -15,6 +15,7 @@ EMPTY = {
     "match a.ply b.ply --html {}": "--html",
     "match a.ply b.ply --picture {}": "--picture",
     "match a.ply b.ply --weights {}": "--weights",
+    "match a.ply b.ply --settings {}": "--settings",
     "info {}": "SHAPES",
     "info a.ply {}": "SHAPES",
     "view {}": "RESULT",

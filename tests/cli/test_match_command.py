@@ -51,6 +51,52 @@ def test_four_files(homolog, files, tmp_path):
         np.testing.assert_array_equal(written.faces, given.faces)
 
 
+def test_the_settings_of_a_report_give_the_same_map_again(homolog, files, tmp_path):
+    (tmp_path / "own.toml").write_text(
+        'method = "axiomatic"\n[axiomatic]\nn_eigenpairs = 12\n[refinement]\nk_init = 15\n'
+    )
+    first = ("match", files.mesh, files.other, "-o", tmp_path / "first")
+    assert homolog(*first, "--settings", tmp_path / "own.toml").code == 0
+    told = report(tmp_path / "first")["settings"]
+    assert (told["method"], told["axiomatic"]["n_eigenpairs"], told["refinement"]["k_init"]) == ("axiomatic", 12, 15)
+    assert json.loads(json.dumps(MatcherSettings.from_dict(told).to_dict())) == told
+    again = (
+        "match",
+        files.mesh,
+        files.other,
+        "-o",
+        tmp_path / "again",
+        "--settings",
+        tmp_path / "first" / "report.json",
+    )
+    assert homolog(*again).code == 0
+    assert report(tmp_path / "again")["settings"] == told
+    for name, values in maps(tmp_path / "first").items():
+        np.testing.assert_array_equal(maps(tmp_path / "again")[name], values)
+    assert homolog(*again, "--method", "registration").code == 0
+    found = report(tmp_path / "again")
+    assert found["method"] == "registration" and found["settings"] == {**told, "method": "registration"}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        ("a.toml", "refinment = 3", "--settings has an unknown key 'refinment'; did you mean 'refinement'?"),
+        (
+            "a.toml",
+            "[refinement]\nk_int = 3",
+            "[refinement] has an unknown key 'k_int'; did you mean 'k_init'?",
+        ),
+        ("a.toml", "method = 'of nobody'", "method is 'of nobody', but must be one of auto"),
+        ("a.json", "{}", "give the report.json of a result, or a TOML file"),
+    ],
+)
+def test_settings_that_cannot_be_used_are_one_line(homolog, files, tmp_path, name, text, said):
+    (tmp_path / name).write_text(text)
+    ended = homolog("match", files.mesh, files.other, "-o", tmp_path / "out", "--settings", tmp_path / name)
+    assert ended.is_one_line_of_complaint() and said in ended.err, ended
+
+
 @pytest.mark.parametrize(
     "options", [{}, {"as_cloud": "both"}, {"as_cloud": "source"}, {"partial": "target"}, {"partial": "source"}]
 )

@@ -15,7 +15,7 @@ import pytest
 import homolog as homolog_package
 from homolog.cli import doctor as doctor_module
 from homolog.cli.options import check_file
-from homolog.core.errors import DataError
+from homolog.core.errors import ArgumentError, DataError
 from homolog.matching import Match, Matcher
 from homolog.pairs import Preprocessor
 from homolog.shapes import Shape, read_shape, upright_rotation, write_shape
@@ -127,6 +127,17 @@ def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
 
 
 @pytest.mark.slow
+def test_evaluate_with_settings_and_options_that_win(homolog, data, tmp_path):
+    (tmp_path / "own.toml").write_text('method = "axiomatic"\n[axiomatic]\nn_eigenpairs = 12\n')
+    scores = [tmp_path / "first.json", tmp_path / "again.json", tmp_path / "refined.json"]
+    own = ["--settings", tmp_path / "own.toml", "--no-refinement"]
+    for options, score in ((own, 0), (["--settings", scores[0]], 1), (["--settings", scores[0], "--refinement"], 2)):
+        assert homolog("evaluate", data, "-q", *options, "--json", scores[score]).code == 0
+    first, again, refined = (strictly(score.read_text())["settings"] for score in scores)
+    assert first == again and (first["axiomatic"]["n_eigenpairs"], first["refinement"]) == (12, None)
+    assert refined["refinement"] is not None and {**refined, "refinement": None} == first
+
+
 def test_evaluate_adapts_to_each_pair(homolog, data, files, tmp_path, monkeypatch):
     adapted = []
 
@@ -225,6 +236,24 @@ def test_a_mistake_is_one_line(homolog, data, tmp_path, mistake):
 def test_a_place_for_the_score_is_asked_for_first(homolog, data, tmp_path, monkeypatch):
     monkeypatch.setattr(Preprocessor, "__call__", None)
     assert homolog("evaluate", data, "--json", tmp_path / "gone" / "x.json").is_one_line_of_complaint()
+    ended = homolog("evaluate", data, "--plot", tmp_path / "curve.jpg")
+    assert ended.is_one_line_of_complaint(), ended
+    assert "has the suffix '.jpg', but a plot must have one of .png, .pdf, .svg" in ended.err
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    ended = homolog("evaluate", data, "--plot", tmp_path / "curve.png")
+    assert ended.is_one_line_of_complaint() and "pip install 'homolog[plot]'" in ended.err, ended
+
+
+def test_the_figures_are_written_before_the_plot(homolog, data, tmp_path, monkeypatch):
+    def fails(*given):
+        raise ArgumentError("no plot today")
+
+    monkeypatch.setattr(homolog_package.evaluation, "plot_pck", fails)
+    pytest.importorskip("matplotlib", reason="matplotlib is missing; pip install 'homolog[plot]'")
+    places = ["--json", tmp_path / "score.json", "--plot", tmp_path / "curve.png"]
+    ended = homolog("evaluate", data, "--method", "axiomatic", *places)
+    assert ended.code == 2 and "no plot today" in ended.err
+    assert strictly((tmp_path / "score.json").read_text())["pairs"]
 
 
 def forbidden(monkeypatch, folder):

@@ -1,5 +1,7 @@
 """Settings: what is given arrives in the annotated types, and every mistake is one line that says what is allowed."""
 
+import copy
+import pickle
 import subprocess
 import sys
 from dataclasses import asdict, dataclass, field, replace
@@ -55,6 +57,19 @@ def test_values_arrive_in_the_annotated_types():
     assert type(Inner(rate=3, noise=[1]).noise[0]) is float
     assert asdict(found)["inner"]["noise"] == (1.0, 0.5)
     assert replace(Inner(), number=2).number == 2
+
+
+def test_a_word_that_is_no_field_is_named_with_the_nearest_one():
+    for call, said in (
+        (lambda: Inner(rat=1), "Inner has an unknown key 'rat'; did you mean 'rate'?"),
+        (lambda: replace(Inner(), nois=()), "Inner has an unknown key 'nois'; did you mean 'noise'?"),
+        (lambda: Outer(zzz=1), "Outer has an unknown key 'zzz'; it knows name, inner, plain, more"),
+    ):
+        with pytest.raises(ArgumentError) as error:
+            call()
+        assert str(error.value) == said
+    for copied in (pickle.loads(pickle.dumps(Outer(name="y"))), copy.deepcopy(Outer(name="y"))):
+        assert copied == Outer(name="y")
 
 
 def test_arrays_and_paths_arrive_as_lists_and_texts():

@@ -227,7 +227,7 @@ def test_the_curve_as_a_picture(folder, tmp_path, suffix, begins):
     content = (tmp_path / f"curve{suffix}").read_bytes()
     assert content.startswith(begins) and len(content) > 2000
     assert [path.name for path in tmp_path.glob("curve*")] == [f"curve{suffix}"]
-    with pytest.raises(ArgumentError, match=r"'\.jpg', but must be one of \.png, \.pdf, \.svg"):
+    with pytest.raises(ArgumentError, match=r"^/.*jpg has the suffix '\.jpg', but .* \.png, \.pdf, \.svg$"):
         plot_pck(tmp_path / "curve.jpg", {"mine": found})
 
 

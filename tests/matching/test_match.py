@@ -426,6 +426,16 @@ def test_the_first_index_is_checked_as_a_map_is_read(given, tmp_path, suffix, ba
     np.testing.assert_array_equal(read_point_map(tmp_path / f"map{suffix}", base=np.int64(usual)), expected)
 
 
+@pytest.mark.usefixtures("readers_here")
+@pytest.mark.parametrize("base", [0, 1])
+@pytest.mark.parametrize("suffix", [".mat", ".npz"])
+def test_files_of_arrays_say_from_which_index_they_count(given, tmp_path, suffix, base):
+    given.save(tmp_path / f"map{suffix}", base=base)
+    for direction in ("target_to_source", "source_to_target"):
+        found = read_point_map(tmp_path / f"map{suffix}", direction=direction)
+        np.testing.assert_array_equal(found, getattr(given, direction))
+
+
 @pytest.mark.parametrize("text", ["-2\n0\n", "3\n-7\n"])
 def test_numbers_below_none_are_no_indices(tmp_path, text):
     (tmp_path / "map.txt").write_text(text)
@@ -451,11 +461,11 @@ def test_a_folder_that_is_not_there_is_told(tmp_path):
             Match.load(path)
 
 
-def test_the_functional_map_has_the_size_asked_for_or_none(make):
+def test_the_functional_map_has_the_size_asked_for_or_none(make, monkeypatch):
     """No more than there are eigenfunctions on either shape, or points with a counterpart."""
     blob, few = make.blob(3), make.blob(0)
     for call, said in (
-        (lambda: identity(few).functional_map(50), r"k is 50, but the source, blob, has \d+ eigenfunctions; give at m"),
+        (lambda: identity(few).functional_map(13), "k is 13, but the source, blob, has 12 points once repaired; give"),
         (lambda: Match(blob, few, np.zeros(642, int), np.arange(12)).functional_map(20), "but the target, blob, has"),
         (lambda: identity(blob).functional_map(0), "k is 0, but must be a whole number of at least 1"),
         (lambda: identity(blob).functional_map(2.5), "k is 2.5, but must be a whole number"),
@@ -466,6 +476,10 @@ def test_the_functional_map_has_the_size_asked_for_or_none(make):
     ):
         with pytest.raises(ArgumentError, match=said):
             call()
+    with monkeypatch.context() as patch:
+        patch.setattr("homolog.matching.result.compute_operators", None)  # it would take long for so many
+        with pytest.raises(ArgumentError, match="k is 10000, but the source, blob, has 642 points"):
+            identity(blob).functional_map(10_000)
     n = few.n_points
     largest = max(k for k in range(1, n) if compute_operators(few, settings=OperatorSettings(k)).n_eigenpairs == k)
     assert identity(few).functional_map(largest).shape == (largest, largest)

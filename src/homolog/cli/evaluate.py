@@ -28,6 +28,7 @@ from homolog.cli.options import (
     OrientOption,
     Quiet,
     Seed,
+    SettingsFile,
     UseProxyOption,
     Verbose,
     Weights,
@@ -36,7 +37,9 @@ from homolog.cli.options import (
     check_inputs,
     described,
     device_of,
+    method_of,
     on_stdout,
+    read_settings_file,
     set_verbosity,
     workers,
     write_figures,
@@ -46,6 +49,7 @@ from homolog.cli.wording import in_options
 from homolog.core.choices import Background, Modalities, OutlierKind, Split, Turn, Up
 from homolog.core.errors import ArgumentError
 from homolog.core.files import write_csv
+from homolog.core.plots import check_plot
 from homolog.core.versions import versions
 from homolog.methods import AUTO
 
@@ -71,6 +75,7 @@ _OF_MAKING_MAPS = (
     "landmarks",
     "method",
     "weights",
+    "settings",
     "adapt",
     "refinement",
     "alignment",
@@ -173,23 +178,26 @@ def evaluate(
     ] = 0,
     method: MethodOption = AUTO,
     weights: Weights = None,
+    settings: SettingsFile = None,
     adapt: Adapt = 0,
     refinement: Annotated[
-        bool,
+        bool | None,
         typer.Option(
             "--refinement/--no-refinement",
             help="Refine maps by ZoomOut, where they may be refined, or leave them as the method makes them.",
+            show_default="refinement",
             rich_help_panel=METHOD,
         ),
-    ] = True,
+    ] = None,
     alignment: Annotated[
-        bool,
+        bool | None,
         typer.Option(
             "--alignment/--no-alignment",
             help="Align partial shapes with their full shapes before they are matched, or leave them as they lie.",
+            show_default="alignment",
             rich_help_panel=PARTIAL,
         ),
-    ] = True,
+    ] = None,
     partial: Annotated[
         bool | None,
         typer.Option(
@@ -296,9 +304,10 @@ def evaluate(
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    check_files(csv, plot, None if on_stdout(json) else json)
-    _check_maps(context, maps, base)
-    check_inputs(weights=weights)
+    _check_outputs(json, csv, plot)
+    _check_inputs(context, maps, base, weights)
+    told = read_settings_file(settings)
+    method = method_of(context, method, told)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
     protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
@@ -319,9 +328,10 @@ def evaluate(
         landmarks=landmarks,
         seed=seed,
     )
-    without = [*([] if refinement else ["refinement"]), *([] if alignment else ["alignment", "parts"])]
+    stages = {"refinement": refinement, "alignment": alignment, "parts": alignment}
     device = device_of(device, cluster)
-    matcher = None if maps is not None else build_matcher(weights, method, device, no_cache=no_cache, left_out=without)
+    how_made: dict[str, Any] = {"no_cache": no_cache, "told": told, "stages": stages}
+    matcher = None if maps is not None else build_matcher(weights, method, device, **how_made)
     folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     scored = None if maps is None else homolog.evaluation.MapsFolder(maps, base=base)
     match_pair = None if matcher is None else _adapting(matcher, adapt)
@@ -344,8 +354,16 @@ def _partial_pairs(description: DatasetDescription, partial: bool | None, *, bot
     return "both" if both_partial else told
 
 
-def _check_maps(context: typer.Context, maps: Path | None, base: int | None) -> None:
-    """Refuse options that do not go with maps that are there, or not there."""
+def _check_outputs(json: Path | None, csv: Path | None, plot: Path | None) -> None:
+    """Refuse results that cannot be written, before any work."""
+    check_files(csv, plot, None if on_stdout(json) else json)
+    if plot is not None:
+        check_plot(plot)
+
+
+def _check_inputs(context: typer.Context, maps: Path | None, base: int | None, weights: str | None) -> None:
+    """Refuse weights that are not there, and options that do not go with maps that are there, or not there."""
+    check_inputs(weights=weights)
     if maps is not None:
         _refuse_unused(context)
     elif base is not None:
@@ -369,11 +387,11 @@ def _write(
     csv: Path | None,
     plot: Path | None,
 ) -> None:
+    write_figures(json, figures)
     if csv is not None:
         write_csv(csv, evaluation.rows())
     if plot is not None:
         homolog.evaluation.plot_pck(plot, {folder.description.name or folder.root.name: evaluation})
-    write_figures(json, figures)
 
 
 def _tell(evaluation: Evaluation, figures: dict[str, Any], title: str, *, table: bool) -> None:

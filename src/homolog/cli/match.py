@@ -26,6 +26,7 @@ from homolog.cli.options import (
     PreAligned,
     Quiet,
     ResultOutput,
+    SettingsFile,
     UseProxyOption,
     Verbose,
     Weights,
@@ -34,6 +35,8 @@ from homolog.cli.options import (
     check_inputs,
     check_page_file,
     check_picture_file,
+    method_of,
+    read_settings_file,
     set_verbosity,
 )
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say, tell_files
@@ -54,6 +57,7 @@ STEPS = 14
 
 
 def match(
+    context: typer.Context,
     source: Annotated[
         Path, typer.Argument(metavar="SOURCE", help="The shape whose positions give the colours.", show_default=False)
     ],
@@ -130,6 +134,7 @@ def match(
     ] = False,
     method: MethodOption = "auto",
     weights: Weights = None,
+    settings: SettingsFile = None,
     adapt: Adapt = 0,
     partial: Annotated[
         Parts | None,
@@ -192,9 +197,13 @@ def match(
       homolog match jaw.ply other.ply -o result --source-mask teeth.ply --target-mask other-teeth.ply
 
       homolog match old.ply new.ply -o result --weights people.safetensors --adapt 40
+
+      homolog match a.ply c.ply -o again --settings result/report.json
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
+    told = read_settings_file(settings)
+    method = method_of(context, method, told)
     for folder in (output, *(homolog.matching.alternative_folder(output, 2 + n) for n in range(alternatives - 1))):
         check_folder(folder, names=homolog.matching.RESULT_FILES)
     check_page_file(page)
@@ -219,7 +228,8 @@ def match(
     with progress_bar(quiet=quiet, form=progress_form) as progress:
         steps = STEPS + has_choice(weights, method) + adapt + (adapt > 0) + 2 * (alternatives - 1)
         timings = Timings(listener=counted(progress, steps, verbose=verbose))
-        matcher = build_matcher(weights, method, device, no_cache=no_cache, file_told=progress_form != "json")
+        own_file = progress_form != "json"
+        matcher = build_matcher(weights, method, device, no_cache=no_cache, told=told, file_told=own_file)
         pair, files = matcher.pair(source, target, options, timings=timings)
         matcher, pair = adapted(matcher, pair, adapt, timings)
         each = [timings, *(timings.branch() for _ in range(alternatives - 1))]

@@ -6,12 +6,13 @@ import json
 import logging
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typing_extensions import TypedDict  # before Python 3.12 pydantic takes no other
 
 import homolog
 from homolog.cli.lazy import OTHER
@@ -19,13 +20,22 @@ from homolog.core.choices import PICTURE_WIDTHS, Device, KeepClutter, Orient, Up
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.files import expanded, refuse_overwriting_inputs, resolved, write_json
 from homolog.core.pretrained import AUTO_WEIGHTS, weights_file
-from homolog.core.settings import toml_value
-from homolog.methods import method_names
+from homolog.core.records import read_record, record
+from homolog.core.settings import read_toml, toml_value
+from homolog.methods import AUTO, method_names
 
 if TYPE_CHECKING:
     from homolog.core.cluster import Cluster
     from homolog.core.cluster import Processes as AnyProcesses
     from homolog.matching import Matcher
+
+
+@record
+class _Told(TypedDict):
+    """A report, as far as its settings are read."""
+
+    settings: dict[str, Any]
+
 
 # The groups that options stand in.
 INPUT, METHOD, PARTIAL, OUTPUT = "Input", "Method", "Partial shapes", "Output"
@@ -38,6 +48,19 @@ Weights = Annotated[
         help="Trained weights: the name of pretrained ones, a .safetensors file, or a .pth that the paper's authors "
         "released. auto: those that know the two shapes, of people or parts of them, animals, hands or heads, or none.",
         show_default=AUTO_WEIGHTS,
+        rich_help_panel=METHOD,
+    ),
+]
+
+
+SettingsFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--settings",
+        metavar="FILE",
+        help="Make maps with these settings: a TOML file with fields of MatcherSettings, or the report.json of a "
+        "result. Options that are given as well win.",
+        show_default=False,
         rich_help_panel=METHOD,
     ),
 ]
@@ -281,11 +304,14 @@ def build_matcher(
     device: Device,
     *,
     no_cache: bool,
-    left_out: Iterable[str] = (),
+    told: Mapping[str, Any] | None = None,
+    stages: Mapping[str, bool | None] | None = None,
     file_told: bool = True,
 ) -> Matcher:
-    """The matcher that the shared options ask for, without some stages; some methods need no weights.
+    """The matcher that the shared options ask for; some methods need no weights.
 
+    ``told`` has the settings of ``--settings``, see ``read_settings_file``; but for the method, see ``method_of``.
+    ``stages`` says which stages to leave out, or not, in whatever way the settings have them.
     ``file_told`` is whether reports say which file the weights came from: what a server shows, tells nothing of its
     folders.
     """
@@ -295,12 +321,41 @@ def build_matcher(
     from homolog.pairs import MatcherSettings
 
     operators = compute_operators if no_cache else OperatorCache.default().operators
-    without: dict[str, Any] = dict.fromkeys(left_out)
-    settings = MatcherSettings(method=method, **without)
+    settings = MatcherSettings.from_dict({**(told or {}), "method": method}, where="--settings")
+    for stage, kept in (stages or {}).items():
+        if kept is not None and kept != (getattr(settings, stage) is not None):
+            changes: dict[str, Any] = {stage: getattr(MatcherSettings(), stage) if kept else None}
+            settings = replace(settings, **changes)
     features: Any = features_of_weights(weights, settings)
     if not file_told and isinstance(features, NetworkFeatures):
         features = replace(features, file="")
     return Matcher(features, settings=settings, device=device, operators=operators)
+
+
+def method_of(context: typer.Context, method: str, told: Mapping[str, Any] | None) -> str:
+    """The method of the settings that were told, unless ``--method`` is given, be it with its usual value."""
+    source = context.get_parameter_source("method")
+    given = source is not None and source.name == "COMMANDLINE"
+    return method if told is None or given else told.get("method", AUTO)
+
+
+def read_settings_file(file: Path | None) -> dict[str, Any] | None:
+    """The settings in a TOML file, or in the report of a result or of an evaluation; None without one.
+
+    Their names are checked as they are used: they are known where PyTorch is loaded.
+
+    Raises:
+        ArgumentError: if it cannot be read.
+        DataError: if it is a report without settings.
+    """
+    if file is None:
+        return None
+    if file.suffix.lower() != ".json":
+        return read_toml(file)
+    settings: dict[str, Any] = read_record(file, _Told, instead="give the report.json of a result, or a TOML file")[
+        "settings"
+    ]
+    return settings
 
 
 def described(matcher: Matcher, *, warnings: str = "warnings") -> dict[str, Any]:

@@ -24,6 +24,7 @@ from typing import (
 )
 
 from annotated_types import Ge, Gt, Le, Lt
+from typing_extensions import Self
 
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.files import read_text
@@ -70,7 +71,7 @@ class Settings:
     limits, such as ``Annotated[int, Ge(1)]``; see also ``Positive``, ``Count`` and others in this module.
 
     Raises:
-        ArgumentError: if a value is not as annotated, or ``check`` refuses it.
+        ArgumentError: if a value is not as annotated, a word is no field, or ``check`` refuses them.
 
     Examples:
         >>> from dataclasses import dataclass
@@ -83,6 +84,13 @@ class Settings:
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]  # subclasses are dataclasses
+
+    def __new__(cls, *_: Any, **words: Any) -> Self:
+        """Refuse a word that is no field, before ``__init__`` would by a ``TypeError`` without the nearest one."""
+        for word in words:
+            if word not in cls.__dataclass_fields__:
+                raise ArgumentError(f"{cls.__name__} {unknown_key(word, [*cls.__dataclass_fields__])}")
+        return super().__new__(cls)
 
     def __post_init__(self) -> None:
         for name, value in _checked(type(self), vars(self)).items():
@@ -211,7 +219,7 @@ def _words_of(annotation: Any) -> tuple[str, ...]:
 
 def _nested(annotation: Any, value: Any, key: str, where: str) -> Any:
     kind = _parts(annotation)[0]
-    if not is_dataclass(kind):
+    if value is None or not is_dataclass(kind):
         return value
     if not isinstance(value, Mapping):
         raise ArgumentError(f"{where} {key} is {value!r}, but must be a section [{key}]")

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from homolog.core.errors import bad_choice, needs_extra
 from homolog.core.files import atomic_path, expanded
+from homolog.core.plots import check_plot
 from homolog.evaluation.metrics import PCK_THRESHOLD, area_under_pck, pck_curve
 from homolog.evaluation.result import Evaluation
 
 PckCurve = tuple[ArrayLike, ArrayLike, float]
 """Thresholds, shares of points, and the area under the curve."""
-_SUFFIXES = (".png", ".pdf", ".svg")
 
 
 def plot_pck(path: str | Path, evaluations: Mapping[str, Evaluation]) -> None:
@@ -69,14 +68,12 @@ def plot_errors(path: str | Path, curves: Mapping[str, Mapping[float, float]], *
 @contextmanager
 def _axes(path: str | Path) -> Iterator[Any]:
     """Axes to draw on; the picture is written when the block ends."""
-    suffix = expanded(path).suffix.lower()
-    if suffix not in _SUFFIXES:
-        raise bad_choice("--plot", suffix, _SUFFIXES)
-    with needs_extra("a plot", "plot"):
-        from matplotlib.figure import Figure
+    check_plot(path)
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(5, 4), layout="constrained")
     axes = figure.add_subplot()
     axes.grid(alpha=0.3)
     yield axes
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, format=suffix[1:], dpi=200)
+        figure.savefig(temporary, format=expanded(path).suffix.lower()[1:], dpi=200)

@@ -223,13 +223,9 @@ class Match:
         """
         check_count("k", k)
         clean = repair(self.source), repair(self.target)
-        source, target = (compute_operators(each.shape, settings=OperatorSettings(n_eigenpairs=k)) for each in clean)
-        for side, operators in (("source", source), ("target", target)):
-            if operators.n_eigenpairs < k:
-                raise ArgumentError(
-                    f"k is {k}, but the {side}, {getattr(self, side).name}, has {operators.n_eigenpairs} "
-                    "eigenfunctions; give at most as many"
-                )
+        for side, each in zip(SIDES, clean, strict=True):
+            if each.shape.n_points < k:
+                raise _too_many(k, self, side, f"{each.shape.n_points} points once repaired")
         found = self.target_to_source[clean[1].kept]
         mapped = np.where(found >= 0, clean[0].clean_index[found], -1)
         (known,) = np.nonzero(mapped >= 0)
@@ -238,6 +234,10 @@ class Match:
                 f"k is {k}, but only {len(known)} points of the target, {self.target.name}, have a counterpart; "
                 "give at most as many"
             )
+        source, target = (compute_operators(each.shape, settings=OperatorSettings(n_eigenpairs=k)) for each in clean)
+        for side, operators in zip(SIDES, (source, target), strict=True):
+            if operators.n_eigenpairs < k:
+                raise _too_many(k, self, side, f"{operators.n_eigenpairs} eigenfunctions")
         weight = target.mass[known].double().sqrt()[:, None]
         phi_target = weight * target.eigenvectors[known].double()
         carried = weight * source.eigenvectors[torch.from_numpy(mapped[known])].double()
@@ -356,6 +356,12 @@ class Match:
         doubt = f", {len(self.warnings)} warnings" if self.warnings else ""
         trust = f"confidence {self.source_confidence.mean():.2f} and {self.target_confidence.mean():.2f}"
         return f"Match({self.source.name!r} -> {self.target.name!r} by {self.method}, {trust}{doubt})"
+
+
+def _too_many(k: int, match: Match, side: Side, there_are: str) -> ArgumentError:
+    """The error of a functional map that is larger than a shape allows."""
+    shape = getattr(match, side)
+    return ArgumentError(f"k is {k}, but the {side}, {shape.name}, has {there_are}; give at most as many")
 
 
 def _no_folder(path: str | Path) -> str:

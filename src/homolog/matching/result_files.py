@@ -55,6 +55,7 @@ _ARRAYS = ("source_to_target", "target_to_source", "source_confidence", "target_
 _DIRECTIONS = ("target_to_source", "source_to_target")
 # The first index of each format, as other programs write it.
 _BASES = {".npz": 0, ".mat": 1, ".txt": 0, ".vts": 1, ".map": 1}
+_FIRST_INDEX = "first_index"
 MAP_SUFFIXES = (*_BASES,)
 """The suffixes of files that point maps are read from."""
 _MATLAB = Path(__file__).with_name("mat_process.py")
@@ -369,10 +370,11 @@ def write_maps(
         shifted = {name: shifted[direction]}
     # NumPy adds a suffix to a name that has none, but not to a file.
     with atomic_path(path) as temporary, temporary.open("wb") as file:
+        # A result folder's arrays count from 0, and need not say so.
+        told = {_FIRST_INDEX: base} if name is None and (base or suffix == ".mat") else {}
         if suffix == ".npz":
-            np.savez_compressed(file, allow_pickle=False, **shifted)
+            np.savez_compressed(file, allow_pickle=False, **{**shifted, **told})
         elif suffix == ".mat":
-            told = {} if name is not None else {"first_index": base}
             scipy.io.savemat(file, {**shifted, **told}, do_compression=True, oned_as="column")
         else:
             np.savetxt(file, shifted[direction], fmt="%d")
@@ -386,7 +388,8 @@ def read_point_map(
 
     Args:
         path: the file. Text holds an index per line; ``.npz`` and ``.mat`` an array called ``direction``, or one alone.
-        base: the first index; by default 0 for ``.npz`` and ``.txt``, 1 for the others.
+        base: the first index; by default what ``.npz`` or ``.mat`` say themselves by ``first_index``, or else 0 for
+            ``.npz`` and ``.txt``, 1 for the others.
         direction: which map is meant, where a file holds both.
         n_others: how many points the shape has that the map leads to. Where it is given and ``base`` is not, a file
             that seems to count from another index than its format is refused: one that holds the index after the last
@@ -409,16 +412,16 @@ def read_point_map(
     file = expanded(path)
     suffix = _checked_suffix(path, reading=True)
     _check_options(base, direction)
-    first = base
+    own = None
     try:
         if suffix == ".npz":
             with open_npz(file) as archive:
                 names = [direction] if direction in archive.names else archive.names
-                values = _only(path, {name: archive[name] for name in names}, direction)
+                own = archive[_FIRST_INDEX] if _FIRST_INDEX in archive.names else None
+                values = _only(path, {name: archive[name] for name in names if name != _FIRST_INDEX}, direction)
         elif suffix == ".mat":
             stored = read_in_process(_MATLAB, ordinary(file), library="SciPy")
-            own = stored.pop("first_index", None)
-            first = _own_base(path, own) if base is None and own is not None else base
+            own = stored.pop(_FIRST_INDEX, None)
             named = {name: value for name, value in stored.items() if not name.startswith("_")}
             values = _only(path, named, direction)
         else:
@@ -431,6 +434,7 @@ def read_point_map(
     except Exception as error:  # whatever NumPy and SciPy raise of a damaged file
         raise DataError(f"{path} cannot be read as a point map ({reason_of(error)})") from None
     values = _whole_numbers(path, values)
+    first = _own_base(path, own) if base is None and own is not None else base
     if first is None:
         first = _BASES.get(suffix, 1)
         _check_usual_base(path, values, first, n_others)

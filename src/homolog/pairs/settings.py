@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Annotated, Any, get_args
 
@@ -13,7 +14,7 @@ from homolog.core.choices import Device
 from homolog.core.errors import ArgumentError, bad_choice, bad_value
 from homolog.core.method_names import AUTO, method_names
 from homolog.core.reprs import function_name
-from homolog.core.settings import Count, NotNegative, Positive, Settings, Share
+from homolog.core.settings import Count, NotNegative, Positive, Settings, Share, read_settings
 from homolog.geometry import ClutterSettings, OperatorSettings
 from homolog.maps import ConfidenceSettings, RefinementSettings, RegistrationSettings
 
@@ -377,6 +378,28 @@ class MatcherSettings(Settings):
         named = isinstance(self.method, str)
         name = self.method if named else getattr(self.method, "name", function_name(self.method))
         return {**asdict(replace(self, method=AUTO)), "method": name}
+
+    @classmethod
+    def from_dict(cls, table: Mapping[str, Any], *, where: str = "settings") -> MatcherSettings:
+        """Settings from what ``to_dict`` gives, such as the ``settings`` of a report; what is left out is as usual.
+
+        A method of one's own is found again only if it is an installed one: a report has its name alone.
+
+        Args:
+            table: values by the names of the fields; those of parts, such as ``refinement``, in tables of their own.
+            where: what messages call it.
+
+        Raises:
+            ArgumentError: if there is no such field or method, or a value is not as it should be.
+
+        Examples:
+            >>> from homolog import MatcherSettings
+            >>> MatcherSettings.from_dict({"refinement": None, "soft_map": {"iterations": 5}})
+            MatcherSettings(soft_map=SoftMapSettings(iterations=5), refinement=None)
+        """
+        if not isinstance(table, Mapping):
+            raise bad_value(where, table, "a table of values by name, as MatcherSettings.to_dict gives it")
+        return read_settings(cls, table, where)
 
     def __repr__(self) -> str:
         return _changes(self)
