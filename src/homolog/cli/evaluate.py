@@ -306,6 +306,7 @@ def evaluate(
     _check_given(context, weights, maps, base, (json, csv, plot))
     told, method = settings_and_method(context, settings, method)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
+    folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
         split=split,
@@ -329,7 +330,6 @@ def evaluate(
     device = device_of(device, cluster)
     how_made: dict[str, Any] = {"no_cache": no_cache, "told": told, "stages": stages}
     matcher = None if maps is not None else build_matcher(weights, method, device, **how_made)
-    folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     scored = None if maps is None else homolog.evaluation.MapsFolder(maps, base=base)
     match_pair = None if matcher is None else _adapting(matcher, adapt)
     workers_of = workers(processes, cluster, usually=1)

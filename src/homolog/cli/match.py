@@ -202,9 +202,6 @@ def match(
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
     told, method = settings_and_method(context, settings, method)
-    _check_folders(output, alternatives)
-    check_page_file(page)
-    check_picture_file(picture, lines, picture_width)
     options = homolog.PairOptions(
         as_cloud=as_cloud,
         partial=partial,
@@ -221,6 +218,7 @@ def match(
         source_mask=homolog.pairs.mask_of(source_mask, "source_mask"),
         target_mask=homolog.pairs.mask_of(target_mask, "target_mask"),
     )
+    _check_outputs(output, alternatives, page, picture, width=picture_width, lines=lines)
     with progress_bar(quiet=quiet, form=progress_form) as progress:
         steps = STEPS + has_choice(weights, method) + adapt + (adapt > 0) + 2 * (alternatives - 1)
         timings = Timings(listener=counted(progress, steps, verbose=verbose))
@@ -241,10 +239,14 @@ def match(
         _summary(matches, timings, paths, verbose=verbose)
 
 
-def _check_folders(output: Path, alternatives: int) -> None:
-    """Refuse a folder, or one of the alternatives' in it, that cannot be written, or where inputs would be replaced."""
+def _check_outputs(
+    output: Path, alternatives: int, page: Path | None, picture: Path | None, *, width: int, lines: int
+) -> None:
+    """Refuse folders, those of the alternatives included, page and picture that cannot be written, before any work."""
     for folder in (output, *(homolog.matching.alternative_folder(output, 2 + n) for n in range(alternatives - 1))):
         check_folder(folder, names=homolog.matching.RESULT_FILES)
+    check_page_file(page)
+    check_picture_file(picture, lines, width)
     refuse_overwriting_inputs(_alternatives(output))
 
 
