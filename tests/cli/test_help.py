@@ -8,6 +8,7 @@ from typer.main import get_command
 
 from homolog.cli.app import app
 from homolog.cli.lazy import command_of, help_of, lazy_group
+from homolog.cli.wording import in_options, speak_of
 
 
 def commands_below(group, words=()):
@@ -112,3 +113,11 @@ def test_a_command_is_its_function_with_its_docstring(capsys):
     command(["you", "--loud"], standalone_mode=False)
     assert capsys.readouterr().out == "YOU\n"
     assert (command.name, command.help) == ("greet", "Greet somebody.")
+
+
+def test_words_of_the_library_are_told_as_options_of_the_command_that_runs(monkeypatch):
+    monkeypatch.setattr("homolog.cli.wording._options", {})
+    told = "look at both (Matcher.alternatives), or trust the files (orient='given')"
+    assert in_options(told) == told
+    speak_of(COMMANDS["match",].params)
+    assert in_options(told) == "look at both (--alternatives), or trust the files (--orient given)"

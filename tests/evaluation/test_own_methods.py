@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -118,6 +119,26 @@ def test_abstaining_does_not_pay(folder):
 def test_neither_a_matcher_nor_a_method(folder):
     with pytest.raises(ArgumentError, match="matcher is None, but maps must come from a matcher or from match"):
         evaluate(None, folder, ALL)
+
+
+def test_a_method_that_gives_two_maps_is_told_which_one_is_wanted(folder):
+    with pytest.raises(ArgumentError, match=rf"gave two values, but must give a Match, or one map: .*, \({N},\)$"):
+        evaluate(None, folder, ALL, match=lambda source, target: (np.arange(N), np.arange(N)))
+    with pytest.raises(ArgumentError, match=rf"target_to_source is a list that is no array, but .* \({N},\)$"):
+        evaluate(None, folder, ALL, match=lambda source, target: [[1, 2], [3]])
+
+
+def test_what_lacks_anything_of_a_matcher_is_refused_at_once(folder):
+    lacking = SimpleNamespace(preprocess=None, paired=None, find=None)
+    with pytest.raises(ArgumentError, match="matcher is a SimpleNamespace, but must be a Matcher; make one"):
+        evaluate(lacking, folder, ALL)
+
+
+def test_two_files_of_one_pair_are_refused(tmp_path):
+    for name in ("a_b.txt", "a_b.vts"):
+        (tmp_path / name).write_text("1\n")
+    with pytest.raises(DataError, match=r"has several maps of a and b, a_b\.txt and a_b\.vts; keep one$"):
+        MapsFolder(tmp_path).file("a", "b")
 
 
 def test_clouds_reach_a_method_without_faces(folder):

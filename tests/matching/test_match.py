@@ -436,6 +436,12 @@ def test_files_of_arrays_say_from_which_index_they_count(given, tmp_path, suffix
         np.testing.assert_array_equal(found, getattr(given, direction))
 
 
+def test_a_map_of_several_lengths_is_named(make):
+    blob = make.blob(0)
+    with pytest.raises(ArgumentError, match=r"^source_to_target is a list that is no array, but must be one map"):
+        Match(blob, blob, [[1, 2], [3]], np.arange(12))
+
+
 @pytest.mark.parametrize("text", ["-2\n0\n", "3\n-7\n"])
 def test_numbers_below_none_are_no_indices(tmp_path, text):
     (tmp_path / "map.txt").write_text(text)

@@ -114,7 +114,7 @@ def test_arrays_come_in_any_sequence(blobs, gather):
     [
         ([np.zeros((480, 4))], "are 1 of them, but must be two arrays"),
         (np.zeros((3, 480, 4)), "are 3 of them, but must be two arrays"),
-        ("ab", "are a str, but must be two arrays"),
+        ("ab", "is 'ab', but must be arrays, .*; give weights='ab'"),
         ({"source": np.zeros((480, 4)), "target": np.zeros((560, 4))}, "are a dict, but must be two arrays"),
         (3, "are a int, but must be two arrays"),
     ],
@@ -383,10 +383,16 @@ def installed(tmp_path, monkeypatch):
         "    x, y = pair.x.operators.points, pair.y.operators.points\n"
         "    return PointMaps(nearest_neighbour(x, y).index, nearest_neighbour(y, x).index)\n"
         'METHOD = FunctionMethod("their-method", nearest, Supports(needs_features=False, refinement=False))\n'
+        "class Other:\n"
+        "    name, supports = 'other-name', METHOD.supports\n"
+        "    def __call__(self, pair):\n"
+        "        return nearest(pair)\n"
+        "OTHER = Other()\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "broken_methods.py").write_text("raise RuntimeError('out of\\norder')\n")
     names = ["their-method = own_methods:METHOD", "broken = broken_methods:METHOD", "axiomatic = own_methods:METHOD"]
+    names += ["second-name = own_methods:METHOD", "third-name = own_methods:OTHER"]
     info = tmp_path / "theirs-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
@@ -398,7 +404,7 @@ def installed(tmp_path, monkeypatch):
 
 
 def test_a_method_by_entry_point(installed, blobs, expected):
-    assert method_names()[-2:] == ("their-method", "broken")
+    assert method_names()[-4:] == ("their-method", "broken", "second-name", "third-name")
     assert "own_methods" not in sys.modules  # names are found without loading any
     found = homolog.match(blobs.source, blobs.target, method="their-method", device="cpu")
     assert np.mean(found.target_to_source == expected[1]) > 0.99
@@ -406,6 +412,27 @@ def test_a_method_by_entry_point(installed, blobs, expected):
     assert find_method("their-method").supports.needs_features is False
     with pytest.raises(ArgumentError, match=r"method is 'their-methd'.*did you mean 'their-method'"):
         find_method("their-methd")
+
+
+def test_a_method_is_called_as_its_entry_point_is(installed, blobs):
+    found = homolog.match(blobs.source, blobs.target, method="second-name", device="cpu")
+    assert found.method == found.report["settings"]["method"] == "second-name"
+    said = "entry point third-name = .* leads to a method that is called 'other-name'; call both alike"
+    with pytest.raises(ArgumentError, match=said):
+        find_method("third-name")
+
+
+def test_features_that_are_names_or_several_networks_say_where_they_go(blobs):
+    for features, said in (
+        ("people", "features is 'people', but must be arrays, a function or a network; give weights='people'"),
+        ([torch.nn.Identity()] * 2, "are several networks or functions, .* are given to homolog.Matcher"),
+    ):
+        with pytest.raises(ArgumentError, match=said):
+            homolog.match(blobs.source, blobs.target, features=features)
+    with pytest.raises(ArgumentError, match=r"features is 'people', .* give Matcher.from_weights\('people'\)"):
+        homolog.Matcher("people")
+    with pytest.raises(ArgumentError, match=r"device is 'gpu', .*; a graphics card is 'cuda'"):
+        homolog.Matcher(device="gpu")
 
 
 def test_an_installed_method_that_fails_is_one_line(installed, blobs, monkeypatch):

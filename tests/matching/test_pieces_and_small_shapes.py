@@ -5,7 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial import KDTree
 
-from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.errors import ArgumentError, ShapeError, UndeterminedError
 from homolog.geometry import OperatorSettings
 from homolog.matching import Matcher
 from homolog.methods import axiomatic
@@ -92,7 +92,7 @@ def test_one_eigenpair_is_too_few_for_the_axiomatic_method(blobs):
 @pytest.mark.slow
 def test_an_undetermined_map_is_blamed_on_what_it_comes_from(make, monkeypatch):
     def undetermined(*_args):
-        raise ArgumentError("singular")
+        raise UndeterminedError("singular")
 
     monkeypatch.setattr(axiomatic, "axiomatic_problem", undetermined)
     sphere = make.sphere(1)
@@ -100,3 +100,13 @@ def test_an_undetermined_map_is_blamed_on_what_it_comes_from(make, monkeypatch):
     for shape, words in ((sphere, "too small or too symmetric"), (two, "too many pieces")):
         with pytest.raises(ShapeError, match=words):
             Matcher(settings=MatcherSettings(method="axiomatic")).match(shape, shape)
+
+
+def test_another_error_of_the_axiomatic_method_stays_as_it_is(make, monkeypatch):
+    def wrong(*_args):
+        raise ArgumentError("this is something else")
+
+    monkeypatch.setattr(axiomatic, "axiomatic_problem", wrong)
+    sphere = make.sphere(1)
+    with pytest.raises(ArgumentError, match=r"^this is something else$"):
+        Matcher(settings=MatcherSettings(method="axiomatic")).match(sphere, sphere)

@@ -271,6 +271,8 @@ def test_each_alternative_is_made_once_with_warnings_and_a_margin_of_its_own(blo
     plain = matcher.match_pair(pair)
     made = calls(homolog.Matcher, "find")
     timings = [Timings() for _ in range(3)]
+    with pytest.raises(ArgumentError, match="timings are 2, but must be 3, one for each of so many matches"):
+        matcher.alternatives(pair, 3, timings=timings[:2])
     found = matcher.alternatives(pair, 3, timings=timings)
     assert len(made) == len(found) > 1
     np.testing.assert_array_equal(found[0].source_to_target, plain.source_to_target)

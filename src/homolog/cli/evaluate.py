@@ -37,10 +37,9 @@ from homolog.cli.options import (
     check_inputs,
     described,
     device_of,
-    method_of,
     on_stdout,
-    read_settings_file,
     set_verbosity,
+    settings_and_method,
     workers,
     write_figures,
 )
@@ -304,11 +303,10 @@ def evaluate(
       homolog evaluate FAUST_r --turn any --seed 1
     """
     set_verbosity(quiet=quiet, verbose=verbose)
-    _check_outputs(json, csv, plot)
-    _check_inputs(context, maps, base, weights)
-    told = read_settings_file(settings)
-    method = method_of(context, method, told)
+    _check_given(context, weights, maps, base, (json, csv, plot))
+    told, method = settings_and_method(context, settings, method)
     description = homolog.datasets.read_description(dataset) if dataset else homolog.datasets.DatasetDescription()
+    folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     protocol = homolog.evaluation.Protocol(
         modality=modality or ("cloud" if description.holds == "clouds" else "mesh"),
         split=split,
@@ -332,7 +330,6 @@ def evaluate(
     device = device_of(device, cluster)
     how_made: dict[str, Any] = {"no_cache": no_cache, "told": told, "stages": stages}
     matcher = None if maps is not None else build_matcher(weights, method, device, **how_made)
-    folder = homolog.datasets.ShapeFolder.open(data, description, up=up)
     scored = None if maps is None else homolog.evaluation.MapsFolder(maps, base=base)
     match_pair = None if matcher is None else _adapting(matcher, adapt)
     workers_of = workers(processes, cluster, usually=1)
@@ -354,15 +351,18 @@ def _partial_pairs(description: DatasetDescription, partial: bool | None, *, bot
     return "both" if both_partial else told
 
 
-def _check_outputs(json: Path | None, csv: Path | None, plot: Path | None) -> None:
-    """Refuse results that cannot be written, before any work."""
+def _check_given(
+    context: typer.Context,
+    weights: str | None,
+    maps: Path | None,
+    base: int | None,
+    outputs: tuple[Path | None, Path | None, Path | None],
+) -> None:
+    """Refuse what cannot be written or is not there, and options that do not go with maps that are there, or not."""
+    json, csv, plot = outputs
     check_files(csv, plot, None if on_stdout(json) else json)
     if plot is not None:
         check_plot(plot)
-
-
-def _check_inputs(context: typer.Context, maps: Path | None, base: int | None, weights: str | None) -> None:
-    """Refuse weights that are not there, and options that do not go with maps that are there, or not there."""
     check_inputs(weights=weights)
     if maps is not None:
         _refuse_unused(context)

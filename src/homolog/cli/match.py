@@ -35,9 +35,8 @@ from homolog.cli.options import (
     check_inputs,
     check_page_file,
     check_picture_file,
-    method_of,
-    read_settings_file,
     set_verbosity,
+    settings_and_method,
 )
 from homolog.cli.progress import ProgressOption, Report, progress_bar, say, tell_files
 from homolog.cli.wording import in_options
@@ -202,13 +201,7 @@ def match(
     """
     set_verbosity(quiet=quiet, verbose=verbose)
     check_inputs(source, target, weights=weights)
-    told = read_settings_file(settings)
-    method = method_of(context, method, told)
-    for folder in (output, *(homolog.matching.alternative_folder(output, 2 + n) for n in range(alternatives - 1))):
-        check_folder(folder, names=homolog.matching.RESULT_FILES)
-    check_page_file(page)
-    check_picture_file(picture, lines, picture_width)
-    refuse_overwriting_inputs(_alternatives(output))
+    told, method = settings_and_method(context, settings, method)
     options = homolog.PairOptions(
         as_cloud=as_cloud,
         partial=partial,
@@ -225,11 +218,12 @@ def match(
         source_mask=homolog.pairs.mask_of(source_mask, "source_mask"),
         target_mask=homolog.pairs.mask_of(target_mask, "target_mask"),
     )
+    _check_outputs(output, alternatives, page, picture, width=picture_width, lines=lines)
     with progress_bar(quiet=quiet, form=progress_form) as progress:
         steps = STEPS + has_choice(weights, method) + adapt + (adapt > 0) + 2 * (alternatives - 1)
         timings = Timings(listener=counted(progress, steps, verbose=verbose))
-        own_file = progress_form != "json"
-        matcher = build_matcher(weights, method, device, no_cache=no_cache, told=told, file_told=own_file)
+        how: dict[str, Any] = {"no_cache": no_cache, "told": told, "file_told": progress_form != "json"}
+        matcher = build_matcher(weights, method, device, **how)
         pair, files = matcher.pair(source, target, options, timings=timings)
         matcher, pair = adapted(matcher, pair, adapt, timings)
         each = [timings, *(timings.branch() for _ in range(alternatives - 1))]
@@ -243,6 +237,17 @@ def match(
         say(f"Note: {len(matches)} of {alternatives} ways round were found.")
     if not quiet:
         _summary(matches, timings, paths, verbose=verbose)
+
+
+def _check_outputs(
+    output: Path, alternatives: int, page: Path | None, picture: Path | None, *, width: int, lines: int
+) -> None:
+    """Refuse folders, those of the alternatives included, page and picture that cannot be written, before any work."""
+    for folder in (output, *(homolog.matching.alternative_folder(output, 2 + n) for n in range(alternatives - 1))):
+        check_folder(folder, names=homolog.matching.RESULT_FILES)
+    check_page_file(page)
+    check_picture_file(picture, lines, width)
+    refuse_overwriting_inputs(_alternatives(output))
 
 
 def has_choice(weights: str | None, method: str) -> bool:

@@ -310,7 +310,7 @@ def build_matcher(
 ) -> Matcher:
     """The matcher that the shared options ask for; some methods need no weights.
 
-    ``told`` has the settings of ``--settings``, see ``read_settings_file``; but for the method, see ``method_of``.
+    ``told`` has the settings of ``--settings``, but for the method; see ``settings_and_method``.
     ``stages`` says which stages to leave out, or not, in whatever way the settings have them.
     ``file_told`` is whether reports say which file the weights came from: what a server shows, tells nothing of its
     folders.
@@ -332,13 +332,6 @@ def build_matcher(
     return Matcher(features, settings=settings, device=device, operators=operators)
 
 
-def method_of(context: typer.Context, method: str, told: Mapping[str, Any] | None) -> str:
-    """The method of the settings that were told, unless ``--method`` is given, be it with its usual value."""
-    source = context.get_parameter_source("method")
-    given = source is not None and source.name == "COMMANDLINE"
-    return method if told is None or given else told.get("method", AUTO)
-
-
 def read_settings_file(file: Path | None) -> dict[str, Any] | None:
     """The settings in a TOML file, or in the report of a result or of an evaluation; None without one.
 
@@ -356,6 +349,13 @@ def read_settings_file(file: Path | None) -> dict[str, Any] | None:
         "settings"
     ]
     return settings
+
+
+def settings_and_method(context: typer.Context, file: Path | None, method: str) -> tuple[dict[str, Any] | None, str]:
+    """What ``--settings`` tells, and its method, unless ``--method`` is given, be it with its usual value."""
+    told, source = read_settings_file(file), context.get_parameter_source("method")
+    given = source is not None and source.name == "COMMANDLINE"
+    return told, method if told is None or given else told.get("method", AUTO)
 
 
 def described(matcher: Matcher, *, warnings: str = "warnings") -> dict[str, Any]:

@@ -23,6 +23,7 @@ def in_options(text: str) -> str:
     """
     for name, option in _options.items():
         text = re.sub(rf"(?<![\w/.-]){name}='?([\w.-]+)'?", rf"{option} \1", text)
+        text = re.sub(rf"(?<![\w/.-])Matcher\.{name}(?![\w/.-])", option, text)
         text = re.sub(rf"(^|, but ){name}(?= is )", rf"\1{option}", text)
         if "_" in name:
             text = re.sub(rf"(?<![\w/.-]){name}(?![\w/-]|\.\w)", option, text)

@@ -33,6 +33,10 @@ class ArgumentError(HomologError, ValueError):
     """An argument or option has a value that is not allowed."""
 
 
+class UndeterminedError(ArgumentError):
+    """What is given does not determine a functional map."""
+
+
 class ShapeError(HomologError, ValueError):
     """A shape, or the file it comes from, cannot be used."""
 

@@ -9,10 +9,9 @@ from jaxtyping import Int
 
 from homolog.core.errors import DataError
 from homolog.core.files import expanded, resolved
-from homolog.matching import read_point_map
+from homolog.matching import MAP_SUFFIXES, read_point_map
 from homolog.shapes import Shape
 
-_SUFFIXES = (".txt", ".vts", ".map", ".mat", ".npz")
 _SELF_PAIR = ": without it each shape is matched with itself, too, as the published protocol has it"
 _JOINTS = ("_", "-", "__")
 
@@ -43,9 +42,16 @@ class MapsFolder:
         self.__name__ = resolved(self.folder).name  # what reports call the method
 
     def file(self, source: str, target: str) -> Path | None:
-        """The file of a pair, by the names of its shapes; None if there is none."""
-        names = (f"{source}{joint}{target}{suffix}" for joint in _JOINTS for suffix in _SUFFIXES)
-        return next((self.folder / name for name in names if (self.folder / name).is_file()), None)
+        """The file of a pair, by the names of its shapes; None if there is none.
+
+        Raises:
+            DataError: if there are several.
+        """
+        names = (f"{source}{joint}{target}{suffix}" for joint in _JOINTS for suffix in MAP_SUFFIXES)
+        found = [name for name in names if (self.folder / name).is_file()]
+        if len(found) > 1:
+            raise DataError(f"{self.folder} has several maps of {source} and {target}, {' and '.join(found)}; keep one")
+        return self.folder / found[0] if found else None
 
     def __call__(self, source: Shape, target: Shape) -> Int[np.ndarray, " n_target"]:
         """The map of a pair.
@@ -57,8 +63,8 @@ class MapsFolder:
         file = self.file(*names)
         if file is None:
             raise DataError(
-                f"{self.folder} has no map of {names[0]} and {names[1]}; it must be called "
-                f"{names[0]}_{names[1]} with one of the suffixes {', '.join(_SUFFIXES)}; to score other pairs alone, "
-                f"list them as lines SOURCE,TARGET in a file, --pairs FILE{_SELF_PAIR if names[0] == names[1] else ''}"
+                f"{self.folder} has no map of {names[0]} and {names[1]}; it must be called {names[0]}_{names[1]} with "
+                f"one of the suffixes {', '.join(MAP_SUFFIXES)}; to score other pairs alone, list "
+                f"them as lines SOURCE,TARGET in a file, --pairs FILE{_SELF_PAIR if names[0] == names[1] else ''}"
             )
         return read_point_map(file, base=self.base, n_others=source.n_points)

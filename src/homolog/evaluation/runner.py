@@ -187,9 +187,13 @@ def _in_parts(
     return replace(found[0], pairs=tuple(scored[number] for number in range(len(pairs))), seconds=seconds)
 
 
+# What is used of a matcher.
+_OF_A_MATCHER = ("preprocess", "paired", "find", "method_of", "settings")
+
+
 def _check_arguments(matcher: Any, folder: Any, match: Any, match_pair: Any, metrics: Any) -> None:
     """Refuse, before anything is read, what cannot make maps or score them."""
-    has_its_methods = all(hasattr(matcher, name) for name in ("preprocess", "paired", "find"))
+    has_its_methods = all(hasattr(matcher, name) for name in _OF_A_MATCHER)
     if callable(matcher) and not has_its_methods:
         raise ArgumentError(
             f"matcher is the function {function_name(matcher)}, but must be a Matcher; give None, and the function by "
@@ -500,6 +504,11 @@ class _ByFunction:
                         "those of the shape that was given"
                     )
             return found
+        if isinstance(found, tuple) and len(found) == 2:
+            raise ArgumentError(
+                f"{' - '.join(pair)}: match {self.method!r} gave two values, but must give a Match, or one map: "
+                f"target_to_source, for each target point its source point, ({target.n_points},)"
+            )
         name = f"{' - '.join(pair)}: target_to_source"
         back = check_point_map(name, found, n_points=target.n_points, n_others=source.n_points)
         nowhere = np.full(source.n_points, -1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from os import PathLike, fspath
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -241,6 +242,9 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
     if callable(features):
         name = function_name(features)
         return FunctionFeatures(features, info or FeatureInfo(name=name, input="operators", upright=False))
+    if isinstance(features, str | PathLike):
+        name = fspath(features)
+        raise ArgumentError(f"features is {name!r}, but must be no name; give Matcher.from_weights({name!r})")
     raise ArgumentError(
         f"features is a {type(features).__name__}, but must be a feature extractor, a network or a function of "
         "operators; homolog.load_weights reads one from a file"

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from homolog.core.arguments import check_finite, check_indices, is_real
 from homolog.core.arrays import takes_arrays, takes_arrays_of_any_precision
-from homolog.core.errors import ArgumentError, bad_value
+from homolog.core.errors import ArgumentError, UndeterminedError, bad_value
 from homolog.maps.nearest import nearest_neighbour
 
 # A linear system counts as singular if a pivot is no larger than this share of its diagonal.
@@ -176,7 +176,7 @@ def _unsolvable(penalty: Tensor, right: Tensor) -> ArgumentError:
         return ArgumentError("the features are not finite; check what makes them, such as the weights")
     if not penalty.isfinite().all():
         return ArgumentError("mask is not finite; check the eigenvalues that it is made from")
-    return ArgumentError(
+    return UndeterminedError(
         "the functional map is not determined: give at least as many independent features as eigenpairs, "
         "or a larger regularisation"
     )

@@ -38,6 +38,14 @@ def options_of(options: PairOptions | None, words: dict[str, Any]) -> PairOption
 
 def check_two_arrays(features: Any) -> None:
     """Refuse features that are not one array for each shape; the arrays themselves are checked with the shapes."""
+    if isinstance(features, str | PathLike):
+        name = fspath(features)
+        raise ArgumentError(f"features is {name!r}, but must be arrays, a function or a network; give weights={name!r}")
+    if isinstance(features, list | tuple) and any(map(callable, features)):
+        raise ArgumentError(
+            "features given with a pair are several networks or functions, but must be two arrays, (of_source, "
+            "of_target); those to choose from are given to homolog.Matcher([...])"
+        )
     several = isinstance(features, Sequence | np.ndarray | Tensor) and not isinstance(features, str)
     if not several or len(features) != 2:
         found = f"{len(features)} of them" if several else f"a {type(features).__name__}"

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from homolog.core.arguments import check_count, check_kind, given_or_default
-from homolog.core.errors import ShapeError
+from homolog.core.errors import ArgumentError, ShapeError
 from homolog.core.pretrained import AUTO_WEIGHTS
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo
@@ -189,12 +189,14 @@ class Matcher:
             timings: for each of them, what collects its time and memory.
 
         Raises:
-            ArgumentError: if ``pair`` or ``count`` is of another kind.
+            ArgumentError: if ``pair`` or ``count`` is of another kind, or there are not so many ``timings``.
             ShapeError: if the shapes cannot be matched, or ``strict`` forbids a warning of the first match.
         """
         check_kind("pair", pair, Pair)
         check_count("count", count)
         timings = timings or [Timings() for _ in range(count)]
+        if len(timings) != count:
+            raise ArgumentError(f"timings are {len(timings)}, but must be {count}, one for each of so many matches")
         units = unit_warnings(pair)
         with timings[0].measure("map"), blaming(units):
             ways = orientations(pair, count)

@@ -383,7 +383,13 @@ def check_point_map(name: str, indices: Any, *, n_points: int, n_others: int) ->
     Raises:
         ArgumentError: naming what was found.
     """
-    indices = np.asarray(indices.detach().cpu() if isinstance(indices, Tensor) else indices)
+    try:
+        indices = np.asarray(indices.detach().cpu() if isinstance(indices, Tensor) else indices)
+    except (TypeError, ValueError, RuntimeError):  # of lists of several lengths, or of several maps
+        kind = type(indices).__name__
+        raise ArgumentError(
+            f"{name} is a {kind} that is no array, but must be one map, with one entry per point, ({n_points},)"
+        ) from None
     if indices.dtype.kind not in "iu":
         raise ArgumentError(f"{name} holds {indices.dtype}, but must hold whole numbers, indices of points from 0")
     if indices.shape != (n_points,):

@@ -95,7 +95,7 @@ def orientation_warnings(match: Match) -> tuple[str, ...]:
         return ()
     return (
         "which way round the shapes are is ambiguous: another rotation leads to another map, and fits nearly as well; "
-        "look at both (--alternatives 2), or trust the files (--orient given)",
+        "look at both (Matcher.alternatives), or trust the files (orient='given')",
     )
 
 

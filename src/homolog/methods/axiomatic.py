@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.errors import ShapeError, UndeterminedError
 from homolog.features import FeatureInfo
 from homolog.geometry import Basis, Operators
 from homolog.maps import smoothed_positions, wave_kernel_signature
@@ -62,7 +62,7 @@ def _point_maps(pair: Pair) -> PointMaps:
     try:
         problem = axiomatic_problem(x.operators, y.operators, features, pair.settings.axiomatic)
         return point_maps_of(problem.c_xy(), problem.c_yx(), pair)
-    except ArgumentError:
+    except UndeterminedError:
         raise ShapeError(f"{x.name} or {y.name} {_why_undetermined(x.operators, y.operators)}") from None
 
 

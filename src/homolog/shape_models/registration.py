@@ -226,7 +226,7 @@ def _match_warnings(found: Match) -> list[str]:
     of_orientation = orientation_warnings(found)
     told = (
         "which way round the shape is is ambiguous: another rotation leads to another registration, and fits nearly as "
-        "well; look at it, or turn the files alike and trust them (--orient given)"
+        "well; look at it, or turn the files alike and trust them (orient='given')"
     )
     return [told if warning in of_orientation else warning for warning in found.warnings]
 
