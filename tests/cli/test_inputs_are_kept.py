@@ -31,7 +31,7 @@ READ = {
     *("source", "target", "result", "truth", "origin", "array", "labels", "landmarks", "template", "shapes"),
     *("data", "pairs", "maps", "clouds", "files", "file", "mask", "folder", "shape"),
     *("source_mask", "target_mask", "symmetry", "fragment", "model", "collection", "groups", "frames", "scan"),
-    *("listed", "template_mask", "masks"),
+    *("listed", "template_mask", "masks", "settings"),
 }
 
 
