@@ -44,6 +44,7 @@ CORE = {
     "core.caches": {"core.errors", "core.files"},
     "core.pretrained": {"core.errors", "core.files"},
     "core.folders": {"core.errors", "core.files", "core.records"},
+    "core.plots": {"core.errors", "core.files"},
     "core.method_names": {"core.plugins"},
     "core.cluster": {"core.errors", "core.files", "core.arguments", "core.ends", "core.versions"},
     "core.tasks": {"core.errors", "core.progress", "core.ends", "core.arguments", "core.cluster"},

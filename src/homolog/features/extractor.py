@@ -243,8 +243,8 @@ def as_extractor(features: object, info: FeatureInfo | None = None) -> FeatureEx
         name = function_name(features)
         return FunctionFeatures(features, info or FeatureInfo(name=name, input="operators", upright=False))
     if isinstance(features, str | PathLike):
-        name = fspath(features)
-        raise ArgumentError(f"features is {name!r}, but must be no name; give Matcher.from_weights({name!r})")
+        kind, name = type(features).__name__, fspath(features)
+        raise ArgumentError(f"features is a {kind}, {name!r}, but must be no name; give Matcher.from_weights({name!r})")
     raise ArgumentError(
         f"features is a {type(features).__name__}, but must be a feature extractor, a network or a function of "
         "operators; homolog.load_weights reads one from a file"

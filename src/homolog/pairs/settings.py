@@ -424,7 +424,7 @@ def choose_device(device: Device | torch.device) -> torch.device:
         ArgumentError: if there is no such device.
     """
     kind = device.type if isinstance(device, torch.device) else device
-    if kind == "gpu":
+    if isinstance(kind, str) and kind == "gpu":
         raise ArgumentError("device is 'gpu', but must be one of auto, cpu, cuda; a graphics card is 'cuda'")
     check_choice("device", kind, get_args(Device))
     if kind == "cuda" and not torch.cuda.is_available():
