@@ -72,7 +72,6 @@ def align_partial(pair: Pair) -> Pair:
         settings=settings,
         starts=(*starts, *_sized_starts(pair, settings)) if unknown else starts,
         any_size=unknown,
-        pre_aligned=pair.options.pre_aligned,
     )
     if found.points is basis.points:
         return pair
@@ -141,7 +140,6 @@ def best_alignment(
     settings: AlignmentSettings | None = None,
     starts: Sequence[Start] = (),
     any_size: bool = False,
-    pre_aligned: bool = False,
 ) -> Alignment:
     """The pose and size in which a partial shape's features resemble those of the full shape the most.
 
@@ -159,27 +157,21 @@ def best_alignment(
         settings: of the search.
         starts: positions and sizes to start from as well. Where there are some, no rotations are tried.
         any_size: the size as given means nothing: only the other starts count, and the size that is found is refined.
-        pre_aligned: the partial shape lies in the full one's coordinates: another start must be better by far.
     """
     settings = settings or AlignmentSettings()
-    margin = settings.margin_pre_aligned if pre_aligned else settings.margin
     looked = _Search(partial, extractor, full, full_features, settings)
     unturned, *turned = settings.rotations
-    given, *centred = looked.at(partial.points)
-    own = [given] if pre_aligned else [given, *centred]
-    best = looked.followed([looked.at(*start) for start in starts] if any_size else [own])
+    best = looked.followed([looked.at(*start) for start in starts] if any_size else [looked.at(partial.points)])
     if starts and not any_size:
         best = _clearly_better(looked.followed([looked.at(*start) for start in starts]), best, settings.margin)
-    if pre_aligned and centred and not any_size:
-        best = _clearly_better(looked.followed([centred]), best, margin)
     if search and best.similarity < settings.similar:
         sizes = [(scale * best.scale, _moved(best.points, *unturned, scale)) for scale in settings.scales]
         others = [looked.at(points, scale) for scale, points in sizes]
-        best = _clearly_better(looked.followed(others), best, margin)
+        best = _clearly_better(looked.followed(others), best, settings.margin)
     if search and best.similarity < settings.similar and not starts:
         scales = dict.fromkeys((1.0, best.scale))
         others = [looked.at(_moved(partial.points, *rotation, scale), scale) for scale in scales for rotation in turned]
-        best = _clearly_better(looked.followed(others), best, margin)
+        best = _clearly_better(looked.followed(others), best, settings.margin)
     return looked.resized(best) if any_size else best
 
 

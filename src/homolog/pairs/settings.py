@@ -83,7 +83,6 @@ class AlignmentSettings(Settings):
         orientations: of how many ways that the features' orienter finds the partial shape to stand there are starts.
         margin: by how much another size or rotation must be more similar than the given one; what nearly is as similar
             may be its mirror image.
-        margin_pre_aligned: the same where the partial shape is said to lie in the full one's coordinates.
         scales: sizes to start from, where the given one does not fit.
         rotations: axis (0 to 2) and degrees of the rotations to start from; the first is none.
         shares: of the full shape's area, to start from where a partial shape is in unknown units.
@@ -97,7 +96,6 @@ class AlignmentSettings(Settings):
     followed: Count = 2
     orientations: Count = 3
     margin: NotNegative = 0.01
-    margin_pre_aligned: NotNegative = 0.05
     scales: tuple[Positive, ...] = (0.8, 1.25, 0.63, 1.6, 0.5, 2.0, 0.4, 2.5, 0.32, 3.2)
     rotations: tuple[tuple[Annotated[int, Ge(0), Le(2)], float], ...] = (
         (1, 0),
