@@ -45,6 +45,7 @@ def objects(make) -> dict[type, Any]:
         maps.SampledSurface(torch.zeros(300, 3), torch.ones(300)),
         maps.LandmarkRows(torch.arange(2), torch.arange(2), torch.ones(2)),
         geometry.find_clutter(sphere),
+        geometry.ClutterSettings(),
         maps.Similarity(torch.eye(3), 2.0, torch.zeros(3)),
     ]
     return {type(each): each for each in found}

@@ -63,6 +63,7 @@ def mean_error(shape, truth, found):
     return 100 * float(geodesic_errors(shape, truth, found).mean())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("method", "modality"), [pytest.param(*case, marks=[] if case in QUICK else pytest.mark.slow) for case in MEANS]
 )
@@ -91,6 +92,7 @@ def upper_part(demo):
     return part, common, own[demo.boris_points[common]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", PARTIAL_MEANS)
 def test_a_part_is_matched_as_well_as_it_was(demo, matcher, upper_part, method):
     part, common, points = upper_part

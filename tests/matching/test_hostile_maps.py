@@ -26,6 +26,7 @@ def test_matlab_files_are_read_as_scipy_reads_them(tmp_path):
     np.testing.assert_array_equal(read_point_map(tmp_path / "a.mat"), values - 1)
 
 
+@pytest.mark.long
 def test_expansion_is_bounded(tmp_path):
     zeros = np.zeros(27_000_000)  # 216 MB, a little more than any file may expand to
     scipy.io.savemat(tmp_path / "a.mat", {"map": zeros}, do_compression=True)

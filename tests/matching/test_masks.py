@@ -80,6 +80,7 @@ def test_points_at_one_place_are_left_out_together_and_numbers_stay_those_of_the
     assert np.mean(found.source_to_target[kept + 1] == kept) > 0.98
 
 
+@pytest.mark.long
 def test_a_mask_that_keeps_all_points_changes_nothing(bean):
     other = homolog.Shape(bean.points * [1, 1.1, 1] + 3, bean.faces)
     for method in ("registration", "axiomatic"):

@@ -60,6 +60,7 @@ def test_a_body_in_pieces_with_coat_and_hair_is_matched_nearly_as_well_as_the_ba
     assert back.report["options"]["proxy"] == "auto"
 
 
+@pytest.mark.long
 def test_a_mesh_in_shells_has_a_proxy_and_can_do_without(dressed):
     around = matched_shape(dressed.shape)
     assert 2000 < around.n_points < 4000
@@ -73,6 +74,7 @@ def test_a_well_behaved_shape_is_matched_itself_unless_a_proxy_is_asked_for(demo
     assert 2000 < matched_shape(demo.amber, proxy="always").n_points < 4000
 
 
+@pytest.mark.long
 def test_two_bodies_apart_are_kept_as_they_are_and_it_is_said(demo):
     far = np.array([5.0, 0, 0])
     both = Shape(
@@ -97,6 +99,7 @@ def test_faces_that_do_not_hang_together_have_a_proxy(demo):
     assert KDTree(found.points).query(demo.amber.points)[0].max() < 0.05 * np.ptp(demo.amber.points)
 
 
+@pytest.mark.long
 def test_features_and_landmarks_are_those_of_the_file(demo, dressed):
     matcher = Matcher(settings=MatcherSettings(method="axiomatic", proxy=QUICK), device="cpu")
     pair, _ = matcher.pair(demo.amber, dressed.shape, landmarks=([0, 1], [5, 7000]))

@@ -155,6 +155,7 @@ def test_only_known_words_are_taken():
         PairOptions(orient="maybe")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["registration", "axiomatic"])
 def test_a_mirror_image_is_named_and_can_be_reflected(blobs, method):
     shape = blobs.source

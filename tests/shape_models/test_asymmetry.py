@@ -50,6 +50,7 @@ def built(folder, names, **options):
     )
 
 
+@pytest.mark.long
 def test_shapes_are_taken_apart_and_the_bumped_one_is_told(collection):
     names = ["even", "wide", "bumped"]
     files = built(collection, names, symmetry=collection / "partners").files

@@ -126,6 +126,7 @@ def test_a_fragment_is_completed_by_what_takes_part(damaged, collected):
     assert max(away) < 0.005
 
 
+@pytest.mark.long
 def test_a_fragment_is_matched_with_what_takes_part(damaged, collected):
     """No point of it has a counterpart where the model was not made of anything, and the other way round."""
     _, kept = damaged

@@ -136,7 +136,7 @@ def finished(meshes, small, tmp_path_factory):
     recipe = small(training={"steps": 2})
     run = tmp_path_factory.mktemp("runs") / "finished"
     loop.train(recipe, meshes, run, device="cpu")
-    return run, small(training={"steps": 2}, orienter={"steps": 4})
+    return run, small(training={"steps": 2}, orienter={"steps": 4, "lender": "none"})
 
 
 def test_a_training_ends_with_it(finished, meshes, tmp_path):
@@ -158,14 +158,16 @@ def test_a_training_ends_with_it(finished, meshes, tmp_path):
 
 
 def test_weights_for_any_pose_have_none(meshes, small, tmp_path):
-    recipe = small(upright=False, augmentation={"turn": "any"}, training={"steps": 1}, orienter={"steps": 2})
+    recipe = small(
+        upright=False, augmentation={"turn": "any"}, training={"steps": 1}, orienter={"steps": 2, "lender": "none"}
+    )
     loop.train(recipe, meshes, tmp_path / "run", device="cpu")
     assert load_weights(tmp_path / "run" / "weights.safetensors").orienter is None
     assert json.loads((tmp_path / "run" / "report.json").read_text())["orienter"] is None
 
 
 def test_an_interrupt_leaves_weights_without_it(meshes, small, tmp_path, caplog):
-    recipe, run = small(training={"steps": 1}, orienter={"steps": 5}), tmp_path / "run"
+    recipe, run = small(training={"steps": 1}, orienter={"steps": 5, "lender": "none"}), tmp_path / "run"
 
     def interrupt(done, total, what):
         if what == "training the orienter" and done == 2:
