@@ -12,6 +12,7 @@ from homolog.matching.alternatives import (
 from homolog.matching.choice import features_of_weights, needs_features
 from homolog.matching.colours import matched_colours, position_colours
 from homolog.matching.feature_choice import FeatureChoice
+from homolog.matching.guidance import guided, meet_landmarks
 from homolog.matching.in_one_call import match
 from homolog.matching.inputs import with_inputs
 from homolog.matching.matcher import Matcher
@@ -55,12 +56,14 @@ __all__ = [
     "exchanges_sides",
     "features_of_weights",
     "given_files",
+    "guided",
     "load_alternatives",
     "low_confidence_warnings",
     "map_misfit",
     "match",
     "matched_colours",
     "matched_name",
+    "meet_landmarks",
     "needs_features",
     "orient",
     "orientation_warnings",
