@@ -11,8 +11,8 @@ unexport PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make demo    set up, and match the two shapes that ship with the project"
-	@echo "make test    set up, and run the quick tests (7 to 8 minutes on two cores)"
-	@echo "make test-all  run those and the long ones: processes, pages, browser (15 to 25 minutes)"
+	@echo "make test    set up, and run the quick tests (5 minutes on two cores)"
+	@echo "make test-all  run those and the long ones: processes, pages, browser (some 18 minutes)"
 	@echo "make lint    set up, and run the linter and the type checker; prints the code's shape"
 	@echo "make docs    set up, and build the site into build/site"
 	@echo "make gallery make the pictures of the site anew (some 5 minutes; needs Chromium)"
