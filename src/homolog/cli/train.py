@@ -127,5 +127,5 @@ def train(
         typer.echo(f"Trained {state.step} steps in {state.seconds / 60:.1f} minutes.", err=True)
         made = expanded(output) / homolog.training.WEIGHTS
         if lender := homolog.load_weights(made).info.lender:
-            typer.echo(f"The orienter is that of the weights {lender!r}, which know these shapes.", err=True)
+            typer.echo(f"The orienter is from the weights {lender!r}.", err=True)
         typer.echo(made)

@@ -46,7 +46,7 @@ def check_two_arrays(features: Any) -> None:
             "features given with a pair are several networks or functions, but must be two arrays, (of_source, "
             "of_target); those to choose from are given to homolog.Matcher([...])"
         )
-    several = isinstance(features, Sequence | np.ndarray | Tensor) and not isinstance(features, str)
+    several = isinstance(features, Sequence | np.ndarray | Tensor)
     if not several or len(features) != 2:
         found = f"{len(features)} of them" if several else f"a {type(features).__name__}"
         raise ArgumentError(

@@ -101,9 +101,10 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     # Maps of two parts contradict themselves wherever these do not overlap.
     if misfit > (settings.known if ways[0] is usual else most) and not pairs[0].are_parts:
         without = list(map(_started, _without_features(pairs, shapes)))
-        starts = [(way, [pair.start for pair in way.pairs]) for way in without]
         if rigid := [
-            way for way, each in starts if median(start is not None and start.near_rigid for start in each) == 1
+            way
+            for way in without
+            if median(pair.start is not None and pair.start.near_rigid for pair in way.pairs) == 1  # most of them
         ]:
             ways = [*rigid, *ways]
         elif misfit > most:
