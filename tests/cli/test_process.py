@@ -194,6 +194,36 @@ def test_an_interrupt_while_libraries_are_loaded_ends_it():
     assert ended.stderr == "Interrupted; nothing was left half-written.\n"
 
 
+# A library that fails in its own way, or ends the process, while an interrupt lets it be put away.
+FAILING_END = """
+import os, signal, sys, time
+from homolog.pairs import Preprocessor
+
+def fail(*args, **kwargs):
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(60)
+    finally:
+        {end}
+
+Preprocessor.operators = fail
+from homolog.cli.main import main
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has other signals")
+@pytest.mark.parametrize("end", ["raise RuntimeError('no connection')", "sys.exit(1)", "1 / 0"])
+def test_an_interrupt_stays_one_whatever_fails_after_it(files, tmp_path, end):
+    command = [sys.executable, "-c", FAILING_END.format(end=end), "match", files.mesh, files.other]
+    ended = subprocess.run(
+        [*map(str, command), "-o", str(tmp_path / "out")], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (130, "")
+    assert ended.stderr == "Interrupted; nothing was left half-written.\n"
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems' file names are UTF-8")
 @pytest.mark.parametrize(
     ("encoding", "shown"), [("utf-8", b"b\xff\xc3\xa9"), ("ascii", b"b?\xc3\xa9"), ("latin-1", b"b\\udcff\xe9")]

@@ -70,15 +70,13 @@ def _run() -> NoReturn:
 
         _hear(_interrupt)
         status = app(prog_name="homolog", standalone_mode=False)
-    except HomologError as error:
-        _fail(in_options(str(error)))
-    except _Interrupted as interrupted:
-        _end(_INTERRUPTED, interrupted.exit_code)
     except BrokenPipeError:
         # Whoever read the output, such as `head`, has seen enough; nothing more can be written, not even at the exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
-    except Exception as error:
+    except (Exception, SystemExit, _Interrupted) as error:
+        if interrupt := _interrupt_behind(error):
+            _end(_INTERRUPTED, interrupt.exit_code)
         complaint = _complaint(error)
         if complaint is None:
             raise
@@ -86,8 +84,17 @@ def _run() -> NoReturn:
     sys.exit(status if isinstance(status, int) else 0)
 
 
-def _complaint(error: Exception) -> str | None:
-    """What to say in a line about an error that is no ``HomologError``; None if it is a mistake of Homolog's own."""
+def _interrupt_behind(error: BaseException | None) -> _Interrupted | None:
+    """The interrupt that an error came after: a library that is put away meanwhile may fail in its own way."""
+    while error is not None and not isinstance(error, _Interrupted):
+        error = error.__context__
+    return error
+
+
+def _complaint(error: BaseException) -> str | None:
+    """What to say in a line about an error; None if it is a mistake of Homolog's own."""
+    if isinstance(error, HomologError):
+        return in_options(str(error))
     # Mistakes in options are exceptions of the command-line library, which keeps their class to itself.
     if hasattr(error, "format_message"):
         said = " ".join(error.format_message().replace("Value error, ", "").split()).rstrip(".")
