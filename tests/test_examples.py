@@ -83,7 +83,7 @@ SLOW = (
     "matching/alternatives.load_alternatives",
     "matching/in_one_call.match",
     "matching/matcher.Matcher",
-    "matching/recognition.map_misfit",
+    "matching/misfit.map_misfit",
     "matching/result.Match",
     "symmetries/finding.Symmetry",
     "testing/method_checks.check_method",

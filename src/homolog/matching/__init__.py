@@ -16,9 +16,9 @@ from homolog.matching.guidance import guided, meet_landmarks
 from homolog.matching.in_one_call import match
 from homolog.matching.inputs import with_inputs
 from homolog.matching.matcher import Matcher
-from homolog.matching.parts import align_parts
+from homolog.matching.misfit import map_misfit
+from homolog.matching.placing import align_parts
 from homolog.matching.quality import MEASURES, MapQuality, Quality
-from homolog.matching.recognition import map_misfit
 from homolog.matching.refinement import refine
 from homolog.matching.result import Match, check_point_map, checked_maps
 from homolog.matching.result_files import (

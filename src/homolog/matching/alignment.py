@@ -11,20 +11,19 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from homolog.features import FeatureExtractor
-from homolog.geometry import Basis, Operators, some_points
-from homolog.maps import Similarity, best_rotation, best_similarity, most_similar, normalised, rigid_motion
+from homolog.geometry import Basis, some_points
+from homolog.maps import Similarity, best_similarity, most_similar, normalised, rigid_motion
+from homolog.matching.placed_points import placed, placed_shape
 from homolog.matching.units import LIKELY_SHARE, has_unknown_units, in_likely_units
 from homolog.pairs import AlignmentSettings, Pair, PreprocessedShape, Preprocessor
 from homolog.shapes import rotation_about
-
-_T = TypeVar("_T", Basis, Operators)
 
 Start: TypeAlias = tuple[Float[Tensor, "n 3"], float]
 """Positions of a partial shape in the full shape's coordinates, and what its lengths were multiplied by."""
@@ -55,33 +54,94 @@ def align_partial(pair: Pair) -> Pair:
     The pair as it is, where neither shape is partial, the features do not follow the pose, or the settings say so. The
     operators' points are then no longer where ``centre`` and ``scale`` put those of the file.
     """
-    settings, extractor = pair.settings.alignment, pair.extractor
-    if not pair.is_partial or settings is None or extractor is None or not extractor.info.follows_pose:
-        return pair
-    unknown = has_unknown_units(pair)
-    pair = in_likely_units(pair) if unknown else pair
-    full, partial = pair.x, pair.y
-    basis, given = partial.operators.basis, partial.points_as_given
-    starts = tuple(_oriented_starts(full, partial, given, settings, _of_landmarks(pair)))
-    found = best_alignment(
-        basis,
-        extractor,
-        full.operators.points,
-        full.needed_features(),
-        search=extractor.info.partial,
-        settings=settings,
-        starts=(*starts, *_sized_starts(pair, settings)) if unknown else starts,
-        any_size=unknown,
-    )
-    if found.points is basis.points:
-        return pair
-    operators = placed(partial.operators, found.points, found.scale)
-    features = Preprocessor(extractor=extractor).features(operators, shape=partial.name)
-    alignment = best_similarity(given, found.points)
-    units = full.operators.scale / (partial.operators.scale * pair.options.partial_scale)  # 1 where they are known
-    alignment = replace(alignment, scale=alignment.scale * units)
-    aligned = pair.with_y(replace(partial, operators=operators, features=features))
-    return replace(aligned, alignment=alignment)
+    search = AlignmentSearch.of(pair)
+    return pair if search is None else search.pair_at(search.best())
+
+
+@dataclass(frozen=True, eq=False)
+class AlignmentSearch:
+    """The search for where the partial shape of a pair lies on the full one, by features.
+
+    Args:
+        pair: its partial shape, if it is in unknown units, is in likely ones.
+        extractor: of its features, which follow the pose.
+        settings: of the search.
+        starts: positions and sizes to start from, besides those given.
+        any_size: the size as given means nothing.
+    """
+
+    pair: Pair
+    extractor: FeatureExtractor
+    settings: AlignmentSettings
+    starts: tuple[Start, ...]
+    any_size: bool
+
+    @classmethod
+    def of(cls, pair: Pair) -> AlignmentSearch | None:
+        """The search for a pair; None where there is nothing to look for."""
+        settings, extractor = pair.settings.alignment, pair.extractor
+        if not pair.is_partial or settings is None or extractor is None or not extractor.info.follows_pose:
+            return None
+        unknown = has_unknown_units(pair)
+        pair = in_likely_units(pair) if unknown else pair
+        starts = tuple(_oriented_starts(pair.x, pair.y, settings.orientations, _of_landmarks(pair)))
+        starts = (*starts, *_sized_starts(pair, settings)) if unknown else starts
+        return cls(pair, extractor, settings, starts, unknown)
+
+    def best(self) -> Alignment:
+        """The best alignment; see ``best_alignment``."""
+        return best_alignment(
+            self.pair.y.operators.basis,
+            self.extractor,
+            self.pair.x.operators.points,
+            self.pair.x.needed_features(),
+            search=self.extractor.info.partial,
+            settings=self.settings,
+            starts=self.starts,
+            any_size=self.any_size,
+        )
+
+    def others(self, best: Alignment, *, followed: int, apart: float) -> list[Alignment]:
+        """Alignments elsewhere, the most similar first: from all starts, those that are the most promising.
+
+        Args:
+            best: the one that is known.
+            followed: how many starts are followed.
+            apart: by how much the points of two alignments must differ on average.
+        """
+        x, y = self.pair.x, self.pair.y.operators.basis
+        looked = _Search(y, self.extractor, x.operators.points, x.needed_features(), self.settings)
+        starts = [*([] if self.any_size else [(y.points, 1.0)]), *self.starts, *self._oriented_anew()]
+        if self.extractor.info.partial and not self.any_size:
+            unturned, *turned = self.settings.rotations
+            starts += [(_moved(y.points, *rotation, 1.0), 1.0) for rotation in turned]
+            starts += [(_moved(y.points, *unturned, scale), scale) for scale in self.settings.scales]
+        kept = [best]
+        for found in looked.ends([looked.at(*start) for start in starts], followed):
+            if all((found.points - other.points).norm(dim=1).mean() > apart for other in kept):
+                kept.append(found)
+        return kept[1:]
+
+    def _oriented_anew(self) -> Iterator[Start]:
+        """Where the orienter puts the partial shape, of a pair whose poses are trusted otherwise."""
+        if self.pair.y.orientations:
+            return
+        orientations = Preprocessor(extractor=self.extractor).orientations
+        x, y = self.pair.x, self.pair.y
+        x = replace(x, orientations=orientations(x.operators.turned(x.rotation.T)))
+        y = replace(y, orientations=orientations(y.operators.turned(y.rotation.T), partial=True))
+        yield from _oriented_starts(x, y, self.settings.orientations, None)
+
+    def pair_at(self, found: Alignment) -> Pair:
+        """The pair with its partial shape there."""
+        pair, y = self.pair, self.pair.y
+        if found.points is y.operators.points:
+            return pair
+        units = pair.x.operators.scale / (y.operators.scale * pair.options.partial_scale)  # 1 where they are known
+        alignment = best_similarity(y.points_as_given, found.points)
+        alignment = replace(alignment, scale=alignment.scale * units)
+        aligned = pair.with_y(placed_shape(y, found.points, found.scale, self.extractor))
+        return replace(aligned, alignment=alignment)
 
 
 def _sized_starts(pair: Pair, settings: AlignmentSettings) -> Iterator[Start]:
@@ -106,17 +166,17 @@ def _of_landmarks(pair: Pair) -> Similarity | None:
 def _oriented_starts(
     full: PreprocessedShape,
     partial: PreprocessedShape,
-    given: Float[Tensor, "n 3"],
-    settings: AlignmentSettings,
+    count: int,
     known: Similarity | None,
 ) -> Iterator[Start]:
     """Where landmarks and the features' orienter put the partial shape on the full one, in their size and as given."""
+    given = partial.points_as_given
     if known is not None:
         yield from _both_sizes(known(given), known.scale)
     if not full.orientations or full.orientations[0].upright is None:
         return
     onto_full = full.orientations[0].upright.inverse()
-    for orientation in partial.orientations[: settings.orientations]:
+    for orientation in partial.orientations[:count]:
         if orientation.upright is None:
             continue
         points = onto_full(orientation.upright(given)) @ full.rotation.to(given).T
@@ -218,6 +278,12 @@ class _Search:
         ways = (alignment for step in promising for alignment in self._way(step))
         return max(ways, key=lambda alignment: alignment.similarity)
 
+    def ends(self, starts: Sequence[Sequence[_Step]], count: int) -> list[Alignment]:
+        """The best alignment on each of the most promising ways, the most similar first."""
+        steps = sorted(itertools.chain.from_iterable(starts), key=lambda step: -step.alignment.similarity)
+        ends = (max(self._way(step), key=lambda found: found.similarity) for step in steps[:count])
+        return sorted(ends, key=lambda found: -found.similarity)
+
     def resized(self, best: Alignment) -> Alignment:
         """The best alignment in sizes near that of one."""
         for step in self._settings.size_steps:
@@ -243,13 +309,6 @@ class _Search:
         found = most_similar(normalised(features), self._candidates)
         alignment = Alignment(points, scale, float(found.value.mean()))
         return _Step(alignment, *rigid_motion(some, self._positions[found.index]))
-
-
-def placed(partial: _T, points: Float[Tensor, "n 3"], scale: float) -> _T:
-    """The basis or operators of a partial shape in another pose and size, where its points are those."""
-    if partial.scatter is not None:  # the signs of a cloud's normals follow the pose; a mesh tells out from in
-        partial = partial.turned(best_rotation(partial.points, points))
-    return replace(partial.scaled(scale), points=points)
 
 
 def _moved(points: Float[Tensor, "n 3"], axis: int, degrees: float, scale: float) -> Float[Tensor, "n 3"]:

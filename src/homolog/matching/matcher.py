@@ -24,7 +24,7 @@ from homolog.matching.choice import features_of_weights
 from homolog.matching.feature_choice import FeatureChoice
 from homolog.matching.guidance import guided, meet_landmarks
 from homolog.matching.inputs import options_of, read_inputs, with_inputs
-from homolog.matching.parts import align_parts
+from homolog.matching.placing import align_parts
 from homolog.matching.refinement import method_maps, refine
 from homolog.matching.result import Match
 from homolog.matching.search import orient, orientations

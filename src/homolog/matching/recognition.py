@@ -17,21 +17,20 @@ from weakref import WeakKeyDictionary
 
 import torch
 
-from homolog.core.errors import ArgumentError, ShapeError
+from homolog.core.errors import ShapeError
 from homolog.features import FeatureExtractor, Orienter
 from homolog.matching.choice import extractor_for, method_between
 from homolog.matching.guidance import landmark_misfit
-from homolog.matching.parts import align_parts
+from homolog.matching.misfit import map_misfit
+from homolog.matching.placing import align_parts
 from homolog.matching.refinement import method_maps, refine
 from homolog.matching.result import Match
 from homolog.matching.search import orient
 from homolog.methods import AUTO, as_method, find_method, registration
-from homolog.pairs import Candidate, ChoiceSettings, Method, Pair, PreprocessedShape, Preprocessor
+from homolog.pairs import Candidate, Method, Pair, PreprocessedShape, Preprocessor
 
 # In the order in which they are believed where their maps are as good.
 _WITHOUT_FEATURES = ("axiomatic", "registration")
-# The energy of an isometry is 1; of a map to one point it is 0.
-_LEAST_ENERGY = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,35 +157,6 @@ def _orienter_of(extractor: FeatureExtractor) -> Orienter:
     return orienter
 
 
-def map_misfit(match: Match, settings: ChoiceSettings | None = None) -> float:
-    """How much a map contradicts itself: where it tears or turns over, and its cycle error.
-
-    A smooth map tears nowhere, and may be wrong all the same: where it is, triangles are turned over.
-
-    Args:
-        match: with figures of quality.
-        settings: what these count.
-
-    Raises:
-        ArgumentError: if the match has no figures of quality, as one that was read from another program's file.
-
-    Examples:
-        >>> import homolog
-        >>> from homolog.matching import map_misfit
-        >>> source, target = homolog.demo_shapes()
-        >>> right = homolog.match(source, target, weights="people")
-        >>> wrong = homolog.match(source, target, method="registration")  # which is for shapes in one pose
-        >>> map_misfit(right) < map_misfit(wrong)
-        True
-    """
-    if match.quality is None:
-        raise ArgumentError("the match has no figures of quality; give one of homolog.match or Matcher")
-    settings = settings or ChoiceSettings()
-    figures = match.quality.mean
-    torn = math.log(max(figures.dirichlet_energy, _LEAST_ENERGY))
-    return torn + settings.cycle * figures.cycle_error + settings.flipped * (figures.flipped_triangles or 0)
-
-
 def _misfit_of(way: _Way) -> float:
     return way.candidate.misfit or 0.0
 
@@ -231,19 +201,19 @@ def _mapped(ways: Iterable[_Way]) -> Iterator[_Way]:
 def _tried(pair: Pair) -> tuple[Pair, float]:
     """How much the map by features alone contradicts itself, and how far it misses the landmarks.
 
-    A map that was made to meet the landmarks would say nothing of the features. Without any, the pair of two full
-    shapes keeps the map that was made.
+    A map that was made to meet the landmarks would say nothing of the features. Without any, the pair keeps the map,
+    unless both shapes are parts.
     """
     try:
         oriented = orient(pair)
         aligned = align_parts(oriented)
         unguided = replace(aligned, options=replace(pair.options, landmarks=None))
-        maps = refine(unguided, method_maps(unguided))
+        maps = unguided.maps or refine(unguided, method_maps(unguided))
         match = Match.of(unguided, maps)
     except ShapeError:  # what cannot be matched one way may be another way
         return pair, math.inf
     missed = pair.settings.guidance.choice * landmark_misfit(pair, match)
     misfit = map_misfit(match, pair.settings.choice) + missed
-    if pair.options.partial is None and pair.options.landmarks is None:
-        pair = replace(oriented, maps=maps, before_search=pair.before_search or pair)
+    if not pair.are_parts and pair.options.landmarks is None:
+        pair = replace(aligned, maps=maps, before_search=pair.before_search or pair)
     return pair, misfit

@@ -118,6 +118,37 @@ class AlignmentSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlacementSettings(Settings):
+    """Where a partial shape lies on the full one, told by the maps that several alignments lead to. New here.
+
+    Features may be as similar in a wrong place. The map there tears, though. Its misfit is that of
+    ``homolog.matching.map_misfit``, plus ``handedness`` times how far it mixes left and right, plus ``size`` times how
+    far lengths were changed. The values were chosen on cuts and holes that are in no test here.
+
+    Args:
+        sure: misfit of the map by the best alignment up to which no other is looked at.
+        followed: how many starts of other alignments are followed.
+        apart: mean distance from which on two alignments are two.
+        mapped: of how many, those that bring most of the partial shape onto the full one, maps are made.
+        full_samples: points of the full shape to which others are moved at first.
+        handedness: weight of 1 minus the handedness of the map.
+        handed_samples: points of the partial shape at which it is told.
+        size: weight of the logarithm of what lengths were multiplied by; it counts nothing in unknown units.
+        margin: by how much another map's misfit must be less than the first one's.
+    """
+
+    sure: float = 2.0
+    followed: Count = 20
+    apart: NotNegative = 0.15
+    mapped: Count = 3
+    full_samples: Count = 2500
+    handedness: NotNegative = 2.0
+    handed_samples: Count = 1000
+    size: NotNegative = 2.0
+    margin: NotNegative = 0.3
+
+
+@dataclass(frozen=True, kw_only=True)
 class PartsSettings(Settings):
     """How two parts that overlap are aligned with each other. New here; chosen on views of people for training.
 
@@ -330,6 +361,7 @@ class MatcherSettings(Settings):
         proxy: when a surface around a mesh, or a simpler shape, is matched in its place.
         orientation: the search for the way round of full shapes; ``PairOptions.orient`` says whether there is one.
         alignment: of a partial shape with the full one before matching; None for none.
+        placement: of a partial shape where the best alignment leads to no good map; None to look for no other.
         parts: of two parts with each other; None for none.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
             nearly isometric are never refined.
@@ -357,6 +389,7 @@ class MatcherSettings(Settings):
     proxy: ProxySettings = field(default_factory=ProxySettings)
     orientation: OrientationSettings = field(default_factory=OrientationSettings)
     alignment: Annotated[AlignmentSettings, "or None"] | None = field(default_factory=AlignmentSettings)
+    placement: Annotated[PlacementSettings, "or None"] | None = field(default_factory=PlacementSettings)
     parts: Annotated[PartsSettings, "or None"] | None = field(default_factory=PartsSettings)
     refinement: Annotated[RefinementSettings, "or None"] | None = field(default_factory=RefinementSettings)
     guidance: GuidanceSettings = field(default_factory=GuidanceSettings)

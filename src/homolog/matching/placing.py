@@ -1,0 +1,161 @@
+"""Where parts lie: aligned by features, and where these are not sure, by the maps of several places. New here.
+
+Features of another place may be as similar. So where the map by the best alignment contradicts itself, other alignments
+are moved towards the full shape, among positions, features and normals, and as rigid bodies. Those that bring most of
+the partial shape onto the full one get maps, by features, by features and positions, and by closest points. Of all maps
+the one that contradicts itself least is taken.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from homolog.core.method_names import own_methods
+from homolog.geometry import some_points
+from homolog.maps import Similarity, best_similarity, composed, confidence, handedness
+from homolog.matching.alignment import Alignment, AlignmentSearch
+from homolog.matching.misfit import quality_misfit
+from homolog.matching.parts import align_two_parts
+from homolog.matching.placed_points import (
+    PartSample,
+    PlacedPoints,
+    maps_by_closest_points,
+    maps_by_features_and_positions,
+    motion_by_closest_points,
+    motion_by_counterparts,
+    near_one_another,
+    spacing_of,
+)
+from homolog.matching.quality import quality
+from homolog.matching.refinement import method_maps, refine
+from homolog.pairs import Pair, PartsSettings, PlacementSettings, PointMaps
+
+
+@torch.no_grad()
+def align_parts(pair: Pair) -> Pair:
+    """The pair with a partial shape where it lies on the full one, or with two parts where they lie on each other.
+
+    As it is where neither shape is partial, or where it has maps; see ``align_partial``. Where maps can tell whether a
+    partial shape lies right, the pair has them.
+    """
+    if pair.maps is not None:
+        return pair
+    if pair.are_parts:
+        return align_two_parts(pair)
+    search = AlignmentSearch.of(pair)
+    return pair if search is None else _placed(search)
+
+
+@dataclass(frozen=True, eq=False)
+class _Placement:
+    """A pair with its partial shape at a place, with maps there, and how much speaks against these."""
+
+    pair: Pair
+    misfit: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Where an alignment is moved to, from where the partial shape was given.
+
+    Args:
+        by_features: by counterparts among features, positions and normals.
+        by_points: from there by closest points.
+        share: of the partial shape's samples that then lie near the full one.
+    """
+
+    by_features: Similarity
+    by_points: Similarity
+    share: float
+
+
+def _placed(search: AlignmentSearch) -> Pair:
+    """The pair where its map contradicts itself least, if maps can tell."""
+    pair, settings, found = search.pair, search.pair.settings.placement, search.best()
+    can_tell = pair.method.name in own_methods() and pair.method.supports.refinement and pair.near_isometric
+    if settings is None or not can_tell or pair.guidance is not None:  # landmarks say themselves where a part lies
+        return search.pair_at(found)
+    best = first = _by_features(search, found, settings)
+    if first.misfit > settings.sure:
+        for other in _others(search, found, settings):
+            best = min(best, other, key=lambda each: each.misfit)
+            if best.misfit <= settings.sure:
+                break
+    return best.pair if best.misfit < first.misfit - settings.margin else first.pair
+
+
+def _others(search: AlignmentSearch, best: Alignment, settings: PlacementSettings) -> Iterator[_Placement]:
+    """Other places, with maps, those first that bring most of the partial shape onto the full one."""
+    others = search.others(best, followed=settings.followed, apart=settings.apart)
+    moved = sorted((_moved(search, each, settings) for each in (best, *others)), key=lambda motion: -motion.share)
+    for motion in _distinct(moved, search.pair.y.points_as_given, settings):
+        yield from _placements(search, motion, settings)
+    for alignment in others[: settings.mapped]:
+        yield _by_features(search, alignment, settings)
+
+
+def _moved(search: AlignmentSearch, found: Alignment, settings: PlacementSettings) -> _Motion:
+    """An alignment that is moved towards the full shape, on samples."""
+    parts = search.pair.settings.parts or PartsSettings()
+    x = PlacedPoints.of(search.pair.x).sampled(settings.full_samples, 0)
+    y = PartSample.of(search.pair.y, parts.samples, 1)
+    to = best_similarity(search.pair.y.points_as_given, found.points)
+    for reach in parts.reaches:
+        to = composed(motion_by_counterparts(x, y.at(to, search.extractor), reach, parts, rigid=True)[0], to)
+    spacing = spacing_of(search.pair.x) * math.sqrt(search.pair.x.operators.n_points / len(x.points))
+    there = y.at(to, search.extractor)
+    motion = motion_by_closest_points(x, there, spacing, parts, rigid=True)
+    share = float(near_one_another(x, there.moved(motion), spacing)[1].float().mean())
+    return _Motion(to, composed(motion, to), share)
+
+
+def _distinct(motions: list[_Motion], given: Float[Tensor, "n 3"], settings: PlacementSettings) -> list[_Motion]:
+    """The first of those that end in different places."""
+    kept: list[_Motion] = []
+    for motion in motions:
+        ends = motion.by_points(given)
+        if all((ends - other.by_points(given)).norm(dim=1).mean() > settings.apart for other in kept):
+            kept.append(motion)
+    return kept[: settings.mapped]
+
+
+def _placements(search: AlignmentSearch, motion: _Motion, settings: PlacementSettings) -> Iterator[_Placement]:
+    """The pair at both ends of a motion, with maps of several kinds."""
+    parts = search.pair.settings.parts or PartsSettings()
+    near = _at(search, motion.by_points)
+    spacing = max(spacing_of(near.x), spacing_of(near.y))
+    last = motion_by_closest_points(PlacedPoints.of(near.x), PlacedPoints.of(near.y), spacing, parts, rigid=True)
+    near = _at(search, composed(last, motion.by_points))
+    yield _judged(search, near, maps_by_closest_points(near.x, near.y), settings, motion.by_points.scale)
+    pair = _at(search, motion.by_features)
+    for maps in (maps_by_features_and_positions(pair.x, pair.y, parts), method_maps(pair)):
+        yield _judged(search, pair, refine(pair, maps), settings, motion.by_features.scale)
+
+
+def _by_features(search: AlignmentSearch, found: Alignment, settings: PlacementSettings) -> _Placement:
+    """The pair at an alignment, with the maps by its features."""
+    pair = search.pair_at(found)
+    return _judged(search, pair, refine(pair, method_maps(pair)), settings, found.scale)
+
+
+def _at(search: AlignmentSearch, to: Similarity) -> Pair:
+    return search.pair_at(Alignment(to(search.pair.y.points_as_given), to.scale))
+
+
+def _judged(
+    search: AlignmentSearch, pair: Pair, maps: PointMaps, settings: PlacementSettings, scale: float
+) -> _Placement:
+    """A pair with its maps, and their misfit."""
+    x, y = pair.x.operators.points, pair.y.operators.points
+    trust = confidence(y, x, maps.y_to_x, maps.x_to_y, settings=pair.settings.confidence)
+    misfit = quality_misfit(quality(pair.y, pair.x, maps.y_to_x, maps.x_to_y, trust), pair.settings.choice)
+    some = some_points(len(y), settings.handed_samples).to(y.device)
+    misfit += settings.handedness * (1 - float(handedness(y[some], x[maps.y_to_x[some]])))
+    misfit += 0.0 if search.any_size else settings.size * abs(math.log(scale))
+    return _Placement(replace(pair, maps=maps), misfit)

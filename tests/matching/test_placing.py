@@ -1,0 +1,107 @@
+"""A partial shape lies where its map contradicts itself least, though features of other places are as similar."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from homolog.core.errors import ArgumentError
+from homolog.features import DiffusionNet, FeatureInfo
+from homolog.matching import Matcher, align_parts, placing
+from homolog.pairs import MatcherSettings, PairOptions, PlacementSettings
+from homolog.shapes import Shape
+
+
+class Misled(DiffusionNet):
+    """Features of where points lie, that take those of a part to lie up to a tenth elsewhere."""
+
+    def __init__(self, n_full):
+        super().__init__()
+        self.n_full = n_full
+
+    def forward(self, inputs, operators):
+        del operators
+        if len(inputs) != self.n_full:
+            inputs = inputs + 0.15 * torch.sin(12 * inputs[:, [1, 2, 0]])
+        waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
+        return torch.sin(3 * inputs @ waves)
+
+
+@pytest.fixture(scope="module")
+def side(coarse_body):
+    """A body, the half of it to one side with something of the middle, and the indices of that in it."""
+    body = coarse_body(2400)
+    across = body.points[:, 0] - np.median(body.points[:, 0])
+    faces = body.faces[(across[body.faces] > -0.02 * np.ptp(across)).all(axis=1)]
+    kept = np.unique(faces)
+    place = np.full(body.n_points, -1)
+    place[kept] = np.arange(len(kept))
+    return body, Shape(body.points[kept], place[faces], name="side"), kept
+
+
+def matcher_of(placement, method="auto"):
+    settings = MatcherSettings(placement=placement, method=method)
+    return Matcher(Misled(1202), FeatureInfo(partial=True, upright=False), settings=settings)
+
+
+@pytest.fixture(scope="module")
+def turned(side):
+    """The half, turned by 150 degrees about the vertical through the middle of the body."""
+    body, part, _ = side
+    middle = (body.points.min(axis=0) + body.points.max(axis=0)) / 2
+    half = Rotation.from_euler("y", 150, degrees=True).as_matrix()
+    return Shape((part.points - middle) @ half.T + middle, part.faces, name="turned")
+
+
+def error(body, kept, match):
+    found = match.target_to_source
+    return np.linalg.norm(body.points[found] - body.points[kept], axis=1).mean() / np.ptp(body.points[:, 1])
+
+
+@pytest.mark.long
+def test_the_map_tells_which_of_two_places_is_the_right_one(side, turned):
+    body, _, kept = side
+    errors = [
+        error(body, kept, matcher_of(placement).match(body, turned, partial="target", pre_aligned=True))
+        for placement in (None, PlacementSettings())
+    ]
+    assert errors[0] > 0.05 and errors[1] < 0.01
+
+
+@pytest.mark.long
+def test_either_shape_may_be_the_part(side, turned):
+    body = side[0]
+    there, back = (
+        matcher_of(PlacementSettings()).match(*shapes, partial=partial, pre_aligned=True)
+        for shapes, partial in (((body, turned), "target"), ((turned, body), "source"))
+    )
+    np.testing.assert_array_equal(there.target_to_source, back.source_to_target)
+
+
+def test_a_sure_map_is_kept_and_not_made_again(side, turned, monkeypatch):
+    body, _, _ = side
+    sure = matcher_of(PlacementSettings(sure=99.0))
+    pair, _ = sure.pair(body, turned, partial="target", pre_aligned=True)
+    monkeypatch.setattr(placing, "_others", None)
+    found = align_parts(pair)
+    assert found.maps is not None and align_parts(found) is found
+    plain = matcher_of(None).match(body, turned, partial="target", pre_aligned=True)
+    np.testing.assert_array_equal(sure.match(body, turned, partial="target", pre_aligned=True).target_to_source,
+                                  plain.target_to_source)  # fmt: skip
+
+
+@pytest.mark.parametrize("method", ["own", "landmarks"])
+def test_where_maps_do_not_tell_features_place_the_part(side, turned, method, monkeypatch):
+    """Maps of somebody's own method may be of another kind, and landmarks say themselves where a part lies."""
+    body, _, kept = side
+    monkeypatch.setattr(placing, "_others", None)
+    own = method == "own"
+    matcher = matcher_of(PlacementSettings(sure=-99.0), (lambda *given: None) if own else "auto")
+    options = PairOptions(partial="target", pre_aligned=True, landmarks=None if own else ([int(kept[0])], [0]))
+    pair, _ = matcher.pair(body, turned, options)
+    assert align_parts(pair).maps is None
+
+
+def test_settings_are_checked():
+    with pytest.raises(ArgumentError, match="mapped"):
+        PlacementSettings(mapped=0)
