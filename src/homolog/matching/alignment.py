@@ -84,7 +84,7 @@ class AlignmentSearch:
             return None
         unknown = has_unknown_units(pair)
         pair = in_likely_units(pair) if unknown else pair
-        starts = tuple(_oriented_starts(pair.x, pair.y, settings.orientations, _of_landmarks(pair)))
+        starts = tuple(_oriented_starts(pair.x, pair.y, settings, _of_landmarks(pair)))
         starts = (*starts, *_sized_starts(pair, settings)) if unknown else starts
         return cls(pair, extractor, settings, starts, unknown)
 
@@ -111,7 +111,7 @@ class AlignmentSearch:
         """
         x, y = self.pair.x, self.pair.y.operators.basis
         looked = _Search(y, self.extractor, x.operators.points, x.needed_features(), self.settings)
-        starts = [*([] if self.any_size else [(y.points, 1.0)]), *self.starts, *self._oriented_anew()]
+        starts = [*([] if self.any_size else [(y.points, 1.0)]), *self.starts]
         if self.extractor.info.partial and not self.any_size:
             unturned, *turned = self.settings.rotations
             starts += [(_moved(y.points, *rotation, 1.0), 1.0) for rotation in turned]
@@ -122,15 +122,22 @@ class AlignmentSearch:
                 kept.append(found)
         return kept[1:]
 
-    def _oriented_anew(self) -> Iterator[Start]:
-        """Where the orienter puts the partial shape, of a pair whose poses are trusted otherwise."""
-        if self.pair.y.orientations:
-            return
-        orientations = Preprocessor(extractor=self.extractor).orientations
-        x, y = self.pair.x, self.pair.y
-        x = replace(x, orientations=orientations(x.operators.turned(x.rotation.T)))
-        y = replace(y, orientations=orientations(y.operators.turned(y.rotation.T), partial=True))
-        yield from _oriented_starts(x, y, self.settings.orientations, None)
+    def oriented(self) -> AlignmentSearch:
+        """The search for the same pair turned as the orienter finds its full shape to stand, though poses were trusted.
+
+        It is the same one where the orienter was asked before, or there is none.
+        """
+        pair, x, y = self.pair, self.pair.x, self.pair.y
+        if x.orientations:
+            return self
+        preprocess = Preprocessor(extractor=self.extractor, orientation=pair.settings.orientation)
+        full, partial = preprocess.again(x), preprocess.again(y, partial=True)
+        if not full.orientations:
+            return self
+        # Both turn alike, as they lie in one frame.
+        turned = pair.with_y(partial.turned(full.rotation, self.extractor))
+        turned = replace(turned, target=full) if turned.x is turned.target else replace(turned, source=full)
+        return AlignmentSearch.of(turned) or self
 
     def pair_at(self, found: Alignment) -> Pair:
         """The pair with its partial shape there."""
@@ -166,7 +173,7 @@ def _of_landmarks(pair: Pair) -> Similarity | None:
 def _oriented_starts(
     full: PreprocessedShape,
     partial: PreprocessedShape,
-    count: int,
+    settings: AlignmentSettings,
     known: Similarity | None,
 ) -> Iterator[Start]:
     """Where landmarks and the features' orienter put the partial shape on the full one, in their size and as given."""
@@ -176,7 +183,7 @@ def _oriented_starts(
     if not full.orientations or full.orientations[0].upright is None:
         return
     onto_full = full.orientations[0].upright.inverse()
-    for orientation in partial.orientations[:count]:
+    for orientation in partial.orientations[: settings.orientations]:
         if orientation.upright is None:
             continue
         points = onto_full(orientation.upright(given)) @ full.rotation.to(given).T

@@ -92,6 +92,9 @@ def _placed(search: AlignmentSearch) -> Pair:
 
 def _others(search: AlignmentSearch, best: Alignment, settings: PlacementSettings) -> Iterator[_Placement]:
     """Other places, with maps, those first that bring most of the partial shape onto the full one."""
+    if (oriented := search.oriented()) is not search:
+        search, best = oriented, oriented.best()
+        yield _by_features(search, best, settings)
     others = search.others(best, followed=settings.followed, apart=settings.apart)
     moved = sorted((_moved(search, each, settings) for each in (best, *others)), key=lambda motion: -motion.share)
     for motion in _distinct(moved, search.pair.y.points_as_given, settings):
@@ -154,7 +157,8 @@ def _judged(
     """A pair with its maps, and their misfit."""
     x, y = pair.x.operators.points, pair.y.operators.points
     trust = confidence(y, x, maps.y_to_x, maps.x_to_y, settings=pair.settings.confidence)
-    misfit = quality_misfit(quality(pair.y, pair.x, maps.y_to_x, maps.x_to_y, trust), pair.settings.choice)
+    figures = quality(pair.y, pair.x, maps.y_to_x, maps.x_to_y, trust)
+    misfit = quality_misfit(figures, pair.settings.choice) + settings.coverage * (1 - figures.coverage)
     some = some_points(len(y), settings.handed_samples).to(y.device)
     misfit += settings.handedness * (1 - float(handedness(y[some], x[maps.y_to_x[some]])))
     misfit += 0.0 if search.any_size else settings.size * abs(math.log(scale))
