@@ -144,11 +144,11 @@ class PlacementSettings(Settings):
     apart: NotNegative = 0.15
     mapped: Count = 3
     full_samples: Count = 2500
-    coverage: NotNegative = 2.0
+    coverage: NotNegative = 10.0
     handedness: NotNegative = 2.0
     handed_samples: Count = 1000
     size: NotNegative = 2.0
-    margin: NotNegative = 0.3
+    margin: NotNegative = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
