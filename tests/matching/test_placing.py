@@ -12,7 +12,16 @@ from homolog.pairs import MatcherSettings, PairOptions, PlacementSettings
 from homolog.shapes import Shape
 
 
-class Misled(DiffusionNet):
+class Placed(DiffusionNet):
+    """Features of where points lie."""
+
+    def forward(self, inputs, operators):
+        del operators
+        waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
+        return torch.sin(3 * inputs @ waves)
+
+
+class Misled(Placed):
     """Features of where points lie, that take those of a part to lie up to a tenth elsewhere."""
 
     def __init__(self, n_full):
@@ -20,11 +29,9 @@ class Misled(DiffusionNet):
         self.n_full = n_full
 
     def forward(self, inputs, operators):
-        del operators
         if len(inputs) != self.n_full:
             inputs = inputs + 0.15 * torch.sin(12 * inputs[:, [1, 2, 0]])
-        waves = torch.randn(3, 32, generator=torch.Generator().manual_seed(0))
-        return torch.sin(3 * inputs @ waves)
+        return super().forward(inputs, operators)
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +107,20 @@ def test_where_maps_do_not_tell_features_place_the_part(side, turned, method, mo
     options = PairOptions(partial="target", pre_aligned=True, landmarks=None if own else ([int(kept[0])], [0]))
     pair, _ = matcher.pair(body, turned, options)
     assert align_parts(pair).maps is None
+
+
+def test_loose_bits_make_no_map_doubtful(side, monkeypatch):
+    """Their maps follow the surface that they lie near, as they do in the result."""
+    body, part, kept = side
+    corners = part.points[:: len(part.points) // 40, None] + 0.02 * np.ptp(part.points) * np.eye(3)
+    points = np.concatenate([part.points, corners.reshape(-1, 3)])
+    loose = np.arange(part.n_points, len(points)).reshape(-1, 3)
+    bitten = Shape(points, np.concatenate([part.faces, loose]), name="bitten")
+    monkeypatch.setattr(placing, "_others", None)
+    matcher = Matcher(Placed(), FeatureInfo(partial=True, upright=False))
+    found = matcher.match(body, bitten, partial="target", pre_aligned=True, clutter="keep").target_to_source
+    away = np.linalg.norm(body.points[found[: len(kept)]] - body.points[kept], axis=1)
+    assert away.mean() < 0.02 * np.ptp(body.points[:, 1])
 
 
 def test_settings_are_checked():

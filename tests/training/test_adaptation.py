@@ -265,13 +265,13 @@ def test_a_partial_shape_is_aligned_first_and_its_cloud_lies_where_it_does(match
         seen.append((x, y))
         return pair_losses(network, x, y, **options)
 
-    def align_partial(given):
+    def align_parts(given):
         asked.append(given)
         operators = replace(given.y.operators, points=given.y.operators.points + 0.25)
         return given.with_y(replace(given.y, operators=operators))
 
     monkeypatch.setattr(adaptation, "pair_losses", losses)
-    monkeypatch.setattr(adaptation, "align_partial", align_partial)
+    monkeypatch.setattr(adaptation, "align_parts", align_parts)
     adapt_to_pair(matcher, pair, AdaptationSettings(steps=1))
     given = pair.source if partial == "source" else pair.target
     assert asked == [pair] and pair.y is given

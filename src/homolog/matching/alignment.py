@@ -80,7 +80,9 @@ class AlignmentSearch:
     def of(cls, pair: Pair) -> AlignmentSearch | None:
         """The search for a pair; None where there is nothing to look for."""
         settings, extractor = pair.settings.alignment, pair.extractor
-        if not pair.is_partial or settings is None or extractor is None or not extractor.info.follows_pose:
+        if not pair.is_partial or pair.maps is not None or settings is None or extractor is None:
+            return None
+        if not extractor.info.follows_pose:
             return None
         unknown = has_unknown_units(pair)
         pair = in_likely_units(pair) if unknown else pair
@@ -128,7 +130,7 @@ class AlignmentSearch:
         It is the same one where the orienter was asked before, or there is none.
         """
         pair, x, y = self.pair, self.pair.x, self.pair.y
-        if x.orientations:
+        if x.orientations or getattr(self.extractor, "orienter", None) is None:
             return self
         preprocess = Preprocessor(extractor=self.extractor, orientation=pair.settings.orientation)
         full, partial = preprocess.again(x), preprocess.again(y, partial=True)
@@ -145,7 +147,9 @@ class AlignmentSearch:
         if found.points is y.operators.points:
             return pair
         units = pair.x.operators.scale / (y.operators.scale * pair.options.partial_scale)  # 1 where they are known
-        alignment = best_similarity(y.points_as_given, found.points)
+        # Where poses are trusted, the full shape may have been turned for its features' sake alone.
+        lies = found.points @ pair.x.rotation.to(found.points) if pair.options.orient == "given" else found.points
+        alignment = best_similarity(y.points_as_given, lies)
         alignment = replace(alignment, scale=alignment.scale * units)
         aligned = pair.with_y(placed_shape(y, found.points, found.scale, self.extractor))
         return replace(aligned, alignment=alignment)
@@ -154,12 +158,15 @@ class AlignmentSearch:
 def _sized_starts(pair: Pair, settings: AlignmentSettings) -> Iterator[Start]:
     """A partial shape in unknown units in the sizes that a part may have."""
     given, full = pair.y.points_as_given, pair.x.operators
+    full_rotation = pair.x.rotation.to(given)
     own = (pair.y.operators.centre / pair.y.operators.scale).to(given)
     for share in settings.shares:
         scale = math.sqrt(share / LIKELY_SHARE)
         # In one frame but for the unit, sizes are about the origin of the files.
         shift = scale * own - (full.centre / full.scale).to(given) if pair.options.pre_aligned else 0.0
-        yield scale * given + shift, scale
+        points = scale * given + shift
+        # In one frame, both are turned alike.
+        yield points @ full_rotation.T if pair.options.pre_aligned else points, scale
 
 
 def _of_landmarks(pair: Pair) -> Similarity | None:

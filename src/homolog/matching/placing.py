@@ -34,6 +34,7 @@ from homolog.matching.placed_points import (
 )
 from homolog.matching.quality import quality
 from homolog.matching.refinement import method_maps, refine
+from homolog.matching.result import following_main_component
 from homolog.pairs import Pair, PartsSettings, PlacementSettings, PointMaps
 
 
@@ -42,10 +43,9 @@ def align_parts(pair: Pair) -> Pair:
     """The pair with a partial shape where it lies on the full one, or with two parts where they lie on each other.
 
     As it is where neither shape is partial, or where it has maps; see ``align_partial``. Where maps can tell whether a
-    partial shape lies right, the pair has them.
+    partial shape lies right, the pair has them: not with landmarks, with ``placement=None``, or by methods whose maps
+    are of another kind.
     """
-    if pair.maps is not None:
-        return pair
     if pair.are_parts:
         return align_two_parts(pair)
     search = AlignmentSearch.of(pair)
@@ -96,7 +96,12 @@ def _others(search: AlignmentSearch, best: Alignment, settings: PlacementSetting
         search, best = oriented, oriented.best()
         yield _by_features(search, best, settings)
     others = search.others(best, followed=settings.followed, apart=settings.apart)
-    moved = sorted((_moved(search, each, settings) for each in (best, *others)), key=lambda motion: -motion.share)
+    moved: list[_Motion] = []
+    for alignment in (best, *others):
+        moved.append(_moved(search, alignment, settings))
+        if moved[-1].share > settings.enough:
+            break
+    moved.sort(key=lambda motion: -motion.share)
     for motion in _distinct(moved, search.pair.y.points_as_given, settings):
         yield from _placements(search, motion, settings)
     for alignment in others[: settings.mapped]:
@@ -156,10 +161,13 @@ def _judged(
 ) -> _Placement:
     """A pair with its maps, and their misfit."""
     x, y = pair.x.operators.points, pair.y.operators.points
-    trust = confidence(y, x, maps.y_to_x, maps.x_to_y, settings=pair.settings.confidence)
-    figures = quality(pair.y, pair.x, maps.y_to_x, maps.x_to_y, trust)
+    x_to_y = following_main_component(maps.x_to_y, pair.x.operators)
+    y_to_x = following_main_component(maps.y_to_x, pair.y.operators)
+    trust = confidence(y, x, y_to_x, x_to_y, settings=pair.settings.confidence)
+    figures = quality(pair.y, pair.x, y_to_x, x_to_y, trust)
     misfit = quality_misfit(figures, pair.settings.choice) + settings.coverage * (1 - figures.coverage)
     some = some_points(len(y), settings.handed_samples).to(y.device)
-    misfit += settings.handedness * (1 - float(handedness(y[some], x[maps.y_to_x[some]])))
+    # More than 1 is a map that stretches.
+    misfit += settings.handedness * (1 - min(max(float(handedness(y[some], x[y_to_x[some]])), -1.0), 1.0))
     misfit += 0.0 if search.any_size else settings.size * abs(math.log(scale))
     return _Placement(replace(pair, maps=maps), misfit)

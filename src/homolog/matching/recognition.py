@@ -215,5 +215,6 @@ def _tried(pair: Pair) -> tuple[Pair, float]:
     missed = pair.settings.guidance.choice * landmark_misfit(pair, match)
     misfit = map_misfit(match, pair.settings.choice) + missed
     if not pair.are_parts and pair.options.landmarks is None:
-        pair = replace(aligned, maps=maps, before_search=pair.before_search or pair)
+        before = None if pair.is_partial else pair.before_search or pair  # a part has no other ways round
+        pair = replace(aligned, maps=maps, before_search=before)
     return pair, misfit

@@ -117,8 +117,8 @@ class Match:
         """
         x, y = pair.x, pair.y
         maps = checked_maps(pair, maps)
-        x_to_y = _following_main_component(maps.x_to_y, x.operators)
-        y_to_x = _following_main_component(maps.y_to_x, y.operators)
+        x_to_y = following_main_component(maps.x_to_y, x.operators)
+        y_to_x = following_main_component(maps.y_to_x, y.operators)
         settings = pair.settings.confidence
         at_x, at_y = x.operators.points, y.operators.points
         x_trust = confidence(at_x, at_y, x_to_y, y_to_x, settings=settings)
@@ -465,7 +465,7 @@ def _whole_numbers(given: Any) -> np.ndarray:
     return array.astype(np.int64) if array.dtype.kind in "iu" else array.copy()
 
 
-def _following_main_component(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:
+def following_main_component(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:
     """The map with points of small components going where the nearest point of the main component goes."""
     if operators.in_main_component.all():
         return point_map

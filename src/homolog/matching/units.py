@@ -54,7 +54,7 @@ def part_areas(pair: Pair) -> PartAreas:
     area = pair.options.partial_scale**2 * _own_area(partial)
     too_large, too_small = area > _LARGEST_SHARE * full**2, area < _SMALLEST_SHARE * full**2
     if (too_large and _has_outliers(partial)) or (too_small and _has_outliers(pair.x)):
-        size = _half_size(partial) / _half_size(pair.x)
+        size = pair.options.partial_scale * _half_size(partial) / _half_size(pair.x)
         too_large, too_small = too_large and size > _LARGEST_SIZE, too_small and size < _SMALLEST_SIZE
     return PartAreas(area, full**2, not (too_large or too_small))
 
@@ -118,6 +118,6 @@ def _has_outliers(shape: PreprocessedShape) -> bool:
 
 
 def _half_size(shape: PreprocessedShape) -> float:
-    """The median distance of a shape's points from their median, in the units that the pair shares."""
-    points = shape.operators.points
-    return float((points - points.median(dim=0).values).norm(dim=1).median())
+    """The median distance of a shape's points from their median, in the file's units."""
+    points = shape.repaired.shape.points
+    return float(np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1)))

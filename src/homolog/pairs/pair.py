@@ -129,7 +129,8 @@ class Pair:
             source, in normalised coordinates; None where it stays.
         fit: how well two parts lie on each other; None where that was not looked for.
         start: from where the shapes as they are turned are registered; None where that was not looked for.
-        maps: refined point maps of the pair as it is, where the choice among features made them; None elsewhere.
+        maps: refined point maps of the pair as it is, where the choice among features, or the search for where a part
+            lies, made them; None elsewhere.
 
     Raises:
         ArgumentError: if the options want shapes that were preprocessed in another way, a shape is partial or a cloud,

@@ -12,7 +12,7 @@ from homolog.core.errors import ArgumentError, TrainingError
 from homolog.core.progress import Listener
 from homolog.core.settings import Count, Settings
 from homolog.features import DiffusionNet, FeatureInfo, NetworkFeatures, NetworkInput
-from homolog.matching import Matcher, align_partial, map_misfit, orient
+from homolog.matching import Matcher, align_parts, map_misfit, orient
 from homolog.pairs import Pair, PairAdaptation, PreprocessedShape
 from homolog.training.losses import TOTAL
 from homolog.training.objective import pair_losses
@@ -121,7 +121,7 @@ def adapt_to_pair(
     _network_features(pair)
     if pair.are_parts:
         raise ArgumentError("partial is 'both', but a network is adapted to full shapes, or to a part and its whole")
-    pair = align_partial(orient(pair))
+    pair = align_parts(orient(pair))
     adapted = _adapted(matcher, [pair], settings, listener)
     return matcher.with_extractor(adapted), pair.with_extractor(adapted)
 
