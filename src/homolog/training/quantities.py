@@ -96,11 +96,12 @@ class TrainingShape:
 class _Side:
     """Quantities of one of the two shapes."""
 
-    def __init__(self, shape: TrainingShape, mesh: Tensor, cloud: Tensor, settings: QuantitySettings) -> None:
+    def __init__(self, shape: TrainingShape, mesh: Tensor, cloud: Tensor | None, settings: QuantitySettings) -> None:
         self.shape, self.features, self.cloud_features, self._settings = shape, mesh, cloud, settings
 
     @cached_property
     def soft_features(self) -> Float[Tensor, "n_cloud d"]:
+        assert self.cloud_features is not None
         return self.cloud_features if self._settings.raw_products else normalised(self.cloud_features)
 
     @cached_property
@@ -143,6 +144,8 @@ _SHARED = (
 )
 QUANTITIES = (*(f"{name}_{side}" for name in _SIDED for side in "xy"), *_SHARED)
 """The names of all quantities that losses can ask for."""
+CLOUD_FEATURES = frozenset(f"{name}_{side}" for name in ("cloud_features", "soft_features") for side in "xy")
+"""Those that need the features of clouds."""
 
 
 class PairQuantities:
@@ -181,7 +184,7 @@ class PairQuantities:
     Args:
         x: a shape; the full one if ``partial``.
         y: another; a part of one like x if ``partial``.
-        features: of the meshes of x and y, and of their clouds.
+        features: of the meshes of x and y, and of their clouds, unless nothing asks for ``CLOUD_FEATURES``.
         settings: of the losses.
         partial: whether y is a part of x.
         registration_targets: where they are known; by default they are computed for the samples.
@@ -200,7 +203,8 @@ class PairQuantities:
         generator: torch.Generator | None = None,
     ) -> None:
         self._generator = generator
-        mesh_x, mesh_y, cloud_x, cloud_y = features
+        mesh_x, mesh_y = features[:2]
+        cloud_x, cloud_y = features[2:] or (None, None)
         self.settings, self.partial, self._known_targets = settings, partial, registration_targets
         self._x, self._y = _Side(x, mesh_x, cloud_x, settings), _Side(y, mesh_y, cloud_y, settings)
 
