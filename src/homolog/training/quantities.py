@@ -22,7 +22,13 @@ from homolog.maps import (
     resolvent_mask,
     zoomout,
 )
-from homolog.maps.losses import INFONCE_TEMPERATURE, REGISTRATION_REACH, partial_rank, softly_mapped
+from homolog.maps.losses import (
+    INFONCE_TEMPERATURE,
+    REGISTRATION_REACH,
+    multiplication_operators,
+    partial_rank,
+    softly_mapped,
+)
 from homolog.maps.soft_losses import (
     DAMPING,
     DIFFUSION_FUNCTIONS,
@@ -121,6 +127,10 @@ class _Side:
         return self.pseudo_inverse @ self.features
 
     @cached_property
+    def products(self) -> Float[Tensor, "k d k"]:
+        return multiplication_operators(self.unit_features, self.eigenvectors, self.pseudo_inverse)
+
+    @cached_property
     def positions(self) -> Float[Tensor, "k 3"]:
         return self.pseudo_inverse @ self.shape.mesh.points
 
@@ -135,7 +145,7 @@ class _Side:
 
 _SIDED = (
     *("shape", "features", "unit_features", "cloud_features", "soft_features", "pseudo_inverse"),
-    *("coefficients", "positions", "eigenvalues", "cloud_eigenvectors"),
+    *("coefficients", "products", "positions", "eigenvalues", "cloud_eigenvectors"),
 )
 _SHARED = (
     *("c_xy", "c_yx", "rank", "registration_targets", "partial", "settings"),
@@ -162,6 +172,7 @@ class PairQuantities:
     | `soft_features_x` | those as the soft map compares them: of unit length, unless `raw_products` |
     | `pseudo_inverse_x` | of the mesh's eigenvectors (k, n) |
     | `coefficients_x` | of the mesh's features (k, d) |
+    | `products_x` | multiplication with each of the mesh's unit features, in coefficients (k, d, k) |
     | `positions_x` | coefficients of the mesh's positions, in units of sqrt(area) (k, 3) |
     | `eigenvalues_x` | of the mesh (k,) |
     | `cloud_eigenvectors_x` | of the mesh, at the cloud's points (m, k) |
