@@ -140,6 +140,7 @@ COLUMNS = {
     "paper": Column(title="the paper's setting", orient="given", clutter="keep", left_out=("refinement", "alignment")),
     "ours": Column(title="ours"),
     "axiomatic": Column(title="axiomatic", method="axiomatic"),
+    "axiomatic_given": Column(title="axiomatic, poses trusted", orient="given", method="axiomatic"),
     "surfmnet": Column(
         title="losses of SURFMNet",
         changes={**_MESHES_ALONE, "loss.commutativity": 20.0, "loss.descriptors": 100.0},
