@@ -40,10 +40,10 @@ def _table(name: str, reproduced: Path) -> str:
     rows = [row for row in experiment.rows if any(key[0] == row.name for key in cells)]
     if not rows:
         return ""
-    made = sorted({f"{cell['date']}, version {cell['version']}, commit {cell['commit']}" for cell in cells.values()})
+    dates, commits = (sorted({str(cell[told]) for cell in cells.values()}) for told in ("date", "commit"))
     minutes = [cell["training"]["seconds"] / 60 for cell in cells.values() if cell["training"]]
     trained = f" A training took {min(minutes):.0f} to {max(minutes):.0f} minutes." if minutes else ""
-    return f"{figure_table(rows, cells)}\n\n{'; '.join(made)}.{trained}"
+    return f"{figure_table(rows, cells)}\n\n{', '.join(dates)}, commit {' and '.join(commits)}.{trained}"
 
 
 def main() -> None:
