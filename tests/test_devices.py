@@ -68,6 +68,8 @@ FUNCTIONS = [
     (losses.bijectivity_loss, (C_XY, C_YX)),
     (losses.orthogonality_loss, (C_XY, C_YX)),
     (losses.commutativity_loss, (C_XY, *VALUES)),
+    (losses.descriptor_loss, (C_XY, random(12, 4, 12), random(10, 4, 10, seed=1))),
+    (losses.multiplication_operators, (POINTS[0], PHI[0], PHI[0].T)),
     (losses.smoothness_loss, (C_XY, random(12, 3), random(10, 3, seed=1), VALUES[1])),
     (losses.alignment_loss, (C_XY, *PHI, *FEATURES)),
     (losses.partial_alignment_loss, (C_XY, *PHI, *FEATURES)),

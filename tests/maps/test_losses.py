@@ -17,7 +17,9 @@ from homolog.maps.losses import (
     alignment_loss,
     bijectivity_loss,
     commutativity_loss,
+    descriptor_loss,
     infonce_loss,
+    multiplication_operators,
     orthogonality_loss,
     partial_alignment_loss,
     partial_bijectivity_loss,
@@ -61,6 +63,9 @@ def test_losses_of_maps_are_sums_over_their_entries() -> None:
     x, y = random(4, seed=2).abs().numpy(), random(3, seed=3).abs().numpy()
     crossed = sum((c_xy[i, j] * (x[j] - y[i]) / max(*x, *y)) ** 2 for i in range(3) for j in range(4))
     np.testing.assert_allclose(commutativity_loss(c_xy, x, y), crossed)
+    d_x, d_y = random(4, 2, 4, seed=6).numpy(), random(3, 2, 3, seed=7).numpy()
+    apart = [c_xy @ d_x[:, i] - d_y[:, i] @ c_xy for i in range(2)]
+    np.testing.assert_allclose(descriptor_loss(c_xy, d_x, d_y), sum((each**2).sum() for each in apart) / 2)
     here, there = random(4, 3, seed=4).numpy(), random(3, 3, seed=5).numpy()
     moved = [[sum(c_xy[i, j] * here[j, a] for j in range(4)) - there[i, a] for a in range(3)] for i in range(3)]
     rough = sum(y[i] * moved[i][a] ** 2 for i in range(3) for a in range(3))
@@ -73,6 +78,12 @@ def test_maps_that_do_what_is_asked_cost_nothing() -> None:
     assert orthogonality_loss(turn, turn.T) < 1e-20 and bijectivity_loss(turn, turn) > 1
     assert commutativity_loss(torch.diag(values), values, values) == 0
     assert commutativity_loss(turn, values, values) > 0.1
+    # Composition with a point map preserves products of functions, here of five points in two orders.
+    order, phi, functions = torch.tensor([3, 0, 4, 1, 2]), random(5, 5, seed=9), random(5, 2, seed=10)
+    x = multiplication_operators(functions, phi, torch.linalg.inv(phi))
+    torch.testing.assert_close(phi @ x[:, 1] @ c[0], functions[:, 1] * (phi @ c[0]))
+    y = multiplication_operators(functions[order], turn, turn.T)
+    assert descriptor_loss(turn.T @ phi[order], x, y) < 1e-20 and descriptor_loss(turn.T @ phi, x, y) > 0.1
     # A part keeps three dimensions of five: the map's range is spanned by its first functions.
     part = torch.diag(torch.tensor([1.0, 1, 1, 0, 0], dtype=torch.float64)) @ turn
     assert partial_bijectivity_loss(part, part.T, rank=3) < 1e-20 and partial_orthogonality_loss(part, rank=3) < 1e-20
@@ -277,6 +288,7 @@ def test_gradients_of_every_loss_are_right() -> None:
         (lambda c_xy, c_yx: partial_bijectivity_loss(c_xy, c_yx, rank=2), maps),
         (lambda c_xy: partial_orthogonality_loss(c_xy, rank=2), maps[:1]),
         (lambda c_xy: commutativity_loss(c_xy, *values), maps[:1]),
+        (descriptor_loss, (maps[0], *(random(3, 2, 3, seed=seed).requires_grad_() for seed in (9, 10)))),
         (lambda c_xy: smoothness_loss(c_xy, phi_x[:3], phi_y[:3], values[1]), maps[:1]),
         (lambda x, y: alignment_loss(c, phi_x, phi_y, x, y, temperature=0.3, iterations=3), features),
         (lambda x, y: partial_alignment_loss(c, phi_x, phi_y, x, y, temperature=0.3), features),

@@ -172,6 +172,22 @@ def test_the_total_is_the_sum_and_weights_weigh(pair) -> None:
         assert without["total"] == pytest.approx(losses["total"] - losses[name])
 
 
+def test_clouds_that_no_loss_looks_at_are_left_out_and_change_nothing(pair, monkeypatch) -> None:
+    network = network_of()
+    alone = replace(FEW, weights=dict.fromkeys(FEW.weights, 0.0) | {"bijectivity": 1.0, "orthogonality": 2.0})
+    slow = slow_losses(network, *pair, alone)  # of four passes
+    expected = {name: alone.weights[name] * slow[name] for name in ("bijectivity", "orthogonality")}
+    expected["total"] = sum(expected.values())
+    passed, several = [], network.several
+    monkeypatch.setattr(network, "several", lambda *words, **more: passed.append(words[1]) or several(*words, **more))
+    found = pair_losses(network, *pair, settings=alone)
+    assert passed == [[pair[0].mesh, pair[1].mesh]]
+    assert_same(found, expected, rel=1e-3)
+    true = gradients(network, expected)
+    for name, gradient in gradients(network, found).items():
+        assert (gradient - true[name]).norm() < 1e-3 * true[name].norm() + 1e-5, name
+
+
 def test_swapping_the_shapes_of_a_full_pair_changes_its_alignment_alone(pair) -> None:
     network, settings = network_of(), weighted(FEW, commutativity=1.0, smoothness=1.0)
     there = values(pair_losses(network, *pair, settings=settings))

@@ -18,7 +18,7 @@ from homolog.training.data import TrainingSet
 from homolog.training.sampling import SampledShape
 from homolog.training.store import ShapeStore
 
-TERMS = ("coupling", "true_maps", "teacher", "diffusion", "damped_spectrum")
+TERMS = ("descriptors", "coupling", "true_maps", "teacher", "diffusion", "damped_spectrum")
 NONE = {"bijectivity": 0.0, "orthogonality": 0.0, "alignment": 0.0, "infonce": 0.0}
 
 
@@ -77,6 +77,16 @@ def test_eigenvectors_are_mapped_by_unit_features_both_ways(pair):
     torch.testing.assert_close(found.mapped_to_y, soft @ pair[0].mesh.eigenvectors[:, :12], rtol=1e-4, atol=1e-5)
     soft = torch.softmax(x @ y.T / 0.2, dim=1)
     torch.testing.assert_close(found.mapped_to_x, soft @ pair[1].mesh.eigenvectors[:, :12], rtol=1e-4, atol=1e-5)
+
+
+def test_products_multiply_with_unit_features(pair):
+    """Of functions in the span of the eigenvectors, up to what the product has outside it."""
+    found = quantities(pair)
+    basis, features = pair[1].mesh, normalised(found._y.features)
+    function = basis.eigenvectors[:, :12] @ torch.ones(12)
+    for channel in (0, 15):
+        expected = basis.pseudo_inverse[:12] @ (features[:, channel] * function)
+        torch.testing.assert_close(found.of(["products_y"])["products_y"][:, channel] @ torch.ones(12), expected)
 
 
 def test_refined_maps_have_no_gradient_and_find_the_points_again(pair):

@@ -80,6 +80,40 @@ def commutativity_loss(
 
 
 @takes_arrays
+def descriptor_loss(
+    c_xy: Float[Tensor, "k_y k_x"], products_x: Float[Tensor, "k_x d k_x"], products_y: Float[Tensor, "k_y d k_y"]
+) -> Float[Tensor, ""]:
+    """The map commutes with multiplication by descriptors: the mean over these of |C_xy D_x - D_y C_xy|^2.
+
+    A map that is composition with a point map preserves products of functions. D. Nogneng and M. Ovsjanikov,
+    "Informative Descriptor Preservation via Commutativity for Shape Matching", CGF 2017.
+
+    Args:
+        c_xy: from x to y.
+        products_x: D_x of each descriptor, see ``multiplication_operators``.
+        products_y: those of the same descriptors on y.
+    """
+    difference = torch.einsum("yx,xdk->ydk", c_xy, products_x) - products_y @ c_xy
+    return difference.square().sum() / products_x.shape[1]
+
+
+@takes_arrays
+def multiplication_operators(
+    functions: Float[Tensor, "n d"], eigenvectors: Float[Tensor, "n k"], pseudo_inverse: Float[Tensor, "k n"]
+) -> Float[Tensor, "k d k"]:
+    """Multiplication with each function, as a matrix (k, k) of coefficients: Phi^+ diag(f) Phi.
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps.losses import multiplication_operators
+        >>> multiplication_operators(torch.full((3, 1), 2.0), torch.eye(3), torch.eye(3))[:, 0].diagonal()
+        tensor([2., 2., 2.])
+    """
+    products = functions[:, :, None] * eigenvectors[:, None, :]
+    return (pseudo_inverse @ products.flatten(1)).view(-1, *products.shape[1:])
+
+
+@takes_arrays
 def smoothness_loss(
     c_xy: Float[Tensor, "k_y k_x"],
     positions_x: Float[Tensor, "k_x 3"],

@@ -10,7 +10,7 @@ from homolog.datasets import Pair, ShapeFolder
 from homolog.evaluation import Evaluation, Protocol, area_under_pck, pck_curve
 from homolog.matching import Matcher
 from homolog.pairs import MatcherSettings
-from homolog.reproduction.cells import key_of
+from homolog.reproduction.cells import NO_WEIGHTS, key_of
 from homolog.reproduction.experiments import Column, Row, data_places
 from homolog.reproduction.training_runs import TrainingRun
 
@@ -80,7 +80,7 @@ class CellPlan:
     def origin(self) -> str:
         """Where the weights come from, as tables show it."""
         if self.weights is None:
-            return "no weights"
+            return NO_WEIGHTS
         if self.training is None:
             return self.weights
         changed = ", ".join(f"{name}={value}" for name, value in self.training.changes.items())

@@ -21,6 +21,8 @@ _LONGEST_NAME = 80
 
 FOLDER = "cells"
 """The folder of an experiment's cells, in the experiment's own."""
+NO_WEIGHTS = "no weights"
+"""What tables call the origin of weights where there are none."""
 
 
 @record

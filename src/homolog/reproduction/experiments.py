@@ -140,7 +140,11 @@ COLUMNS = {
     "paper": Column(title="the paper's setting", orient="given", clutter="keep", left_out=("refinement", "alignment")),
     "ours": Column(title="ours"),
     "axiomatic": Column(title="axiomatic", method="axiomatic"),
-    "surfmnet": Column(title="losses of SURFMNet", changes={**_MESHES_ALONE, "loss.commutativity": 1.0}),
+    "axiomatic_given": Column(title="axiomatic, poses trusted", orient="given", method="axiomatic"),
+    "surfmnet": Column(
+        title="losses of SURFMNet",
+        changes={**_MESHES_ALONE, "loss.commutativity": 20.0, "loss.descriptors": 100.0},
+    ),
     "geomfmaps": Column(
         title="loss of GeomFMaps",
         changes={**_MESHES_ALONE, "loss.bijectivity": 0.0, "loss.orthogonality": 0.0, "loss.true_maps": 1.0},

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from homolog.core.files import atomic_path
-from homolog.reproduction.cells import stored_cells
-from homolog.reproduction.experiments import COLUMNS, Experiment, experiment_names, read_experiment
+from homolog.reproduction.cells import NO_WEIGHTS, stored_cells
+from homolog.reproduction.experiments import COLUMNS, Experiment, Row, experiment_names, read_experiment
 
 REPORT, TABLE = "report.md", "table.md"
 """The files with the tables of all experiments, and with that of one."""
@@ -56,19 +56,28 @@ def table_of(experiment: Experiment, cells: _Cells) -> str:
         experiment: whose rows the table has.
         cells: by row, column and origin of weights.
     """
-    columns = [
-        (column, origin)
-        for origin in dict.fromkeys(origin for _, _, origin in cells)
-        for column in COLUMNS
-        if any(key[1:] == (column, origin) for key in cells)
-    ]
-    heads = ["", "the paper", *(f"{COLUMNS[column].title}, {origin}" for column, origin in columns)]
     lines = [f"## {experiment.title}", "", f"`homolog reproduce {experiment.name}`. {experiment.about}", ""]
-    lines += [_line(heads), _line(["---"] * len(heads))]
-    for row in experiment.rows:
+    return "\n".join([*lines, figure_table(experiment.rows, cells), "", *_makers(cells)])
+
+
+def figure_table(rows: Iterable[Row], cells: _Cells) -> str:
+    """The figures of some rows beside the paper's, in Markdown.
+
+    Args:
+        rows: of the table.
+        cells: by row, column and origin of weights; where all weights are of one origin, a line says so, and otherwise
+            each column.
+    """
+    origins = sorted({origin for _, _, origin in cells})
+    weights = [origin for origin in origins if origin != NO_WEIGHTS]
+    columns = [key for key in product(COLUMNS, origins) if any(cell[1:] == key for cell in cells)]
+    heads = [COLUMNS[column].title + (f", {origin}" if len(weights) > 1 else "") for column, origin in columns]
+    lines = [f"Weights: {weights[0]}.", ""] if len(weights) == 1 else []
+    lines += [_line(["", "the paper", *heads]), _line(["---"] * (len(heads) + 2))]
+    for row in rows:
         found = [cells.get((row.name, *column)) for column in columns]
         lines.append(_line([row.name, "" if row.paper is None else f"{row.paper:.1f}", *map(_shown, found)]))
-    return "\n".join([*lines, "", *_makers(cells)])
+    return "\n".join(lines)
 
 
 def _shown(cell: Mapping[str, Any] | None) -> str:

@@ -192,6 +192,19 @@ def commutativity(
 
 
 @_builtin(weight=0.0)
+def descriptors(
+    c_xy: Float[Tensor, "k_y k_x"],
+    c_yx: Float[Tensor, "k_x k_y"],
+    products_x: Float[Tensor, "k_x d k_x"],
+    products_y: Float[Tensor, "k_y d k_y"],
+    partial: bool,
+) -> Float[Tensor, ""]:
+    """The functional maps commute with multiplication by the features, as those of point maps do."""
+    there, back = (c_xy, products_x, products_y), (c_yx, products_y, products_x)
+    return _there_and_back(formulas.descriptor_loss, there, back, partial=partial)
+
+
+@_builtin(weight=0.0)
 def smoothness(
     c_xy: Float[Tensor, "k_y k_x"],
     c_yx: Float[Tensor, "k_x k_y"],

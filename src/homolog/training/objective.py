@@ -14,7 +14,7 @@ from homolog.core.plugins import described, fault
 from homolog.features import DiffusionNet, NetworkInput, network_input
 from homolog.training.augmentation import augmented
 from homolog.training.losses import BUILTIN_LOSSES, TOTAL, Loss, installed_losses
-from homolog.training.quantities import PairQuantities, TrainingShape
+from homolog.training.quantities import CLOUD_FEATURES, PairQuantities, TrainingShape
 from homolog.training.settings import AugmentationSettings, LossSettings
 
 
@@ -33,6 +33,8 @@ def pair_losses(
 ) -> dict[str, Float[Tensor, ""]]:
     """The weighted losses of a pair of shapes by name, and ``"total"``, their sum; from four passes of the network.
 
+    Clouds pass through it only if a loss looks at their features.
+
     Args:
         network: in training or evaluation mode.
         x: a shape; the full one if ``partial``.
@@ -46,7 +48,9 @@ def pair_losses(
             ``homolog.maps.registered_positions``; by default that of the samples.
         features_from: what the network takes.
     """
-    bases = [x.mesh, y.mesh, x.cloud, y.cloud]
+    used = losses or losses_of(settings)
+    looks_at_clouds = any(loss.requires & CLOUD_FEATURES for loss in used)
+    bases = [x.mesh, y.mesh, *((x.cloud, y.cloud) if looks_at_clouds else ())]
     inputs = [basis.points for basis in bases]
     with _full_precision(inputs[0].device):
         if augmentation is not None:
@@ -66,7 +70,7 @@ def pair_losses(
             registration_targets=registration_targets,
             generator=generator,
         )
-        values = {loss.name: loss.weighted(pair) for loss in losses or losses_of(settings)}
+        values = {loss.name: loss.weighted(pair) for loss in used}
         return {**values, TOTAL: sum(values.values(), start=inputs[0].new_zeros(()))}
 
 

@@ -22,7 +22,13 @@ from homolog.maps import (
     resolvent_mask,
     zoomout,
 )
-from homolog.maps.losses import INFONCE_TEMPERATURE, REGISTRATION_REACH, partial_rank, softly_mapped
+from homolog.maps.losses import (
+    INFONCE_TEMPERATURE,
+    REGISTRATION_REACH,
+    multiplication_operators,
+    partial_rank,
+    softly_mapped,
+)
 from homolog.maps.soft_losses import (
     DAMPING,
     DIFFUSION_FUNCTIONS,
@@ -96,11 +102,12 @@ class TrainingShape:
 class _Side:
     """Quantities of one of the two shapes."""
 
-    def __init__(self, shape: TrainingShape, mesh: Tensor, cloud: Tensor, settings: QuantitySettings) -> None:
+    def __init__(self, shape: TrainingShape, mesh: Tensor, cloud: Tensor | None, settings: QuantitySettings) -> None:
         self.shape, self.features, self.cloud_features, self._settings = shape, mesh, cloud, settings
 
     @cached_property
     def soft_features(self) -> Float[Tensor, "n_cloud d"]:
+        assert self.cloud_features is not None
         return self.cloud_features if self._settings.raw_products else normalised(self.cloud_features)
 
     @cached_property
@@ -120,6 +127,10 @@ class _Side:
         return self.pseudo_inverse @ self.features
 
     @cached_property
+    def products(self) -> Float[Tensor, "k d k"]:
+        return multiplication_operators(self.unit_features, self.eigenvectors, self.pseudo_inverse)
+
+    @cached_property
     def positions(self) -> Float[Tensor, "k 3"]:
         return self.pseudo_inverse @ self.shape.mesh.points
 
@@ -134,7 +145,7 @@ class _Side:
 
 _SIDED = (
     *("shape", "features", "unit_features", "cloud_features", "soft_features", "pseudo_inverse"),
-    *("coefficients", "positions", "eigenvalues", "cloud_eigenvectors"),
+    *("coefficients", "products", "positions", "eigenvalues", "cloud_eigenvectors"),
 )
 _SHARED = (
     *("c_xy", "c_yx", "rank", "registration_targets", "partial", "settings"),
@@ -143,6 +154,8 @@ _SHARED = (
 )
 QUANTITIES = (*(f"{name}_{side}" for name in _SIDED for side in "xy"), *_SHARED)
 """The names of all quantities that losses can ask for."""
+CLOUD_FEATURES = frozenset(f"{name}_{side}" for name in ("cloud_features", "soft_features") for side in "xy")
+"""Those that need the features of clouds."""
 
 
 class PairQuantities:
@@ -159,6 +172,7 @@ class PairQuantities:
     | `soft_features_x` | those as the soft map compares them: of unit length, unless `raw_products` |
     | `pseudo_inverse_x` | of the mesh's eigenvectors (k, n) |
     | `coefficients_x` | of the mesh's features (k, d) |
+    | `products_x` | multiplication with each of the mesh's unit features, in coefficients (k, d, k) |
     | `positions_x` | coefficients of the mesh's positions, in units of sqrt(area) (k, 3) |
     | `eigenvalues_x` | of the mesh (k,) |
     | `cloud_eigenvectors_x` | of the mesh, at the cloud's points (m, k) |
@@ -181,7 +195,7 @@ class PairQuantities:
     Args:
         x: a shape; the full one if ``partial``.
         y: another; a part of one like x if ``partial``.
-        features: of the meshes of x and y, and of their clouds.
+        features: of the meshes of x and y, and of their clouds, unless nothing asks for ``CLOUD_FEATURES``.
         settings: of the losses.
         partial: whether y is a part of x.
         registration_targets: where they are known; by default they are computed for the samples.
@@ -200,7 +214,8 @@ class PairQuantities:
         generator: torch.Generator | None = None,
     ) -> None:
         self._generator = generator
-        mesh_x, mesh_y, cloud_x, cloud_y = features
+        mesh_x, mesh_y = features[:2]
+        cloud_x, cloud_y = features[2:] or (None, None)
         self.settings, self.partial, self._known_targets = settings, partial, registration_targets
         self._x, self._y = _Side(x, mesh_x, cloud_x, settings), _Side(y, mesh_y, cloud_y, settings)
 
