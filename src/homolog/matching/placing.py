@@ -136,14 +136,20 @@ def _distinct(motions: list[_Motion], given: Float[Tensor, "n 3"], settings: Pla
 def _placements(search: AlignmentSearch, motion: _Motion, settings: PlacementSettings) -> Iterator[_Placement]:
     """The pair at both ends of a motion, with maps of several kinds."""
     parts = search.pair.settings.parts or PartsSettings()
-    near = _at(search, motion.by_points)
-    spacing = max(spacing_of(near.x), spacing_of(near.y))
-    last = motion_by_closest_points(PlacedPoints.of(near.x), PlacedPoints.of(near.y), spacing, parts, rigid=True)
-    near = _at(search, composed(last, motion.by_points))
-    yield _judged(search, near, maps_by_closest_points(near.x, near.y), settings, motion.by_points.scale)
+    if motion.share >= settings.rigid:
+        yield _rigid_placement(search, motion, settings)
     pair = _at(search, motion.by_features)
     for maps in (maps_by_features_and_positions(pair.x, pair.y, parts), method_maps(pair)):
         yield _judged(search, pair, refine(pair, maps), settings, motion.by_features.scale)
+
+
+def _rigid_placement(search: AlignmentSearch, motion: _Motion, settings: PlacementSettings) -> _Placement:
+    """The pair with the partial shape as a rigid copy of a part of the full one, by closest points."""
+    parts, near = search.pair.settings.parts or PartsSettings(), _at(search, motion.by_points)
+    spacing = max(spacing_of(near.x), spacing_of(near.y))
+    last = motion_by_closest_points(PlacedPoints.of(near.x), PlacedPoints.of(near.y), spacing, parts, rigid=True)
+    near = _at(search, composed(last, motion.by_points))
+    return _judged(search, near, maps_by_closest_points(near.x, near.y), settings, motion.by_points.scale)
 
 
 def _by_features(search: AlignmentSearch, found: Alignment, settings: PlacementSettings) -> _Placement:

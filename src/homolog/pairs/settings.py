@@ -132,6 +132,8 @@ class PlacementSettings(Settings):
         apart: mean distance from which on two alignments are two.
         mapped: of how many, those that bring most of the partial shape onto the full one, maps are made.
         full_samples: points of the full shape to which others are moved at first.
+        rigid: share of the partial shape that lies on the full one from which on closest points make a map: of bent parts
+            that is smooth, and wrong.
         enough: share of the partial shape that lies on the full one from which on no further one is moved.
         coverage: weight of 1 minus the coverage.
         handedness: weight of 1 minus the handedness of the map.
@@ -145,6 +147,7 @@ class PlacementSettings(Settings):
     apart: NotNegative = 0.15
     mapped: Count = 3
     full_samples: Count = 2500
+    rigid: Share = 0.5
     enough: Share = 0.9
     coverage: NotNegative = 10.0
     handedness: NotNegative = 2.0
