@@ -132,8 +132,8 @@ class PlacementSettings(Settings):
         apart: mean distance from which on two alignments are two.
         mapped: of how many, those that bring most of the partial shape onto the full one, maps are made.
         full_samples: points of the full shape to which others are moved at first.
-        rigid: share of the partial shape that lies on the full one from which on closest points make a map: of bent parts
-            that is smooth, and wrong.
+        rigid: share of the partial shape that lies on the full one from which on closest points make a map; of bent
+            parts theirs is smooth, and wrong.
         enough: share of the partial shape that lies on the full one from which on no further one is moved.
         coverage: weight of 1 minus the coverage.
         handedness: weight of 1 minus the handedness of the map.
