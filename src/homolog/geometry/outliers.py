@@ -15,8 +15,9 @@ from scipy.spatial import KDTree
 from homolog.geometry.clutter_settings import ClutterSettings
 from homolog.shapes import components
 
-# From this share of points without a plane on a surface is rough for its spacing, and it is no rougher than that.
-_ROUGH, _ROUGHEST = 0.14, 0.2
+# From the first share of points without a plane on a surface is rough for its spacing, up to the second it grows
+# rougher; then it needs such bounds as at this level of noise.
+_ROUGH, _ROUGHEST, _AS_NOISE = 0.13, 0.148, 0.6
 # Fewer points have no neighbourhoods to speak of.
 _FEWEST_POINTS = 60
 # The neighbour whose distance is the width of a neighbourhood, and among how many the densest is looked for, beside
@@ -75,7 +76,8 @@ def _outliers(
     wide = around.grown(surface, settings.step, near + settings.doubtful, _THICKNESS_DOUBTFUL)
     apart = wide[around.indices[:, : _AROUND + 1]].all(axis=1)
     bent = around.support[apart] < _between(settings.support, settings.support_noisy, noise)
-    rough = float(np.clip((bent.mean() - _ROUGH) / (_ROUGHEST - _ROUGH), 0, 1)) if apart.any() else 1.0
+    share = bent.mean() if apart.any() else 1.0
+    rough = _AS_NOISE * float(np.clip((share - _ROUGH) / (_ROUGHEST - _ROUGH), 0, 1))
     off = 1 - wide.mean()
     if off <= _between(settings.least_share, settings.least_share_noisy, noise):
         return ~around.grown(wide, settings.clear, settings.clear, _THICKNESS_DOUBTFUL), rough
