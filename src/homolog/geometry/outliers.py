@@ -18,6 +18,8 @@ from homolog.shapes import components
 # From the first share of points without a plane on a surface is rough for its spacing, up to the second it grows
 # rougher; then it needs such bounds as at this level of noise.
 _ROUGH, _ROUGHEST, _AS_NOISE = 0.13, 0.148, 0.6
+# Fewer outliers than this share must show by these bounds as well.
+_FEW = 0.06
 # Fewer points have no neighbourhoods to speak of.
 _FEWEST_POINTS = 60
 # The neighbour whose distance is the width of a neighbourhood, and among how many the densest is looked for, beside
@@ -57,16 +59,18 @@ def find_outliers(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | 
     if len(points) < _FEWEST_POINTS:
         return np.zeros(len(points), dtype=bool)
     noise = noise_level(points, settings)
-    found, rough = _outliers(points, settings, noise)
-    if rough > noise:  # thin parts of few points look like outliers
-        found, _ = _outliers(points, settings, rough)
-    return found
+    found, rough, _ = _outliers(points, settings, noise)
+    if noise < _AS_NOISE and found.any() and found.mean() < _FEW:
+        coarse, _, share = _outliers(points, settings, _AS_NOISE)
+        if share <= settings.least_share:  # thin parts of few points look like outliers
+            return coarse
+    return _outliers(points, settings, rough)[0] if rough > noise else found
 
 
 def _outliers(
     points: Float[np.ndarray, "n 3"], settings: ClutterSettings, noise: float
-) -> tuple[Bool[np.ndarray, " n"], float]:
-    """Outliers by the bounds for a level of noise (n,), and the level that so rough a surface needs at least.
+) -> tuple[Bool[np.ndarray, " n"], float, float]:
+    """Outliers by the bounds for a level of noise (n,), the level that so rough a surface needs, and the share off it.
 
     How rough it is, is told where no outliers are around.
     """
@@ -80,8 +84,8 @@ def _outliers(
     rough = _AS_NOISE * float(np.clip((share - _ROUGH) / (_ROUGHEST - _ROUGH), 0, 1))
     off = 1 - wide.mean()
     if off <= _between(settings.least_share, settings.least_share_noisy, noise):
-        return ~around.grown(wide, settings.clear, settings.clear, _THICKNESS_DOUBTFUL), rough
-    return ~surface if off > settings.many else ~wide, rough
+        return ~around.grown(wide, settings.clear, settings.clear, _THICKNESS_DOUBTFUL), rough, off
+    return ~surface if off > settings.many else ~wide, rough, off
 
 
 def noise_level(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | None = None) -> float:
