@@ -13,7 +13,7 @@ from homolog.core.arguments import check_kind, given_or_default
 from homolog.geometry.background import find_backgrounds
 from homolog.geometry.clutter_settings import ClutterSettings
 from homolog.geometry.components import cloud_components, in_large_components
-from homolog.geometry.outliers import find_clustered, find_outliers
+from homolog.geometry.outliers import find_outliers
 from homolog.geometry.scale import cloud_area
 from homolog.shapes import FEWEST_POINTS, Finding, Repaired, Shape, check, mesh_components, repair
 
@@ -88,9 +88,6 @@ def find_clutter(shape: Shape, settings: ClutterSettings | None = None, *, parti
     outliers = np.zeros(shape.n_points, dtype=bool)
     if shape.faces is None:
         outliers[left] = find_outliers(shape.points[left], settings)
-        if not partial:  # a view may show a limb in pieces
-            surface = left & ~outliers
-            outliers[surface] = find_clustered(shape.points[surface], settings)
     left &= ~outliers
     objects = np.zeros(shape.n_points, dtype=bool)
     if not partial and left.sum() >= FEWEST_POINTS:

@@ -11,27 +11,27 @@ from homolog.core.settings import Positive, Settings, Share
 class ClutterSettings(Settings):
     """What is set apart as outliers, background planes and other objects. Chosen on training shapes of FAUST_r.
 
-    Lengths of outliers are in units of the distance from a point to its near neighbours, if not said otherwise. Clean
-    surfaces, also with noise, hold no points beyond the first three bounds. They hold some beyond the others, though
-    fewer than ``suspicious_share``: those count only where more points are beyond them.
+    Lengths of outliers are in widths: the distance from a point to its near neighbours, some 1.6 spacings. Two bounds
+    are given for a clean surface and a noisy one; between these they follow the noise. Clean surfaces hold points
+    beyond the bounds, though fewer than ``least_share``: those count only where more points are beyond them.
 
     Args:
-        clear_residual: distance from the plane through the neighbours beyond which a single point is an outlier.
-        clear_sparsity: distance to a near neighbour, in its median over the cloud, beyond which one is that lies on no
-            thin surface.
-        ever_sparse: the same on any surface.
-        suspicious_share: share of the points beyond these bounds or the next from which on all of them are outliers.
-        residual: distance from the plane, beyond the neighbours' own, that is suspicious.
-        residual_noisy: the same where the surface has noise.
-        residual_once_sure: the same once there are more than the share.
-        sparsity: distance to a near neighbour, in its median, that is suspicious.
-        sparsity_noisy: the same where the surface has noise.
-        sparsity_alone: the same whatever lies around.
-        sparser_than_near: how many times as sparse as the densest of its neighbours a suspicious point is.
-        thick: share of the variance around a point that lies across its plane: more is no thin surface.
-        least_noise: the least distance from robust planes that means noise.
-        link: up to this distance neighbours hang together.
-        least_clustered: share of the points on none of the large pieces from which on clusters are looked for.
+        slab: up to this distance from a plane, fitted robustly, points lie in it.
+        slab_noisy: the same where the surface has noise.
+        support: the share of the neighbours in the plane of a point from which on it is sure to be on a surface.
+        support_noisy: the same where the surface has noise.
+        link: up to this distance such points hang together.
+        step: up to this distance from them the surface goes on.
+        near: up to this distance from its planes, besides their own thickness.
+        near_noisy: the same where the surface has noise.
+        doubtful: so much farther from its planes points may be on a clean surface.
+        least_share: share of the points that are farther still from which on all outliers count.
+        least_share_noisy: the same where the surface has noise.
+        many: share from which on doubtful points are outliers, too.
+        sparse_noisy: of a noisy surface, distance to a near neighbour, in its median, up to which a point can be sure.
+        clear: distance from the surface and from its planes beyond which an outlier counts however few there are.
+        least_noise: distance of neighbours from robust planes up to which a surface is clean.
+        most_noise: the same from which on the bounds are those for noise.
         least_plane: a background holds at least this share of the surface.
         most_beside: beside a plane, within as much again, are fewer points than this share of its own: a curved
             surface has as many there.
@@ -49,21 +49,22 @@ class ClutterSettings(Settings):
         0.2
     """
 
-    clear_residual: Positive = 4.0
-    clear_sparsity: Positive = 4.0
-    ever_sparse: Positive = 8.0
-    suspicious_share: Share = 0.006
-    residual: Positive = 0.3
-    residual_noisy: Positive = 0.8
-    residual_once_sure: Positive = 0.1
-    sparsity: Positive = 2.0
-    sparsity_noisy: Positive = 3.0
-    sparsity_alone: Positive = 3.5
-    sparser_than_near: Positive = 2.0
-    thick: Share = 0.06
-    least_noise: Positive = 0.05
+    slab: Positive = 0.25
+    slab_noisy: Positive = 0.5
+    support: Share = 0.75
+    support_noisy: Share = 0.65
     link: Positive = 1.3
-    least_clustered: Share = 0.004
+    step: Positive = 1.2
+    near: Positive = 0.2
+    near_noisy: Positive = 0.8
+    doubtful: Positive = 0.15
+    least_share: Share = 0.003
+    least_share_noisy: Share = 0.02
+    many: Share = 0.03
+    sparse_noisy: Positive = 2.5
+    clear: Positive = 2.5
+    least_noise: Positive = 0.045
+    most_noise: Positive = 0.09
     least_plane: Share = 0.15
     most_beside: Positive = 0.25
     most_behind: Share = 0.02

@@ -1,4 +1,8 @@
-"""Which points of a cloud lie off the surface that the others sample, one by one or in clusters. New here."""
+"""Which points of a cloud lie off the surface that the others sample, one by one or in clusters. New here.
+
+Robust planes tell which points have a surface around them. From these the surface is grown to the points that lie
+on it. What it does not reach are outliers.
+"""
 
 from __future__ import annotations
 
@@ -9,25 +13,34 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from homolog.geometry.clutter_settings import ClutterSettings
-from homolog.geometry.components import in_large_components
 from homolog.shapes import components
 
-# Neighbours whose distance tells how dense a cloud is, to whom a plane is fitted, and among whom the densest is found.
-_DENSITY, _FITTED, _AROUND = 8, 16, 30
-_ROUNDS = 10
-# Noise of a surface is told by planes that half of a neighbourhood lies close to, so that outliers count for nothing:
-# of how many points, and through how many random triples of neighbours.
-_PLANE_SAMPLES, _TRIPLES = 2000, 24
-# From their thin parts surfaces are grown by so many steps, of such a length, to points so near to their planes.
-_THIN = 0.12
-_GROWTH, _STEP, _NEAR_PLANE, _PLANE_THICKNESS = 5, 1.5, 0.8, 1.5
+# From the first share of points without a plane on a surface is rough for its spacing, up to the second it grows
+# rougher; then it needs such bounds as at this level of noise.
+_ROUGH, _ROUGHEST, _AS_NOISE = 0.13, 0.148, 0.6
+# Fewer outliers than this share must show by these bounds as well.
+_FEW = 0.06
+# Fewer points have no neighbourhoods to speak of.
+_FEWEST_POINTS = 60
+# The neighbour whose distance is the width of a neighbourhood, and among how many the densest is looked for, beside
+# which none is more than so many times as wide.
+_DENSITY, _AROUND, _WIDEST = 8, 16, 2.0
+# To how many neighbours a plane is fitted, and within how many widths, without and with noise; in how many rounds.
+_FITTED, _FITTED_NOISY, _REACH, _REACH_NOISY, _FITS = 16, 40, 1.0, 1.5, 3
+# Planes of so many points at once: memory is bounded.
+_BLOCK = 20_000
+# So many points that are sure to be on a surface hang together; with noise so many, or this share of all.
+_PIECE, _PIECE_NOISY, _PIECE_SHARE = 12, 60, 0.012
+# A surface is grown in at most so many rounds, along planes through so many of its points, besides so many of their
+# thicknesses; where doubtful points belong to it, so many.
+_GROWTH, _NEAREST, _THICKNESS, _THICKNESS_DOUBTFUL = 8, 10, 1.25, 1.5
 
 
 def find_outliers(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | None = None) -> Bool[np.ndarray, " n"]:
-    """Which points of a cloud lie off the surface that the others sample.
+    """Which points of a cloud lie off the surface that the others sample, each by itself or in clusters.
 
-    Points are taken away in rounds: what hides among other outliers is seen once these are gone. Single points that are
-    a little off, as surfaces have, are none; once more than a few are, the others like them are outliers as well.
+    Points that are a little off, as clean surfaces have, are none; once more than a few are, the others like them are
+    outliers as well. Planes are fitted by iteratively reweighted least squares (Holland and Welsch, 1977).
 
     Args:
         points: positions (n, 3).
@@ -35,162 +48,174 @@ def find_outliers(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | 
 
     Returns:
         True for each outlier (n,).
+
+    Examples:
+        >>> import homolog
+        >>> body = homolog.demo_shapes()[0].points
+        >>> bool(find_outliers(body).any())
+        False
     """
     settings = settings or ClutterSettings()
-    left, is_sure, noisy = np.arange(len(points)), False, is_noisy(points, settings)
-    for _ in range(_ROUNDS):
-        if len(left) <= 2 * _AROUND:
-            break
-        around = _Neighbourhoods.of(points[left])
-        clear = around.clear(settings)
-        if not is_sure:
-            suspicious = clear | around.suspicious(settings.residual, settings, noisy=noisy)
-            is_sure = bool(suspicious.mean() > settings.suspicious_share)
-        out = clear | around.suspicious(settings.residual_once_sure, settings, noisy=noisy) if is_sure else clear
-        if not out.any():
-            break
-        left = left[~out]
-    outliers = np.ones(len(points), dtype=bool)
-    outliers[left] = False
-    return outliers
+    if len(points) < _FEWEST_POINTS:
+        return np.zeros(len(points), dtype=bool)
+    noise = noise_level(points, settings)
+    found, rough, _ = _outliers(points, settings, noise)
+    if noise < _AS_NOISE and found.any() and found.mean() < _FEW:
+        coarse, _, share = _outliers(points, settings, _AS_NOISE)
+        if share <= settings.least_share:  # thin parts of few points look like outliers
+            return coarse
+    return _outliers(points, settings, rough)[0] if rough > noise else found
 
 
-def is_noisy(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | None = None) -> bool:
-    """Whether a cloud's surface itself has noise: of 0.003 sqrt(area) or more at 5,000 points, whatever its outliers.
+def _outliers(
+    points: Float[np.ndarray, "n 3"], settings: ClutterSettings, noise: float
+) -> tuple[Bool[np.ndarray, " n"], float, float]:
+    """Outliers by the bounds for a level of noise (n,), the level that so rough a surface needs, and the share off it.
 
-    Planes are fitted by the least median of distances (Rousseeuw, "Least median of squares regression", 1984).
+    How rough it is, is told where no outliers are around.
+    """
+    around = _Neighbourhoods.of(points, settings, noise)
+    near = _between(settings.near, settings.near_noisy, noise)
+    surface = around.grown(around.cores(settings, noise), settings.step, near, _THICKNESS)
+    wide = around.grown(surface, settings.step, near + settings.doubtful, _THICKNESS_DOUBTFUL)
+    apart = wide[around.indices[:, : _AROUND + 1]].all(axis=1)
+    bent = around.support[apart] < _between(settings.support, settings.support_noisy, noise)
+    share = bent.mean() if apart.any() else 1.0
+    rough = _AS_NOISE * float(np.clip((share - _ROUGH) / (_ROUGHEST - _ROUGH), 0, 1))
+    off = 1 - wide.mean()
+    if off <= _between(settings.least_share, settings.least_share_noisy, noise):
+        return ~around.grown(wide, settings.clear, settings.clear, _THICKNESS_DOUBTFUL), rough, off
+    return ~surface if off > settings.many else ~wide, rough, off
+
+
+def noise_level(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | None = None) -> float:
+    """How noisy the surface of a cloud is, whatever its outliers: 0 if it is clean, up to 1.
 
     Args:
-        points: positions (n, 3).
-        settings: with the least distance that means noise.
+        points: positions (n, 3), 17 or more.
+        settings: what is clean, and what is noisy.
     """
-    if len(points) <= _FITTED:
-        return False
-    random = np.random.default_rng(0)
-    some = random.permutation(len(points))[:_PLANE_SAMPLES]
-    distances, indices = KDTree(points).query(points[some], k=_FITTED + 1, workers=-1)
-    near = points[indices]
-    least = np.full(len(some), np.inf)
-    for _ in range(_TRIPLES):
-        a, b, c = near[:, random.choice(_FITTED + 1, 3, replace=False)].transpose(1, 0, 2)
-        normals = np.cross(b - a, c - a)
-        heights = np.abs(np.einsum("sjc,sc->sj", near - a[:, None], normals))
-        heights /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-        least = np.minimum(least, np.median(heights, axis=1))
-    widths = np.maximum(distances[:, _DENSITY], np.finfo(float).tiny)
-    return bool(np.quantile(least / widths, 0.1) > (settings or ClutterSettings()).least_noise)
+    settings = settings or ClutterSettings()
+    around = _Neighbourhoods.of(points, settings, 0.0)
+    off = float(np.quantile(np.median(around.off[:, 1 : _DENSITY + 1], axis=1), 0.25))
+    return float(np.clip((off - settings.least_noise) / (settings.most_noise - settings.least_noise), 0, 1))
 
 
-def find_clustered(points: Float[np.ndarray, "n 3"], settings: ClutterSettings) -> Bool[np.ndarray, " n"]:
-    """Which points of a cloud are in small clusters, and on no surface of more than a few points (n,)."""
-    none = np.zeros(len(points), dtype=bool)
-    if len(points) <= 2 * _AROUND:
-        return none
-    distances, indices = KDTree(points).query(points, k=_FITTED + 1, workers=-1)
-    width = distances[:, _DENSITY]
-    width = np.maximum(np.median(width[indices], axis=1), np.median(width))
-    linked = distances[:, 1:] <= settings.link * width[:, None]
-    if 1 - _in_large_pieces(indices, linked).mean() <= settings.least_clustered:
-        return none
-    thin = _Neighbourhoods.of(points).thickness < _THIN
-    surface = thin & _in_large_pieces(indices, linked & thin[:, None] & thin[indices[:, 1:]])
-    for _ in range(_GROWTH):
-        (rest,) = np.nonzero(~surface)
-        own = points[surface]
-        if len(own) < _DENSITY or not len(rest):
-            break
-        away, near = KDTree(own).query(points[rest], k=_DENSITY, workers=-1)
-        plane = _FittedPlanes.of(own[near], np.exp(-((away / width[rest, None]) ** 2)) + 1e-9)
-        off = plane.distances(points[rest]) - _PLANE_THICKNESS * plane.thickness
-        surface[rest[(away[:, 0] <= _STEP * width[rest]) & (off < _NEAR_PLANE * width[rest])]] = True
-    clustered: np.ndarray = ~surface
-    return clustered
-
-
-def _in_large_pieces(indices: Int[np.ndarray, "n j"], linked: Bool[np.ndarray, "n i"]) -> Bool[np.ndarray, " n"]:
-    """Which points are in large pieces, where some neighbours are linked; each comes first among its own (n,)."""
-    rows, columns = np.nonzero(linked)
-    component = components(rows, indices[:, 1:][rows, columns], len(indices))
-    return in_large_components(component, np.bincount(component))
+def _between(clean: float, noisy: float, noise: float) -> float:
+    """A bound between those for a clean surface and for a noisy one."""
+    return clean + (noisy - clean) * noise
 
 
 @dataclass(frozen=True, eq=False)
-class _FittedPlanes:
+class _Planes:
     """The plane through each of many sets of points.
 
     Args:
         middles: a point of each (n, 3).
         normals: of unit length (n, 3).
-        variances: of the points along the axes of each set, the least first, which is across the plane (n, 3).
+        thickness: standard deviation of the points across each plane (n,).
     """
 
     middles: Float[np.ndarray, "n 3"]
     normals: Float[np.ndarray, "n 3"]
-    variances: Float[np.ndarray, "n 3"]
+    thickness: Float[np.ndarray, " n"]
 
     @classmethod
-    def of(cls, points: Float[np.ndarray, "n j 3"], weights: Float[np.ndarray, "n j"]) -> _FittedPlanes:
+    def of(cls, points: Float[np.ndarray, "n j 3"], weights: Float[np.ndarray, "n j"]) -> _Planes:
         """Fit them by least squares, with positive weights."""
         shares = weights / weights.sum(axis=1, keepdims=True)
         middles = np.einsum("nj,njc->nc", shares, points)
         away = points - middles[:, None]
-        variances, axes = np.linalg.eigh(np.einsum("nj,nja,njb->nab", shares, away, away))
-        return cls(middles, axes[:, :, 0], variances)
+        variances, axes = np.linalg.eigh((away * shares[..., None]).transpose(0, 2, 1) @ away)
+        return cls(middles, axes[:, :, 0], np.sqrt(np.maximum(variances[:, 0], 0)))
 
-    @property
-    def thickness(self) -> Float[np.ndarray, " n"]:
-        """The standard deviation across each plane (n,)."""
-        found: np.ndarray = np.sqrt(np.maximum(self.variances[:, 0], 0))
-        return found
-
-    def distances(self, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """How far each point lies from its plane (n,)."""
-        found: np.ndarray = np.abs(np.einsum("nc,nc->n", points - self.middles, self.normals))
+    def distances(self, points: Float[np.ndarray, "n j 3"]) -> Float[np.ndarray, "n j"]:
+        """How far some points lie from each plane (n, j)."""
+        found: np.ndarray = np.abs(np.einsum("njc,nc->nj", points - self.middles[:, None], self.normals))
         return found
 
 
 @dataclass(frozen=True, eq=False)
 class _Neighbourhoods:
-    """How each point of a cloud lies among its neighbours.
+    """How the points of a cloud lie among their neighbours.
 
     Args:
-        sparsity: distance to a near neighbour, in its median over the cloud (n,).
-        relative: the same, in the least among the neighbours (n,).
-        residual: distance from the plane through the neighbours, in their distance to a near neighbour (n,).
-        usual: residual of the neighbours, its upper quartile (n,).
-        thickness: share of the neighbours' variance across the plane (n,).
+        points: positions (n, 3).
+        indices: each point, then its neighbours, nearest first (n, j).
+        distances: to these (n, j).
+        widths: distance to a near neighbour, at least its median over the cloud (n,).
+        middles: points of the robust planes through these points (n, 3).
+        normals: of these planes (n, 3).
+        off: how far each of these points lies from the plane, in widths (n, j).
+        support: which share of the neighbours lies in it (n,).
     """
 
-    sparsity: Float[np.ndarray, " n"]
-    relative: Float[np.ndarray, " n"]
-    residual: Float[np.ndarray, " n"]
-    usual: Float[np.ndarray, " n"]
-    thickness: Float[np.ndarray, " n"]
+    points: Float[np.ndarray, "n 3"]
+    indices: Int[np.ndarray, "n j"]
+    distances: Float[np.ndarray, "n j"]
+    widths: Float[np.ndarray, " n"]
+    middles: Float[np.ndarray, "n 3"]
+    normals: Float[np.ndarray, "n 3"]
+    off: Float[np.ndarray, "n j"]
+    support: Float[np.ndarray, " n"]
 
     @classmethod
-    def of(cls, points: Float[np.ndarray, "n 3"]) -> _Neighbourhoods:
-        """Find them; two neighbours may not coincide."""
-        distances, indices = KDTree(points).query(points, k=_AROUND + 1, workers=-1)
+    def of(cls, points: Float[np.ndarray, "n 3"], settings: ClutterSettings, noise: float) -> _Neighbourhoods:
+        """Fit a robust plane to each."""
+        count = min(round(_between(_FITTED, _FITTED_NOISY, noise)), len(points) - 1)
+        distances, indices = KDTree(points).query(points, k=count + 1, workers=-1)
         width = distances[:, _DENSITY]
-        densest = width[indices[:, 1:]].min(axis=1)
-        near, distances = indices[:, 1 : _FITTED + 1], distances[:, 1 : _FITTED + 1]
-        scale = np.median(width[near], axis=1)
-        weights = np.exp(-((distances / scale[:, None]) ** 2)) + 1e-9  # far from all, the nearest still count
-        planes = _FittedPlanes.of(points[near], weights)
-        residual = planes.distances(points) / scale
-        usual = np.quantile(residual[near], 0.75, axis=1)
-        thickness = planes.variances[:, 0] / planes.variances.sum(axis=1)
-        return cls(width / np.median(width), width / densest, residual, usual, thickness)
+        around = width[indices[:, : _AROUND + 1]]
+        widths = np.minimum(np.median(around, axis=1), _WIDEST * around.min(axis=1))
+        widths = np.maximum(widths, max(np.median(widths), np.finfo(float).tiny))
+        slab, reach = _between(settings.slab, settings.slab_noisy, noise), _between(_REACH, _REACH_NOISY, noise)
+        off, support = np.empty(indices.shape), np.empty(len(points))
+        middles, normals = np.empty(points.shape), np.empty(points.shape)
+        for start in range(0, len(points), _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            near = points[indices[rows]]
+            weights = closeness = np.exp(-((distances[rows] / (reach * widths[rows, None])) ** 2)) + 1e-9
+            for _ in range(_FITS):
+                planes = _Planes.of(near, weights)
+                off[rows] = planes.distances(near) / widths[rows, None]
+                weights = closeness / (1 + (off[rows] / slab) ** 2) ** 2
+            middles[rows], normals[rows] = planes.middles, planes.normals
+            others = closeness[:, 1:]
+            support[rows] = np.where(off[rows, 1:] < slab, others, 0).sum(axis=1) / others.sum(axis=1)
+        return cls(points, indices, distances, widths, middles, normals, off, support)
 
-    def clear(self, settings: ClutterSettings) -> Bool[np.ndarray, " n"]:
-        """What is an outlier however few there are (n,)."""
-        sparse = (self.sparsity > settings.clear_sparsity) & (self.thickness > settings.thick)
-        return sparse | (self.sparsity > settings.ever_sparse) | (self.residual > settings.clear_residual)
+    def cores(self, settings: ClutterSettings, noise: float) -> Bool[np.ndarray, " n"]:
+        """Points that lie with their neighbours in one plane, where enough of these hang together (n,)."""
+        slab = _between(settings.slab, settings.slab_noisy, noise)
+        core = (self.support > _between(settings.support, settings.support_noisy, noise)) & (self.off[:, 0] < slab)
+        width = self.distances[:, _DENSITY]
+        core &= noise * width <= settings.sparse_noisy * np.median(width)  # planes through thick slabs tell little
+        others, flat = self.indices[:, 1:], 2 * slab
+        away = self.points[:, None] - self.middles[others]
+        back = np.abs(np.einsum("njc,njc->nj", away, self.normals[others])) < flat * self.widths[:, None]
+        near = self.distances[:, 1:] <= settings.link * self.widths[:, None]
+        linked = near & back & (self.off[:, 1:] < flat) & core[:, None] & core[others]
+        rows, columns = np.nonzero(linked)
+        component = components(rows, others[rows, columns], len(core))
+        noisy_piece = np.clip(_PIECE_SHARE * len(core), _PIECE, _PIECE_NOISY)
+        sure: np.ndarray = core & (np.bincount(component) >= _between(_PIECE, noisy_piece, noise))[component]
+        return sure
 
-    def suspicious(self, residual: float, settings: ClutterSettings, *, noisy: bool) -> Bool[np.ndarray, " n"]:
-        """What is an outlier if there are more like it (n,); of a noisy surface only what lies farther off."""
-        off = self.residual - 2 * self.usual > (settings.residual_noisy if noisy else residual)
-        sparse = self.sparsity > (settings.sparsity_noisy if noisy else settings.sparsity)
-        sparse = (sparse & (self.relative > settings.sparser_than_near)) | (self.sparsity > settings.sparsity_alone)
-        found: np.ndarray = off | (sparse & (self.thickness > settings.thick))
-        return found
+    def grown(
+        self, surface: Bool[np.ndarray, " n"], step: float, near: float, thickness: float
+    ) -> Bool[np.ndarray, " n"]:
+        """A surface with the points up to a step away that are near its planes, both in widths (n,)."""
+        surface = surface.copy()
+        for _ in range(_GROWTH):
+            (rest,), (own,) = np.nonzero(~surface), np.nonzero(surface)
+            if not len(rest) or len(own) < _NEAREST:
+                break
+            away, nearest = KDTree(self.points[own]).query(self.points[rest], k=_NEAREST, workers=-1)
+            widths = self.widths[own[nearest[:, 0]]]
+            planes = _Planes.of(self.points[own[nearest]], np.exp(-((away / widths[:, None]) ** 2)) + 1e-9)
+            off = planes.distances(self.points[rest, None])[:, 0]
+            on = (away[:, 0] <= step * widths) & (off < near * widths + thickness * planes.thickness)
+            if not on.any():
+                break
+            surface[rest[on]] = True
+        return surface
