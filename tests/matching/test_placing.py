@@ -1,5 +1,7 @@
 """A partial shape lies where its map contradicts itself least, though features of other places are as similar."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -97,14 +99,17 @@ def test_a_sure_map_is_kept_and_not_made_again(side, turned, monkeypatch):
                                   plain.target_to_source)  # fmt: skip
 
 
-@pytest.mark.parametrize("method", ["own", "landmarks"])
+@pytest.mark.parametrize("method", ["own", "landmarks", "cloud"])
 def test_where_maps_do_not_tell_features_place_the_part(side, turned, method, monkeypatch):
-    """Maps of somebody's own method may be of another kind, and landmarks say themselves where a part lies."""
+    """Another's maps may be of another kind, landmarks say where a part lies, and clouds tear by their noise."""
     body, _, kept = side
     monkeypatch.setattr(placing, "_others", None)
     own = method == "own"
     matcher = matcher_of(PlacementSettings(sure=-99.0), (lambda *given: None) if own else "auto")
-    options = PairOptions(partial="target", pre_aligned=True, landmarks=None if own else ([int(kept[0])], [0]))
+    options = PairOptions(
+        partial="target", pre_aligned=True, landmarks=([int(kept[0])], [0]) if method == "landmarks" else None
+    )
+    options = replace(options, as_cloud="target") if method == "cloud" else options
     pair, _ = matcher.pair(body, turned, options)
     assert align_parts(pair).maps is None
 

@@ -43,8 +43,8 @@ def align_parts(pair: Pair) -> Pair:
     """The pair with a partial shape where it lies on the full one, or with two parts where they lie on each other.
 
     As it is where neither shape is partial, or where it has maps; see ``align_partial``. Where maps can tell whether a
-    partial shape lies right, the pair has them: not with landmarks, with ``placement=None``, or by methods whose maps
-    are of another kind.
+    partial shape lies right, the pair has them: not for clouds, with landmarks, with ``placement=None``, or by methods
+    whose maps are of another kind.
     """
     if pair.are_parts:
         return align_two_parts(pair)
@@ -78,7 +78,9 @@ class _Motion:
 def _placed(search: AlignmentSearch) -> Pair:
     """The pair where its map contradicts itself least, if maps can tell."""
     pair, settings, found = search.pair, search.pair.settings.placement, search.best()
-    can_tell = pair.method.name in own_methods() and pair.method.supports.refinement and pair.near_isometric
+    # Clouds tear by their noise, and turn no triangle over.
+    can_tell = pair.are_meshes and pair.near_isometric
+    can_tell = can_tell and pair.method.name in own_methods() and pair.method.supports.refinement
     if settings is None or not can_tell or pair.guidance is not None:  # landmarks say themselves where a part lies
         return search.pair_at(found)
     best = first = _by_features(search, found, settings)
