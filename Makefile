@@ -43,7 +43,7 @@ test: $(VENV)/installed-dev
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not long"
 
 test-all: test
-	$(BIN)/python -m pytest -n auto --dist worksteal -m long
+	$(BIN)/python -m pytest -n auto --dist worksteal -m long --durations 20
 
 lint: $(VENV)/installed-dev
 	$(BIN)/ruff check .
