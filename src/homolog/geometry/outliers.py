@@ -58,23 +58,24 @@ def find_outliers(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | 
     settings = settings or ClutterSettings()
     if len(points) < _FEWEST_POINTS:
         return np.zeros(len(points), dtype=bool)
-    noise = noise_level(points, settings)
-    found, rough, _ = _outliers(points, settings, noise)
+    clean = _Neighbourhoods.of(points, settings, 0.0)
+    noise = _noise_level(clean, settings)
+    around = clean if noise == 0 else _Neighbourhoods.of(points, settings, noise)
+    found, rough, _ = _outliers(around, settings, noise)
     if noise < _AS_NOISE and found.any() and found.mean() < _FEW:
-        coarse, _, share = _outliers(points, settings, _AS_NOISE)
+        coarse, _, share = _outliers(_Neighbourhoods.of(points, settings, _AS_NOISE), settings, _AS_NOISE)
         if share <= settings.least_share:  # thin parts of few points look like outliers
             return coarse
-    return _outliers(points, settings, rough)[0] if rough > noise else found
+    return _outliers(_Neighbourhoods.of(points, settings, rough), settings, rough)[0] if rough > noise else found
 
 
 def _outliers(
-    points: Float[np.ndarray, "n 3"], settings: ClutterSettings, noise: float
+    around: _Neighbourhoods, settings: ClutterSettings, noise: float
 ) -> tuple[Bool[np.ndarray, " n"], float, float]:
     """Outliers by the bounds for a level of noise (n,), the level that so rough a surface needs, and the share off it.
 
     How rough it is, is told where no outliers are around.
     """
-    around = _Neighbourhoods.of(points, settings, noise)
     near = _between(settings.near, settings.near_noisy, noise)
     surface = around.grown(around.cores(settings, noise), settings.step, near, _THICKNESS)
     wide = around.grown(surface, settings.step, near + settings.doubtful, _THICKNESS_DOUBTFUL)
@@ -96,7 +97,11 @@ def noise_level(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | No
         settings: what is clean, and what is noisy.
     """
     settings = settings or ClutterSettings()
-    around = _Neighbourhoods.of(points, settings, 0.0)
+    return _noise_level(_Neighbourhoods.of(points, settings, 0.0), settings)
+
+
+def _noise_level(around: _Neighbourhoods, settings: ClutterSettings) -> float:
+    """The same, of neighbourhoods as clean surfaces have them."""
     off = float(np.quantile(np.median(around.off[:, 1 : _DENSITY + 1], axis=1), 0.25))
     return float(np.clip((off - settings.least_noise) / (settings.most_noise - settings.least_noise), 0, 1))
 

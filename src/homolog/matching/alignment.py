@@ -20,7 +20,7 @@ from torch import Tensor
 from homolog.features import FeatureExtractor
 from homolog.geometry import Basis, some_points
 from homolog.maps import Similarity, best_similarity, most_similar, normalised, rigid_motion
-from homolog.matching.placed_points import placed, placed_shape
+from homolog.matching.placed_points import lies_apart, placed, placed_shape
 from homolog.matching.units import LIKELY_SHARE, has_unknown_units, in_likely_units
 from homolog.pairs import AlignmentSettings, Pair, PreprocessedShape, Preprocessor
 from homolog.shapes import rotation_about
@@ -120,7 +120,7 @@ class AlignmentSearch:
             starts += [(_moved(y.points, *unturned, scale), scale) for scale in self.settings.scales]
         kept = [best]
         for found in looked.ends([looked.at(*start) for start in starts], followed):
-            if all((found.points - other.points).norm(dim=1).mean() > apart for other in kept):
+            if lies_apart(found.points, (other.points for other in kept), apart):
                 kept.append(found)
         return kept[1:]
 

@@ -6,7 +6,7 @@ positions and normals alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import TypeVar
@@ -173,6 +173,11 @@ def maps_by_closest_points(x: PreprocessedShape, y: PreprocessedShape) -> PointM
     """Point maps between shapes that lie on each other as rigid bodies: closest points that face one way."""
     spacing = max(spacing_of(x), spacing_of(y))
     return _nearest(x, y, *embedded(PlacedPoints.of(x), PlacedPoints.of(y), spacing, normals=1.0))
+
+
+def lies_apart(points: Float[Tensor, "n 3"], others: Iterable[Float[Tensor, "n 3"]], apart: float) -> bool:
+    """Whether points lie farther than that, on average, from where they lie at all other places."""
+    return all((points - other).norm(dim=1).mean() > apart for other in others)
 
 
 def spacing_of(shape: PreprocessedShape) -> float:

@@ -25,6 +25,7 @@ from homolog.matching.parts import align_two_parts
 from homolog.matching.placed_points import (
     PartSample,
     PlacedPoints,
+    lies_apart,
     maps_by_closest_points,
     maps_by_features_and_positions,
     motion_by_closest_points,
@@ -129,8 +130,7 @@ def _distinct(motions: list[_Motion], given: Float[Tensor, "n 3"], settings: Pla
     """The first of those that end in different places."""
     kept: list[_Motion] = []
     for motion in motions:
-        ends = motion.by_points(given)
-        if all((ends - other.by_points(given)).norm(dim=1).mean() > settings.apart for other in kept):
+        if lies_apart(motion.by_points(given), (other.by_points(given) for other in kept), settings.apart):
             kept.append(motion)
     return kept[: settings.mapped]
 
