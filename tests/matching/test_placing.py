@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from homolog.core.errors import ArgumentError
 from homolog.features import DiffusionNet, FeatureInfo
 from homolog.matching import Matcher, align_parts, placing
-from homolog.pairs import MatcherSettings, PairOptions, PlacementSettings
+from homolog.pairs import MatcherSettings, PairOptions, PlacedMapSettings, PlacementSettings
 from homolog.shapes import Shape
 
 
@@ -93,7 +93,7 @@ def test_either_shape_may_be_the_part(side, turned, quick, found):
 
 def test_a_sure_map_is_kept_and_not_made_again(side, turned, monkeypatch):
     body, _, _ = side
-    sure = matcher_of(PlacementSettings(sure=99.0))
+    sure = matcher_of(PlacementSettings(meshes=PlacedMapSettings(sure=99.0)))
     pair, _ = sure.pair(body, turned, partial="target", pre_aligned=True)
     monkeypatch.setattr(placing, "_others", None)
     found = align_parts(pair)
@@ -103,17 +103,17 @@ def test_a_sure_map_is_kept_and_not_made_again(side, turned, monkeypatch):
                                   plain.target_to_source)  # fmt: skip
 
 
-@pytest.mark.parametrize("method", ["own", "landmarks", "cloud"])
+@pytest.mark.parametrize("method", ["own", "landmarks"])
 def test_where_maps_do_not_tell_features_place_the_part(side, turned, method, monkeypatch):
-    """Another's maps may be of another kind, landmarks say where a part lies, and clouds tear by their noise."""
+    """Another's maps may be of another kind, and landmarks say where a part lies."""
     body, _, kept = side
     monkeypatch.setattr(placing, "_others", None)
     own = method == "own"
-    matcher = matcher_of(PlacementSettings(sure=-99.0), (lambda *given: None) if own else "auto")
+    unsure = PlacedMapSettings(sure=-99.0)
+    matcher = matcher_of(PlacementSettings(meshes=unsure, clouds=unsure), (lambda *given: None) if own else "auto")
     options = PairOptions(
         partial="target", pre_aligned=True, landmarks=([int(kept[0])], [0]) if method == "landmarks" else None
     )
-    options = replace(options, as_cloud="target") if method == "cloud" else options
     pair, _ = matcher.pair(body, turned, options)
     assert align_parts(pair).maps is None
 

@@ -13,7 +13,7 @@ from homolog.maps.functional_map import (
     point_map_from_functional_map,
     resolvent_mask,
 )
-from homolog.maps.handedness import handedness
+from homolog.maps.handedness import handedness, surface_handedness
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
 from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flipped_triangles
 from homolog.maps.registration import (
@@ -80,6 +80,7 @@ __all__ = [
     "rotation_angle",
     "sinkhorn_matches",
     "smoothed_positions",
+    "surface_handedness",
     "wave_kernel_signature",
     "zoomout",
     "zoomout_partial",

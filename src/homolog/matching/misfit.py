@@ -36,11 +36,11 @@ def map_misfit(match: Match, settings: ChoiceSettings | None = None) -> float:
     """
     if match.quality is None:
         raise ArgumentError("the match has no figures of quality; give one of homolog.match or Matcher")
-    return quality_misfit(match.quality.mean, settings)
-
-
-def quality_misfit(figures: Quality, settings: ChoiceSettings | None = None) -> float:
-    """The same of figures of quality."""
     settings = settings or ChoiceSettings()
-    torn = math.log(max(figures.dirichlet_energy, _LEAST_ENERGY))
-    return torn + settings.cycle * figures.cycle_error + settings.flipped * (figures.flipped_triangles or 0)
+    return quality_misfit(match.quality.mean, cycle=settings.cycle, flipped=settings.flipped)
+
+
+def quality_misfit(figures: Quality, *, cycle: float, flipped: float, torn: float = 1.0) -> float:
+    """The same of figures of quality, by the weights of the cycle error, of flipped triangles, and of tearing."""
+    energy = max(figures.dirichlet_energy, _LEAST_ENERGY)
+    return torn * math.log(energy) + cycle * figures.cycle_error + flipped * (figures.flipped_triangles or 0)

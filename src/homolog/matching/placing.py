@@ -36,7 +36,7 @@ from homolog.matching.placed_points import (
 from homolog.matching.quality import quality
 from homolog.matching.refinement import method_maps, refine
 from homolog.matching.result import following_main_component
-from homolog.pairs import Pair, PartsSettings, PlacementSettings, PointMaps
+from homolog.pairs import Pair, PartsSettings, PlacedMapSettings, PlacementSettings, PointMaps
 
 
 @torch.no_grad()
@@ -44,8 +44,8 @@ def align_parts(pair: Pair) -> Pair:
     """The pair with a partial shape where it lies on the full one, or with two parts where they lie on each other.
 
     As it is where neither shape is partial, or where it has maps; see ``align_partial``. Where maps can tell whether a
-    partial shape lies right, the pair has them: not for clouds, with landmarks, with ``placement=None``, or by methods
-    whose maps are of another kind.
+    partial shape lies right, the pair has them: not with landmarks, with ``placement=None``, or by methods whose maps
+    are of another kind.
     """
     if pair.are_parts:
         return align_two_parts(pair)
@@ -79,18 +79,17 @@ class _Motion:
 def _placed(search: AlignmentSearch) -> Pair:
     """The pair where its map contradicts itself least, if maps can tell."""
     pair, settings, found = search.pair, search.pair.settings.placement, search.best()
-    # Clouds tear by their noise, and turn no triangle over.
-    can_tell = pair.are_meshes and pair.near_isometric
-    can_tell = can_tell and pair.method.name in own_methods() and pair.method.supports.refinement
+    can_tell = pair.near_isometric and pair.method.name in own_methods() and pair.method.supports.refinement
     if settings is None or not can_tell or pair.guidance is not None:  # landmarks say themselves where a part lies
         return search.pair_at(found)
-    best = first = _by_features(search, found, settings)
-    if first.misfit > settings.sure:
+    best, weights = _by_features(search, found, settings), _misfit_of(pair, settings)
+    first = best
+    if first.misfit > weights.sure:
         for other in _others(search, found, settings):
             best = min(best, other, key=lambda each: each.misfit)
-            if best.misfit <= settings.sure:
+            if best.misfit <= weights.sure:
                 break
-    return best.pair if best.misfit < first.misfit - settings.margin else first.pair
+    return best.pair if best.misfit < first.misfit - weights.margin else first.pair
 
 
 def _others(search: AlignmentSearch, best: Alignment, settings: PlacementSettings) -> Iterator[_Placement]:
@@ -151,7 +150,8 @@ def _rigid_placement(search: AlignmentSearch, motion: _Motion, settings: Placeme
     spacing = max(spacing_of(near.x), spacing_of(near.y))
     last = motion_by_closest_points(PlacedPoints.of(near.x), PlacedPoints.of(near.y), spacing, parts, rigid=True)
     near = _at(search, composed(last, motion.by_points))
-    return _judged(search, near, maps_by_closest_points(near.x, near.y), settings, motion.by_points.scale)
+    found = _judged(search, near, maps_by_closest_points(near.x, near.y), settings, motion.by_points.scale)
+    return replace(found, misfit=found.misfit + _misfit_of(near, settings).closest_points)
 
 
 def _by_features(search: AlignmentSearch, found: Alignment, settings: PlacementSettings) -> _Placement:
@@ -173,9 +173,14 @@ def _judged(
     y_to_x = following_main_component(maps.y_to_x, pair.y.operators)
     trust = confidence(y, x, y_to_x, x_to_y, settings=pair.settings.confidence)
     figures = quality(pair.y, pair.x, y_to_x, x_to_y, trust)
-    misfit = quality_misfit(figures, pair.settings.choice) + settings.coverage * (1 - figures.coverage)
-    some = some_points(len(y), settings.handed_samples).to(y.device)
-    # More than 1 is a map that stretches.
-    misfit += settings.handedness * (1 - min(max(float(handedness(y[some], x[y_to_x[some]])), -1.0), 1.0))
-    misfit += 0.0 if search.any_size else settings.size * abs(math.log(scale))
+    some, weights = some_points(len(y), settings.handed_samples).to(y.device), _misfit_of(pair, settings)
+    kept = float(handedness(y[some], x[y_to_x[some]], radius=weights.radius))
+    misfit = quality_misfit(figures, cycle=weights.cycle, flipped=weights.flipped, torn=weights.torn)
+    misfit += weights.coverage * (1 - figures.coverage)
+    misfit += weights.handedness * (1 - min(max(kept, -1.0), 1.0))  # more than 1 is a map that stretches
+    misfit += 0.0 if search.any_size else weights.size * abs(math.log(scale))
     return _Placement(replace(pair, maps=maps), misfit)
+
+
+def _misfit_of(pair: Pair, settings: PlacementSettings) -> PlacedMapSettings:
+    return settings.meshes if pair.are_meshes else settings.clouds

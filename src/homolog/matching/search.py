@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 
 import torch
@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.features import FeatureExtractor, Orientation, computed_features
-from homolog.geometry import Basis, some_points
+from homolog.geometry import Basis, outward, some_points
 from homolog.maps import (
     best_rotation,
     closest_point_rotations,
@@ -29,9 +29,10 @@ from homolog.maps import (
     normalised,
     principal_rotations,
     rotation_angle,
+    surface_handedness,
     zoomout,
 )
-from homolog.pairs import OrientationSettings, Pair, PairOrientation, PreprocessedShape, Side
+from homolog.pairs import CoarseMapSettings, OrientationSettings, Pair, PairOrientation, PreprocessedShape, Side
 
 # Hypotheses that differ by less lead to the same map.
 _SAME_MAP_DEGREES = 45.0
@@ -41,6 +42,8 @@ _LEAST_TURN, _MOST_TURN = 45.0, 105.0
 _AXES_STEPS = 10
 # The second best of these tells whether the best is ambiguous.
 _BY_AXES = 2
+# How often the best of rigid bodies is turned further, as its own map tells.
+_FURTHER_TURNS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +55,14 @@ class Hypothesis:
         target: of the target.
         misfit: how much speaks against it.
         handedness: how far its coarse map keeps left and right; 1 without a map.
+        turn: of the source onto the target, as its coarse map tells it (3, 3); none without a map.
     """
 
     source: Float[Tensor, "3 3"]
     target: Float[Tensor, "3 3"]
     misfit: float = 0.0
     handedness: float = 1.0
+    turn: Float[Tensor, "3 3"] = field(default_factory=lambda: torch.eye(3))
 
     @property
     def is_as_given(self) -> bool:
@@ -109,7 +114,7 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
     settings = pair.settings.orientation
     if not _has_orientations(pair):
         samples = Samples.of(pair)
-        ranked = samples.ranked([*_of_rigid_bodies(samples, settings), *_of_landmarks(pair)])
+        ranked = _turned_further(samples, samples.ranked([*_of_rigid_bodies(samples, settings), *_of_landmarks(pair)]))
         ranked = _small_turn_left(samples, ranked) if pair.method.supports.small_turns else ranked
         return _given_first(ranked, settings.margin)
     both = pair.source.orientations, pair.target.orientations
@@ -173,6 +178,19 @@ def _of_rigid_bodies(samples: Samples, settings: OrientationSettings) -> list[Hy
     return [Hypothesis(torch.eye(3), torch.eye(3)), *others]
 
 
+def _turned_further(samples: Samples, ranked: list[Hypothesis]) -> list[Hypothesis]:
+    """With the best in the first place, as long as it gets better, turned as its own map tells.
+
+    Rigid bodies in two poses fit best where a limb lies on another; counterparts tell how the bodies are turned.
+    """
+    for _ in range(_FURTHER_TURNS):
+        further = samples.judged(Hypothesis(ranked[0].turn, torch.eye(3)))
+        if further.misfit >= ranked[0].misfit:
+            break
+        ranked = [further, *ranked]
+    return ranked
+
+
 def _of_landmarks(pair: Pair) -> Iterator[Hypothesis]:
     """The source turned to bring its landmarks nearest to the target's, where there are enough to tell."""
     if pair.guidance is None or not pair.guidance.tells_rotation(pair.x.operators, pair.y.operators):
@@ -216,8 +234,9 @@ class Samples:
         y: of the target.
         extractor: of features; None to compare positions.
         refined: whether coarse maps are refined by ZoomOut.
-        handedness: weight of the handedness.
-        settings: of the judgement.
+        have_outsides: whether both are meshes whose triangles face outward.
+        settings: of the search.
+        misfit: what speaks against a coarse map.
         landmarks: how many of the last samples of both are each other's counterparts.
         guidance: weight of the distance by which a coarse map misses these.
     """
@@ -226,8 +245,9 @@ class Samples:
     y: Basis
     extractor: FeatureExtractor | None
     refined: bool
-    handedness: float
+    have_outsides: bool
     settings: OrientationSettings
+    misfit: CoarseMapSettings
     landmarks: int = 0
     guidance: float = 0.0
 
@@ -240,11 +260,13 @@ class Samples:
         known = [None, None] if pair.guidance is None else [pair.guidance.x, pair.guidance.y]
         shapes = zip((pair.source, pair.target), known, strict=True)
         x, y = (draw(shape, settings.samples, seed, at) for seed, (shape, at) in enumerate(shapes))
-        weight = settings.handedness_upright if _has_orientations(pair) else settings.handedness
+        misfit = settings.upright if _has_orientations(pair) else settings.turned
         refined = pair.near_isometric and pair.method.supports.refinement
         n_landmarks = 0 if pair.guidance is None else len(pair.guidance)
         guidance = pair.settings.guidance.orientation
-        return cls(x, y, pair.extractor, refined, weight, settings, n_landmarks, guidance)
+        surfaces = pair.source.surface, pair.target.surface
+        outsides = all(surface is not None and outward(surface) > 0 for surface in surfaces)
+        return cls(x, y, pair.extractor, refined, outsides, settings, misfit, n_landmarks, guidance)
 
     def ranked(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Hypotheses with what their coarse maps tell, the least misfit first."""
@@ -254,9 +276,18 @@ class Samples:
         """The hypothesis with what its coarse map adds to its misfit."""
         x, y = self.x.turned(hypothesis.source.to(self.x.points)), self.y.turned(hypothesis.target.to(self.y.points))
         x_to_y, y_to_x = maps = self._coarse_maps(x, y)
-        kept = float(handedness(x.points, y.points[x_to_y]) + handedness(y.points, x.points[y_to_x])) / 2
-        told = self._misfit(x.points, y.points, *maps) - self.handedness * kept
-        return replace(hypothesis, misfit=hypothesis.misfit + told, handedness=kept)
+        both_ways = (x, y, x_to_y), (y, x, y_to_x)
+        kept = [handedness(a.points, b.points[a_to_b], radius=self.misfit.radius) for a, b, a_to_b in both_ways]
+        mean = float(sum(kept)) / 2
+        told = self._misfit(x.points, y.points, *maps) - self.misfit.handedness * mean
+        if self.have_outsides and self.misfit.surface_handedness:
+            told -= self.misfit.surface_handedness * float(sum(surface_handedness(*way) for way in both_ways)) / 2
+        starts, ends = (
+            torch.cat([self.x.points, self.x.points[y_to_x]]),
+            torch.cat([self.y.points[x_to_y], self.y.points]),
+        )
+        turn = best_rotation(starts, ends).cpu().float()
+        return replace(hypothesis, misfit=hypothesis.misfit + told, handedness=mean, turn=turn)
 
     def distance(self, hypothesis: Hypothesis) -> float:
         """The mean squared distance of closest points, of each shape's points to the other's."""
@@ -287,10 +318,9 @@ class Samples:
     def _misfit(
         self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]
     ) -> float:
-        settings = self.settings
         displacement = (x - y[x_to_y]).norm(dim=1).mean() + (y - x[y_to_x]).norm(dim=1).mean()
         cycle = cycle_error(x, x_to_y, y_to_x).mean() + cycle_error(y, y_to_x, x_to_y).mean()
-        return float(displacement + settings.cycle * cycle) + self._missed(x, y, x_to_y, y_to_x)
+        return float(displacement + self.misfit.cycle * cycle) + self._missed(x, y, x_to_y, y_to_x)
 
     def _missed(
         self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]

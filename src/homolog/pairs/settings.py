@@ -118,16 +118,52 @@ class AlignmentSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class PlacedMapSettings(Settings):
+    """What speaks against the map of a partial shape at a place. New here; chosen on parts of SHREC'16 and views of people.
+
+    Its misfit is a sum: ``torn`` times the logarithm of the map's Dirichlet energy, ``cycle`` times the mean cycle
+    error, ``flipped`` times the share of triangles turned over, ``coverage`` times the share of the partial shape that
+    the map back does not hit, ``handedness`` times how far it mixes left and right, ``size`` times the logarithm of what
+    lengths were multiplied by, and ``closest_points`` if it is a map by closest points.
+
+    Args:
+        torn: weight of the logarithm of the Dirichlet energy. Noise tears maps of clouds as well.
+        cycle: weight of the cycle error.
+        flipped: weight of the share of flipped triangles.
+        coverage: weight of 1 minus the coverage.
+        handedness: weight of 1 minus the handedness of the map.
+        radius: of the neighbourhoods in which that is told.
+        size: weight of the size; it counts nothing in unknown units.
+        closest_points: what a map by closest points must be better by: it is smooth in a wrong place, too.
+        sure: misfit of the map by the best alignment up to which no other is looked at.
+        margin: by how much another map's misfit must be less than the first one's.
+    """
+
+    torn: NotNegative = 1.0
+    cycle: NotNegative = 50.0
+    flipped: NotNegative = 20.0
+    coverage: NotNegative = 10.0
+    handedness: NotNegative = 2.0
+    radius: Positive = 0.25
+    size: NotNegative = 2.0
+    closest_points: NotNegative = 0.0
+    sure: float = 2.0
+    margin: NotNegative = 0.5
+
+
+_PLACED_CLOUDS = PlacedMapSettings(
+    torn=0.3, cycle=100.0, flipped=0.0, handedness=1.0, radius=0.15, closest_points=1.0, sure=2.5, margin=1.0
+)
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlacementSettings(Settings):
     """Where a partial shape lies on the full one, told by the maps that several alignments lead to. New here.
 
-    Features may be as similar in a wrong place. The map there tears, though. Its misfit is that of
-    ``homolog.matching.map_misfit``, plus ``coverage`` times the share of the partial shape that the map back does not
-    hit, ``handedness`` times how far it mixes left and right, and ``size`` times how far lengths were changed. The
-    values were chosen on parts of SHREC'16 that no network was trained on and no table has.
+    Features may be as similar in a wrong place. The map there tears, though. The values were chosen on parts of SHREC'16
+    that no network was trained on and no table has, those of clouds also on views of people.
 
     Args:
-        sure: misfit of the map by the best alignment up to which no other is looked at.
         followed: how many starts of other alignments are followed.
         apart: mean distance from which on two alignments are two.
         mapped: of how many, those that bring most of the partial shape onto the full one, maps are made.
@@ -135,25 +171,20 @@ class PlacementSettings(Settings):
         rigid: share of the partial shape that lies on the full one from which on closest points make a map; of bent
             parts theirs is smooth, and wrong.
         enough: share of the partial shape that lies on the full one from which on no further one is moved.
-        coverage: weight of 1 minus the coverage.
-        handedness: weight of 1 minus the handedness of the map.
-        handed_samples: points of the partial shape at which it is told.
-        size: weight of the logarithm of what lengths were multiplied by; it counts nothing in unknown units.
-        margin: by how much another map's misfit must be less than the first one's.
+        handed_samples: points of the partial shape at which the map's handedness is told.
+        meshes: misfit of maps between meshes.
+        clouds: of maps from or to clouds.
     """
 
-    sure: float = 2.0
     followed: Count = 20
     apart: NotNegative = 0.15
     mapped: Count = 3
     full_samples: Count = 2500
     rigid: Share = 0.5
     enough: Share = 0.9
-    coverage: NotNegative = 10.0
-    handedness: NotNegative = 2.0
     handed_samples: Count = 1000
-    size: NotNegative = 2.0
-    margin: NotNegative = 0.5
+    meshes: PlacedMapSettings = field(default_factory=PlacedMapSettings)
+    clouds: PlacedMapSettings = _PLACED_CLOUDS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,23 +233,41 @@ class PartsSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class CoarseMapSettings(Settings):
+    """What speaks against a coarse map of samples of two full shapes. New here; chosen on pairs of training shapes.
+
+    Its misfit is the mean distance between points and their counterparts once the shapes are turned, plus ``cycle``
+    times the mean cycle error, minus ``handedness`` times how far it keeps left and right, minus
+    ``surface_handedness`` times how far it keeps the surface's orientation. All lengths are in units of sqrt(area).
+
+    Args:
+        cycle: weight of the cycle error.
+        handedness: weight of ``homolog.maps.handedness``.
+        radius: of the neighbourhoods in which that is told.
+        surface_handedness: weight of ``homolog.maps.surface_handedness`` between meshes with an outside.
+    """
+
+    cycle: NotNegative = 5.0
+    handedness: NotNegative = 0.3
+    radius: Positive = 0.15
+    surface_handedness: NotNegative = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
 class OrientationSettings(Settings):
     """The search for the way round of two full shapes. New here; the weights were chosen on pairs of training shapes.
 
-    Hypotheses are rotations. Each gives a coarse map of samples, and the one of least misfit is taken: the mean
-    distance between points and their counterparts once the shapes are turned, plus ``cycle`` times the mean cycle
-    error, minus ``handedness`` times how far the map keeps left and right, plus ``orienter`` times the misfit of what
-    the features' orienter found. All lengths are in units of sqrt(area).
+    Hypotheses are rotations. Each gives a coarse map of samples, and the one of least misfit is taken: that of the map,
+    plus ``orienter`` times the misfit of what the features' orienter found.
 
     Args:
         samples: points of each shape that a coarse map is made of.
         hypotheses: how many rotations get one.
         map_eigenpairs: eigenfunctions that coarse maps are refined with.
         refinement: of coarse maps: few rounds, as they are to be told apart and no more.
-        cycle: weight of the cycle error.
-        handedness: weight of the handedness, where the source is turned to the target as a rigid body.
-        handedness_upright: the same between ways in which an orienter may see a shape: those are often its front and
-            back, and left and right then decide.
+        turned: misfit of coarse maps where the source is turned to the target as a rigid body: a person's front then
+            fits his back, and what the map does to the surface decides.
+        upright: the same between ways in which an orienter may see a shape.
         doubtful_handedness: where the best map's is below, the shape that the orienter knows less well is also tried
             turned by a quarter about each axis. Right maps of people have 0.65 to 1, of noisy clouds 0.2 to 0.9.
         sure_handedness: what that of another pose must be, to be taken; where left and right are exchanged, it is below
@@ -238,9 +287,10 @@ class OrientationSettings(Settings):
     hypotheses: Count = 6
     map_eigenpairs: Count = 50
     refinement: RefinementSettings = field(default_factory=lambda: RefinementSettings(k_init=15, k_step=12))
-    cycle: NotNegative = 1.0
-    handedness: NotNegative = 0.1
-    handedness_upright: NotNegative = 0.3
+    turned: CoarseMapSettings = field(default_factory=CoarseMapSettings)
+    upright: CoarseMapSettings = field(
+        default_factory=lambda: CoarseMapSettings(cycle=1.0, handedness=0.3, radius=0.25, surface_handedness=0.0)
+    )
     doubtful_handedness: Annotated[float, Ge(-1), Le(1)] = 0.7
     sure_handedness: Annotated[float, Ge(-1), Le(1)] = 0.8
     orienter: NotNegative = 1.0
