@@ -1,7 +1,5 @@
 """A partial shape lies where its map contradicts itself least, though features of other places are as similar."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
@@ -116,6 +114,19 @@ def test_where_maps_do_not_tell_features_place_the_part(side, turned, method, mo
     )
     pair, _ = matcher.pair(body, turned, options)
     assert align_parts(pair).maps is None
+
+
+def test_maps_of_clouds_are_judged_by_measures_of_their_own(side, turned, monkeypatch):
+    """Noise tears them as well, and a cloud has no triangles to turn over."""
+    body, _, _ = side
+    monkeypatch.setattr(placing, "_others", lambda *given: pytest.fail("other places were looked for"))
+    sure = PlacementSettings(meshes=PlacedMapSettings(sure=-99.0), clouds=PlacedMapSettings(sure=99.0))
+    options = PairOptions(partial="target", pre_aligned=True, as_cloud="target")
+    pair, _ = matcher_of(sure).pair(body, turned, options)
+    assert align_parts(pair).maps is not None
+    whole, _ = matcher_of(sure).pair(body, turned, PairOptions(partial="target", pre_aligned=True))
+    with pytest.raises(pytest.fail.Exception, match="other places"):
+        align_parts(whole)
 
 
 def test_loose_bits_make_no_map_doubtful(side, monkeypatch):

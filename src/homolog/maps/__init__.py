@@ -5,6 +5,7 @@ readable twins of the fast ones. Words and directions: a point map ``y_to_x`` ho
 point of x; a functional map ``C_xy`` takes spectral coefficients on x to those on y.
 """
 
+from homolog.maps.coarse_map import CoarseFit, CoarseMapSettings, coarse_fit
 from homolog.maps.confidence import ConfidenceSettings, confidence, coverage_density, local_stretch, overlap
 from homolog.maps.descriptors import heat_kernel_signature, smoothed_positions, wave_kernel_signature
 from homolog.maps.functional_map import (
@@ -38,6 +39,8 @@ from homolog.maps.soft_map import SoftMatches, normalised, sinkhorn_matches
 from homolog.maps.zoomout import LandmarkRows, RefinementSettings, zoomout, zoomout_partial
 
 __all__ = [
+    "CoarseFit",
+    "CoarseMapSettings",
     "ConfidenceSettings",
     "LandmarkRows",
     "Nearest",
@@ -51,6 +54,7 @@ __all__ = [
     "best_similarity",
     "closest_point_rotations",
     "closest_point_similarity",
+    "coarse_fit",
     "composed",
     "confidence",
     "coverage",

@@ -18,21 +18,20 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from homolog.features import FeatureExtractor, Orientation, computed_features
-from homolog.geometry import Basis, outward, some_points
+from homolog.geometry import Basis, some_points
 from homolog.maps import (
+    CoarseMapSettings,
     best_rotation,
     closest_point_rotations,
+    coarse_fit,
     cube_rotations,
-    cycle_error,
-    handedness,
     most_similar,
     normalised,
     principal_rotations,
     rotation_angle,
-    surface_handedness,
     zoomout,
 )
-from homolog.pairs import CoarseMapSettings, OrientationSettings, Pair, PairOrientation, PreprocessedShape, Side
+from homolog.pairs import OrientationSettings, Pair, PairOrientation, PreprocessedShape, Side
 
 # Hypotheses that differ by less lead to the same map.
 _SAME_MAP_DEGREES = 45.0
@@ -264,9 +263,7 @@ class Samples:
         refined = pair.near_isometric and pair.method.supports.refinement
         n_landmarks = 0 if pair.guidance is None else len(pair.guidance)
         guidance = pair.settings.guidance.orientation
-        surfaces = pair.source.surface, pair.target.surface
-        outsides = all(surface is not None and outward(surface) > 0 for surface in surfaces)
-        return cls(x, y, pair.extractor, refined, outsides, settings, misfit, n_landmarks, guidance)
+        return cls(x, y, pair.extractor, refined, pair.have_outsides, settings, misfit, n_landmarks, guidance)
 
     def ranked(self, hypotheses: list[Hypothesis]) -> list[Hypothesis]:
         """Hypotheses with what their coarse maps tell, the least misfit first."""
@@ -276,18 +273,12 @@ class Samples:
         """The hypothesis with what its coarse map adds to its misfit."""
         x, y = self.x.turned(hypothesis.source.to(self.x.points)), self.y.turned(hypothesis.target.to(self.y.points))
         x_to_y, y_to_x = maps = self._coarse_maps(x, y)
-        both_ways = (x, y, x_to_y), (y, x, y_to_x)
-        kept = [handedness(a.points, b.points[a_to_b], radius=self.misfit.radius) for a, b, a_to_b in both_ways]
-        mean = float(sum(kept)) / 2
-        told = self._misfit(x.points, y.points, *maps) - self.misfit.handedness * mean
-        if self.have_outsides and self.misfit.surface_handedness:
-            told -= self.misfit.surface_handedness * float(sum(surface_handedness(*way) for way in both_ways)) / 2
-        starts, ends = (
-            torch.cat([self.x.points, self.x.points[y_to_x]]),
-            torch.cat([self.y.points[x_to_y], self.y.points]),
-        )
+        fit = coarse_fit(x, y, *maps, have_outsides=self.have_outsides, settings=self.misfit)
+        told = fit.misfit + self._missed(x.points, y.points, *maps)
+        starts = torch.cat([self.x.points, self.x.points[y_to_x]])
+        ends = torch.cat([self.y.points[x_to_y], self.y.points])
         turn = best_rotation(starts, ends).cpu().float()
-        return replace(hypothesis, misfit=hypothesis.misfit + told, handedness=mean, turn=turn)
+        return replace(hypothesis, misfit=hypothesis.misfit + told, handedness=fit.handedness, turn=turn)
 
     def distance(self, hypothesis: Hypothesis) -> float:
         """The mean squared distance of closest points, of each shape's points to the other's."""
@@ -314,13 +305,6 @@ class Samples:
             return normalised(computed_features(self.extractor, basis))
         # With a constant beside small positions, unit vectors are as similar as positions are near.
         return normalised(torch.nn.functional.pad(basis.points / 10, (0, 1), value=1.0))
-
-    def _misfit(
-        self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]
-    ) -> float:
-        displacement = (x - y[x_to_y]).norm(dim=1).mean() + (y - x[y_to_x]).norm(dim=1).mean()
-        cycle = cycle_error(x, x_to_y, y_to_x).mean() + cycle_error(y, y_to_x, x_to_y).mean()
-        return float(displacement + self.misfit.cycle * cycle) + self._missed(x, y, x_to_y, y_to_x)
 
     def _missed(
         self, x: Float[Tensor, "n 3"], y: Float[Tensor, "m 3"], x_to_y: Int[Tensor, " n"], y_to_x: Int[Tensor, " m"]

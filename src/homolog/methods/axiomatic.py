@@ -11,8 +11,15 @@ from torch import Tensor
 
 from homolog.core.errors import ShapeError, UndeterminedError
 from homolog.features import FeatureInfo
-from homolog.geometry import Basis, Operators
-from homolog.maps import smoothed_positions, wave_kernel_signature
+from homolog.geometry import Basis, Operators, some_points
+from homolog.maps import (
+    coarse_fit,
+    most_similar,
+    nearest_neighbour,
+    smoothed_positions,
+    wave_kernel_signature,
+    zoomout,
+)
 from homolog.methods.functional_map import MapProblem, point_maps_of
 from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import AxiomaticSettings, Pair, PointMaps
@@ -61,9 +68,32 @@ def _point_maps(pair: Pair) -> PointMaps:
     features = x.needed_features(), y.needed_features()
     try:
         problem = axiomatic_problem(x.operators, y.operators, features, pair.settings.axiomatic)
-        return point_maps_of(problem.c_xy(), problem.c_yx(), pair)
+        by_functional_map = point_maps_of(problem.c_xy(), problem.c_yx(), pair)
     except UndeterminedError:
         raise ShapeError(f"{x.name} or {y.name} {_why_undetermined(x.operators, y.operators)}") from None
+    if pair.is_partial or not pair.near_isometric or pair.settings.refinement is None:
+        return by_functional_map
+    unit = x.unit_features(), y.unit_features()
+    by_features = PointMaps(most_similar(*unit).index, most_similar(*reversed(unit)).index)
+    return min((by_functional_map, by_features), key=lambda maps: _coarse_misfit(pair, maps))
+
+
+def _coarse_misfit(pair: Pair, maps: PointMaps) -> float:
+    """What speaks against point maps, refined among samples of both shapes.
+
+    Signatures of near-isometric shapes agree, and a functional map evens their errors out. Those of two species do not,
+    and mislead it: there counterparts by features, which are mostly positions, are better.
+    """
+    settings = pair.settings.orientation
+    operators = pair.x.operators, pair.y.operators
+    kept = [some_points(one.n_points, settings.samples, seed=seed) for seed, one in enumerate(operators)]
+    x, y = (one.basis.sampled(some.to(one.points.device)) for one, some in zip(operators, kept, strict=True))
+    unit = pair.x.unit_features()[kept[0]], pair.y.unit_features()[kept[1]]
+    phi_x, phi_y = (basis.eigenvectors[:, : settings.map_eigenpairs].contiguous() for basis in (x, y))
+    y_to_x = nearest_neighbour(operators[0].points[maps.y_to_x[kept[1]]], x.points).index
+    x_to_y = nearest_neighbour(operators[1].points[maps.x_to_y[kept[0]]], y.points).index
+    y_to_x, x_to_y = zoomout(y_to_x, x_to_y, phi_x, phi_y, *unit, settings=settings.refinement)
+    return coarse_fit(x, y, x_to_y, y_to_x, have_outsides=pair.have_outsides, settings=settings.turned).misfit
 
 
 def _why_undetermined(*both: Operators) -> str:

@@ -16,6 +16,7 @@ from homolog.core.choices import Side
 from homolog.core.errors import ArgumentError
 from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo
+from homolog.geometry import outward
 from homolog.maps import RegistrationStart, Similarity
 from homolog.pairs.guidance import Guidance
 from homolog.pairs.method import Method, check_supported
@@ -265,6 +266,12 @@ class Pair:
     def are_meshes(self) -> bool:
         """Whether both shapes have faces."""
         return self.source.modality == self.target.modality == "mesh"
+
+    @property
+    def have_outsides(self) -> bool:
+        """Whether both shapes are meshes whose triangles face outward; open ones have no clear outside."""
+        surfaces = self.source.surface, self.target.surface
+        return all(surface is not None and outward(surface) > 0 for surface in surfaces)
 
     @property
     def info(self) -> FeatureInfo:

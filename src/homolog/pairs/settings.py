@@ -16,7 +16,7 @@ from homolog.core.method_names import AUTO, method_names
 from homolog.core.reprs import function_name
 from homolog.core.settings import Count, NotNegative, Positive, Settings, Share, read_settings
 from homolog.geometry import ClutterSettings, OperatorSettings
-from homolog.maps import ConfidenceSettings, RefinementSettings, RegistrationSettings
+from homolog.maps import CoarseMapSettings, ConfidenceSettings, RefinementSettings, RegistrationSettings
 
 # A temperature or a size that the features decide, where none is given.
 _CountOrNone = Annotated[Count, "or None"] | None
@@ -119,12 +119,12 @@ class AlignmentSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class PlacedMapSettings(Settings):
-    """What speaks against the map of a partial shape at a place. New here; chosen on parts of SHREC'16 and views of people.
+    """What speaks against the map of a partial shape at a place. New here; see ``PlacementSettings`` for its choice.
 
     Its misfit is a sum: ``torn`` times the logarithm of the map's Dirichlet energy, ``cycle`` times the mean cycle
     error, ``flipped`` times the share of triangles turned over, ``coverage`` times the share of the partial shape that
-    the map back does not hit, ``handedness`` times how far it mixes left and right, ``size`` times the logarithm of what
-    lengths were multiplied by, and ``closest_points`` if it is a map by closest points.
+    the map back does not hit, ``handedness`` times how far it mixes left and right, ``size`` times the logarithm of
+    what lengths were multiplied by, and ``closest_points`` if it is a map by closest points.
 
     Args:
         torn: weight of the logarithm of the Dirichlet energy. Noise tears maps of clouds as well.
@@ -160,8 +160,8 @@ _PLACED_CLOUDS = PlacedMapSettings(
 class PlacementSettings(Settings):
     """Where a partial shape lies on the full one, told by the maps that several alignments lead to. New here.
 
-    Features may be as similar in a wrong place. The map there tears, though. The values were chosen on parts of SHREC'16
-    that no network was trained on and no table has, those of clouds also on views of people.
+    Features may be as similar in a wrong place. The map there tears, though. The values were chosen on parts of
+    SHREC'16 that no network was trained on and no table has, those of clouds also on views of synthetic people.
 
     Args:
         followed: how many starts of other alignments are followed.
@@ -230,27 +230,6 @@ class PartsSettings(Settings):
     least_rigid: Share = 0.2
     bent_reach: Positive = 0.15
     bent_smoothing: Positive = 4.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class CoarseMapSettings(Settings):
-    """What speaks against a coarse map of samples of two full shapes. New here; chosen on pairs of training shapes.
-
-    Its misfit is the mean distance between points and their counterparts once the shapes are turned, plus ``cycle``
-    times the mean cycle error, minus ``handedness`` times how far it keeps left and right, minus
-    ``surface_handedness`` times how far it keeps the surface's orientation. All lengths are in units of sqrt(area).
-
-    Args:
-        cycle: weight of the cycle error.
-        handedness: weight of ``homolog.maps.handedness``.
-        radius: of the neighbourhoods in which that is told.
-        surface_handedness: weight of ``homolog.maps.surface_handedness`` between meshes with an outside.
-    """
-
-    cycle: NotNegative = 5.0
-    handedness: NotNegative = 0.3
-    radius: Positive = 0.15
-    surface_handedness: NotNegative = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
