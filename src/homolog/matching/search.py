@@ -115,7 +115,7 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
         samples = Samples.of(pair)
         ranked = _turned_further(samples, samples.ranked([*_of_rigid_bodies(samples, settings), *_of_landmarks(pair)]))
         ranked = _small_turn_left(samples, ranked) if pair.method.supports.small_turns else ranked
-        return _given_first(ranked, settings.margin)
+        return _given_first(ranked, settings.turned_margin if samples.refined else settings.margin)
     both = pair.source.orientations, pair.target.orientations
     # What landmarks say of a way round is worth more than what the orienter does.
     likely = _of_orienter(*both, settings, settings.orienter_margin if pair.guidance is None else math.inf)

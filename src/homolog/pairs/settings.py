@@ -255,6 +255,8 @@ class OrientationSettings(Settings):
         orienter_margin: what the orienter finds worse by more than this is not looked at any further.
         margin: what is better by less than this is not told apart: the given way round is then kept, and the pair is
             said to be ambiguous.
+        turned_margin: without an orienter, the given way round is kept where another is better by less than this, if
+            maps are near-isometric: upright people look alike from both sides to closest points.
         given_margin: the way in which a shape is given is taken where the orienter finds another better by less than
             this: files are right more often than not.
         least_degrees: a shape that the orienter would turn by less stays as it is given.
@@ -275,6 +277,7 @@ class OrientationSettings(Settings):
     orienter: NotNegative = 1.0
     orienter_margin: NotNegative = 0.05
     margin: NotNegative = 0.01
+    turned_margin: NotNegative = 0.15
     given_margin: NotNegative = 0.03
     least_degrees: NotNegative = 30.0
     small_turn: NotNegative = 1.4
