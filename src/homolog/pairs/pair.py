@@ -52,7 +52,8 @@ class PairOrientation:
     Args:
         misfit: of the hypothesis that was taken, see ``OrientationSettings``.
         runner_up: of the best of those that lead to another map; None where there was no other.
-        margin: by how much it is worse; negative where it is better, as for an alternative.
+        margin: by how much it is worse; negative where it is better: for an alternative, or where the files' way was
+            kept, as no other was clearly better.
         ambiguous: whether the two differ by less than what can be told apart.
     """
 
