@@ -179,7 +179,8 @@ def _mesh_objects(shape: Shape, left: Bool[np.ndarray, " n"], settings: ClutterS
     used = np.zeros(shape.n_points, dtype=bool)
     used[faces] = True
     # Vertices of large faces lie far apart: the middles of sides tell how near two components are.
-    middles = shape.points[half_edges(faces)].mean(axis=1)
+    one, other = half_edges(faces).T
+    middles = (shape.points[one] + shape.points[other]) / 2
     positions = np.concatenate([shape.points[used], middles])
     component_of = np.concatenate([component[used], np.repeat(component[faces[:, 0]], 3)])
     # Where all is in small pieces, the largest tells nothing of the shape's size.

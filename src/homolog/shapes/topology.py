@@ -88,7 +88,8 @@ def components(
     first = components(rows[::step], columns[::step], n)
     rows, columns = first[rows], first[columns]
     left = rows != columns
-    return components(rows[left], columns[left], int(first.max()) + 1)[first]
+    joined: np.ndarray = components(rows[left], columns[left], int(first.max()) + 1)[first]
+    return joined
 
 
 def mesh_components(
