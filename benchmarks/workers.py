@@ -1,9 +1,10 @@
 """How much faster two workers of a Ray cluster are than one process: ``python benchmarks/workers.py``.
 
 Each job is run by one process, then with ``--cluster ray``. The rate is that of files from the first to the last, so
-that the seconds in which Ray and its workers begin do not count. CPU seconds are told beside it, of the command itself,
-of Ray's workers and of the rest of Ray: on a machine with other work, ``cores x`` CPU seconds of one process over all
-CPU seconds of the other run is what idle cores would give. Files that differ between both runs are listed.
+that the seconds in which Ray and its workers begin do not count. CPU seconds of that time are told beside it, of the
+command itself, of Ray's workers and of the rest of Ray. On a machine with other work they say what idle cores would
+give: as many times the rate as there are workers, over the share by which a file takes more CPU seconds. Files that
+differ between both runs are listed.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,15 +41,22 @@ _DIFFER = {"report.json", "quality.csv", "modes.html", "records"}
 
 @dataclass(frozen=True)
 class Run:
-    """What a run took.
+    """What a run took from its first file to its last.
 
     Args:
-        rate: files a second, from the first to the last.
-        seconds: CPU seconds of the command, of Ray's workers, and of the rest of Ray.
+        files: how many after the first.
+        seconds: of the clock.
+        cpu: CPU seconds of the command, of Ray's workers, and of the rest of Ray.
     """
 
-    rate: float
-    seconds: Counter[str]
+    files: int
+    seconds: float
+    cpu: dict[str, float]
+
+    @property
+    def rate(self) -> float:
+        """Files a second."""
+        return self.files / self.seconds
 
 
 def main() -> None:
@@ -111,7 +119,7 @@ def command_of(job: str, n: int, vertices: int, scratch: Path) -> list[str]:
 
 def keep(shapes: Path, folder: Path, processes: Processes) -> None:
     """Compute the operators of shapes and their clouds into a cache, as ``homolog train --cluster`` does first."""
-    recipe = read_recipe("quick")
+    recipe = read_recipe("quick", {"data.split": "all"})
     source = OperatorCache(folder).operators
     keep_operators(TrainingSet.open(shapes, recipe), recipe, source, processes, progress=ignore)
 
@@ -119,31 +127,36 @@ def keep(shapes: Path, folder: Path, processes: Processes) -> None:
 def run(command: list[str], folder: Path, made: str) -> Run:
     """Run a command to its end, and look at its processes meanwhile."""
     process = psutil.Popen(command)
-    last: dict[int, tuple[str, float]] = {}
+    last, at_first = dict[int, tuple[str, float]](), dict[str, float]()
+    is_first_there = False
     while process.poll() is None:
         for each in (process, *process.children(recursive=True)):
-            try:
+            with suppress(psutil.Error):
                 times, name = each.cpu_times(), " ".join(each.cmdline())
-            except psutil.Error:
-                continue
-            kind = "command" if each == process else "workers" if name.startswith("ray::") else "Ray"
-            last[each.pid] = kind, times.user + times.system
-        time.sleep(0.05)
+                is_worker = name.startswith(("ray::_in_worker", "ray::IDLE"))
+                kind = "command" if each == process else "workers" if is_worker else "Ray"
+                last[each.pid] = kind, times.user + times.system
+        if not is_first_there:
+            at_first, is_first_there = by_kind(last), any(folder.glob(made))
+        time.sleep(0.5)
     if process.returncode:
         raise SystemExit(process.returncode)
-    seconds = Counter[str]()
-    for kind, used in last.values():
-        seconds[kind] += used
     times_made = sorted(path.stat().st_mtime for path in folder.glob(made))
-    return Run((len(times_made) - 1) / (times_made[-1] - times_made[0]), seconds)
+    after = {kind: used - at_first.get(kind, 0.0) for kind, used in by_kind(last).items()}
+    return Run(len(times_made) - 1, times_made[-1] - times_made[0], after)
+
+
+def by_kind(used: dict[int, tuple[str, float]]) -> dict[str, float]:
+    """The CPU seconds of all processes of each kind."""
+    return {kind: sum(each for name, each in used.values() if name == kind) for kind in ("command", "workers", "Ray")}
 
 
 def tell(job: str, one: Run, several: Run, workers: int) -> None:
     """Print what both runs of a job took."""
     print(f"{job}: {one.rate:.3g} and {several.rate:.3g} files a second, {several.rate / one.rate:.2f} times")
-    told = ", ".join(f"{kind} {used:.1f}" for kind, used in several.seconds.items())
-    on_idle = workers * one.seconds.total() / several.seconds.total()
-    print(f"    CPU s: {one.seconds.total():.1f}, then {told}; all of it on idle cores: {on_idle:.2f} times")
+    alone, told = sum(one.cpu.values()), ", ".join(f"{kind} {used:.1f}" for kind, used in several.cpu.items())
+    on_idle = workers * alone / one.files / (sum(several.cpu.values()) / several.files)
+    print(f"    CPU s: {alone:.1f}, then {told}; on idle cores {on_idle:.2f} times")
 
 
 def differing(one: Path, other: Path) -> list[str]:

@@ -77,4 +77,5 @@ def _faces_between(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 3"]:
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     first = first_of_equal_rows(np.sort(faces, axis=1))
-    return faces[first == np.arange(len(first))]
+    kept: np.ndarray = faces[first == np.arange(len(first))]
+    return kept
