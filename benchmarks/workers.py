@@ -127,23 +127,25 @@ def keep(shapes: Path, folder: Path, processes: Processes) -> None:
 def run(command: list[str], folder: Path, made: str) -> Run:
     """Run a command to its end, and look at its processes meanwhile."""
     process = psutil.Popen(command)
-    last, at_first = dict[int, tuple[str, float]](), dict[str, float]()
-    is_first_there = False
+    last, looks = dict[int, tuple[str, float]](), list[tuple[float, dict[str, float]]]()
     while process.poll() is None:
         for each in (process, *process.children(recursive=True)):
             with suppress(psutil.Error):
                 times, name = each.cpu_times(), " ".join(each.cmdline())
-                is_worker = name.startswith(("ray::_in_worker", "ray::IDLE"))
+                is_worker = "workers" in last.get(each.pid, ()) or name.startswith(("ray::_in_worker", "ray::IDLE"))
                 kind = "command" if each == process else "workers" if is_worker else "Ray"
                 last[each.pid] = kind, times.user + times.system
-        if not is_first_there:
-            at_first, is_first_there = by_kind(last), any(folder.glob(made))
+        looks.append((time.time(), by_kind(last)))
         time.sleep(0.5)
     if process.returncode:
         raise SystemExit(process.returncode)
     times_made = sorted(path.stat().st_mtime for path in folder.glob(made))
-    after = {kind: used - at_first.get(kind, 0.0) for kind, used in by_kind(last).items()}
-    return Run(len(times_made) - 1, times_made[-1] - times_made[0], after)
+    first, final = (
+        next((used for when, used in looks if when >= made_at), looks[-1][1])
+        for made_at in (times_made[0], times_made[-1])
+    )
+    cpu = {kind: final[kind] - first[kind] for kind in final}
+    return Run(len(times_made) - 1, times_made[-1] - times_made[0], cpu)
 
 
 def by_kind(used: dict[int, tuple[str, float]]) -> dict[str, float]:
