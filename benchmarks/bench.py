@@ -67,18 +67,25 @@ STEPS = (
     "nearest_map",
     "match_cold",
     "match_warm",
+    "match_large_mesh",
+    "match_large_cloud",
     "train_step",
     "network_forward",
     "network_backward",
 )
+# A mesh and a cloud of so many points against a body of 5,000: at this size alone.
+MILLION = 1_000_000
 # Sinkhorn between clouds of this size is measured once, for its memory.
 LARGE_CLOUD = 50_000
 # A step of training on so many samples of each shape is what the recipes take.
 SAMPLES = 1_200
 # Steps that are not measured at every size, and sizes that are measured for one step only.
 LARGEST = {"cloud_map": LARGE_CLOUD, "train_step": 20_000, "network_forward": 5_000, "network_backward": 5_000}
+SMALLEST = {"match_large_mesh": MILLION, "match_large_cloud": MILLION}
 EXTRA = (
     ("cloud_map", LARGE_CLOUD),
+    ("match_large_mesh", MILLION),
+    ("match_large_cloud", MILLION),
     *((name, SAMPLES) for name in ("train_step", "network_forward", "network_backward")),
 )
 _EIGENPAIRS = 80
@@ -280,6 +287,20 @@ def measure_match(name: str, n_points: int) -> dict[str, object]:
         )
 
 
+def measure_large(name: str, n_points: int) -> dict[str, object]:
+    """Time ``homolog match`` of a large shape against a body of 5,000 points, as a whole process, without a cache."""
+    with tempfile.TemporaryDirectory() as scratch:
+        large = body("amber", n_points)
+        write_shape(Path(scratch, "large.ply"), large.as_cloud() if name == "match_large_cloud" else large)
+        write_shape(Path(scratch, "body.ply"), body("boris", 5_000))
+        command = [sys.executable, "-m", "homolog", "match", "large.ply", "body.ply", "-o", "out", "--quiet"]
+        before, began = yardstick(), time.perf_counter()
+        subprocess.run([*command, "--weights", "people", "--no-cache"], cwd=scratch, check=True)
+        seconds, used = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    found = row(name, n_points, seconds, (before + yardstick()) / 2, peak_mb(resource.RUSAGE_CHILDREN))
+    return {**found, "cpu_seconds": round(used.ru_utime + used.ru_stime, 1)}
+
+
 def row(name: str, n_points: int, seconds: float, yard: float, peak: float) -> dict[str, object]:
     """One figure, as it is kept."""
     return {
@@ -312,6 +333,11 @@ def keep(rows: list[dict[str, object]], path: Path) -> None:
         temporary.write_text(json.dumps(list(merged.values()), indent=1) + "\n", encoding="utf-8")
 
 
+def is_measured(name: str, n_points: int) -> bool:
+    """Whether a step is measured at a size."""
+    return SMALLEST.get(name, 0) <= n_points <= LARGEST.get(name, n_points)
+
+
 def main() -> None:
     """Measure what is asked for, print it, and keep it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -320,10 +346,11 @@ def main() -> None:
     parser.add_argument("--one", choices=STEPS, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.one:
-        measuring = measure_match if arguments.one.startswith("match") else measure
+        large = arguments.one in SMALLEST
+        measuring = measure_large if large else measure_match if arguments.one.startswith("match") else measure
         print(json.dumps(measuring(arguments.one, arguments.points[0])))
         return
-    cases = [(name, n) for n in arguments.points for name in arguments.only if n <= LARGEST.get(name, n)]
+    cases = [(name, n) for n in arguments.points for name in arguments.only if is_measured(name, n)]
     if tuple(arguments.points) == SIZES:
         cases += [case for case in EXTRA if case[0] in arguments.only]
     rows = []
@@ -332,7 +359,7 @@ def main() -> None:
         print(rows[-1], file=sys.stderr)
     keep(rows, LATEST)
     table = Table(title="homolog, in yardsticks")
-    columns = ("name", "points", "seconds", "yardsticks", "peak_mb", "of_peak")
+    columns = ("name", "points", "seconds", "yardsticks", "peak_mb", "of_peak", "cpu_seconds")
     for column in columns:
         table.add_column(column, justify="left" if column == "name" else "right")
     for found in rows:

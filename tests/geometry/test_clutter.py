@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial.distance import cdist
 
 import homolog
 from homolog import Shape, repair
 from homolog.geometry import ClutterSettings, find_clutter, set_apart
+from homolog.geometry.clutter import _apart
 from homolog.geometry.outliers import noise_level
 from homolog.shapes import add_noise
 from homolog.synthesis.degradation import add_strays
@@ -179,3 +181,20 @@ def test_a_match_leaves_them_without_counterpart_unless_they_are_kept(body):
     assert apart[body.n_points :].mean() > 0.85 and apart[: body.n_points].mean() < 0.01
     rules = [finding["rule"] for finding in matches["remove"].report["inputs"]["target"]["findings"]]
     assert "outliers" in rules
+
+
+def test_which_components_lie_apart_is_told_as_by_all_distances():
+    """However few positions are looked at first, and where a gap is missed or kept by little."""
+    random = np.random.default_rng(0)
+    for _ in range(40):
+        centres = random.uniform(0, 3, (6, 1, 3))
+        positions = (centres + random.uniform(0, 0.5, (6, 80, 3))).reshape(-1, 3)
+        component, sizes = np.repeat(np.arange(6), 80), random.uniform(0.5, 9, 6)
+        distances = cdist(positions, positions).reshape(6, 80, 6, 80).min(axis=(1, 3))
+        off = distances[distances > 0]
+        gap = float(random.choice(off)) * random.choice([1 - 1e-9, 1 + 1e-9, 0.97, 1.03])
+        joined = {int(sizes.argmax())}
+        while more := {b for a in joined for b in range(6) if distances[a, b] <= gap} - joined:
+            joined |= more
+        expected = [each not in joined and bool(sizes[each] < 0.7 * sizes.max()) for each in range(6)]
+        assert _apart(positions, component, sizes, gap, 0.7).tolist() == expected

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from homolog.shapes import Shape, check
-from homolog.shapes.topology import half_edges, mesh_components, topology
+from homolog.shapes.topology import components, cross_products, half_edges, mesh_components, topology
 
 
 def shape_of(mesh, **name):
@@ -257,3 +257,23 @@ def test_components_of_a_mesh_with_their_areas_and_its_half_edges():
     assert (component[:8] == of_big).all() and (component[8:16] == of_small).all() and len(set(component)) == 3
     assert areas[of_big] == pytest.approx(24) and areas[of_small] == pytest.approx(6) and areas[component[16]] == 0
     assert half_edges(np.array([[4, 7, 2], [7, 4, 1]])).tolist() == [[4, 7], [7, 2], [2, 4], [7, 4], [4, 1], [1, 7]]
+
+
+@pytest.mark.parametrize(("n", "links"), [(30, 20), (30, 1000), (200, 900), (200, 20_000), (5, 0)])
+def test_components_are_those_of_a_walk_and_ascend_by_their_first_nodes(n, links):
+    """However many links a node has, of which some are taken first."""
+    random = np.random.default_rng(links)
+    # Nodes of three classes, of which each links to its own alone.
+    ends = 3 * random.integers(0, n // 3, (links, 2)) + random.integers(0, 3, (links, 1))
+    label = [*range(n)]
+    for a, b in ends.tolist():
+        old, new = label[a], label[b]
+        label = [new if each == old else each for each in label]
+    numbers = {}
+    expected = [numbers.setdefault(each, len(numbers)) for each in label]
+    assert components(ends[:, 0], ends[:, 1], n).tolist() == expected
+
+
+def test_cross_products_are_those_of_numpy():
+    one, other = np.random.default_rng(0).normal(size=(2, 50, 3))
+    assert np.array_equal(cross_products(one, other), np.cross(one, other))

@@ -15,10 +15,14 @@ from homolog.geometry.clutter_settings import ClutterSettings
 from homolog.geometry.components import cloud_components, in_large_components
 from homolog.geometry.outliers import find_outliers
 from homolog.geometry.scale import cloud_area
-from homolog.shapes import FEWEST_POINTS, Finding, Repaired, Shape, check, mesh_components, repair
+from homolog.shapes import FEWEST_POINTS, Finding, Repaired, Shape, check, half_edges, mesh_components, repair
+from homolog.shapes.equal_rows import first_of_equal_rows
 
 # The shape has at least this share of the area of all components.
 _LEAST_OF_ALL = 0.25
+# How far apart components are is told by some of their positions, none of which is farther from its next than this
+# share of the gap.
+_THINNED = 0.1
 
 _PLANE, _OUTLIERS, _OBJECTS = "points of a plane", "outliers", "points of other objects"
 CLUTTER_RULES = (_PLANE, _OUTLIERS, _OBJECTS)
@@ -172,13 +176,17 @@ def _mesh_objects(shape: Shape, left: Bool[np.ndarray, " n"], settings: ClutterS
     component, areas = mesh_components(shape.points, faces)
     if np.count_nonzero(areas) < 2:
         return np.zeros(shape.n_points, dtype=bool)
-    corners = shape.points[faces]
-    # Vertices of large faces lie far apart: positions within them tell how near two components are.
-    positions = np.concatenate([corners, (corners + np.roll(corners, 1, axis=1)) / 2], axis=1).reshape(-1, 3)
+    used = np.zeros(shape.n_points, dtype=bool)
+    used[faces] = True
+    # Vertices of large faces lie far apart: the middles of sides tell how near two components are.
+    one, other = half_edges(faces).T
+    middles = (shape.points[one] + shape.points[other]) / 2
+    positions = np.concatenate([shape.points[used], middles])
+    component_of = np.concatenate([component[used], np.repeat(component[faces[:, 0]], 3)])
     # Where all is in small pieces, the largest tells nothing of the shape's size.
     size = max(areas.max(), _LEAST_OF_ALL * areas.sum())
     gap = settings.gap * float(np.sqrt(size))
-    apart = _apart(positions, np.repeat(component[faces[:, 0]], 6), areas, gap, settings.smaller_object)
+    apart = _apart(positions, component_of, areas, gap, settings.smaller_object)
     found: np.ndarray = apart[component]
     return found
 
@@ -204,12 +212,42 @@ def _apart(
     """Which components are smaller than a share of the largest, and beyond a gap from it and all that hang on it."""
     joined = np.zeros(len(sizes), dtype=bool)
     joined[sizes.argmax()] = True
-    newest = joined
-    while newest.any():
-        tree, others = KDTree(positions[newest[component]]), ~joined[component]
-        is_near = tree.query(positions[others], distance_upper_bound=gap)[0] <= gap
-        newest = np.zeros(len(sizes), dtype=bool)
-        newest[component[others][is_near]] = True
+    newest, some = joined, _thinned(positions, component, _THINNED * gap)
+    while newest.any() and not joined.all():
+        newest = _reached(positions, component, newest, ~joined, gap, some)
         joined = joined | newest
     apart: np.ndarray = ~joined & (sizes < smaller * sizes.max())
     return apart
+
+
+def _reached(
+    positions: Float[np.ndarray, "q 3"],
+    component: Int[np.ndarray, " q"],
+    ones: Bool[np.ndarray, " p"],
+    others: Bool[np.ndarray, " p"],
+    gap: float,
+    some: Int[np.ndarray, " s"],
+) -> Bool[np.ndarray, " p"]:
+    """Which of the other components have a position within the gap of one of these.
+
+    Some of the positions tell it for nearly all components. All are looked at only where some are a little too far.
+    """
+    found = np.zeros(len(ones), dtype=bool)
+    for reach, which in (((1 + 2 * _THINNED) * gap, some), (gap, np.arange(len(positions)))):
+        own, rest = which[ones[component[which]]], which[others[component[which]]]
+        away = KDTree(positions[own]).query(positions[rest], distance_upper_bound=reach)[0]
+        found[component[rest[away <= gap]]] = True
+        others = np.bincount(component[rest[away <= reach]], minlength=len(ones)).astype(bool) & ~found
+        if not others.any():
+            break
+    return found
+
+
+def _thinned(
+    positions: Float[np.ndarray, "q 3"], component: Int[np.ndarray, " q"], away: float
+) -> Int[np.ndarray, " s"]:
+    """Some positions of each component, of which one is not farther than so much from any of its others."""
+    side = away / np.sqrt(3)
+    voxels = np.floor((positions - positions.min(axis=0)) / side)
+    first = first_of_equal_rows(np.column_stack([voxels, component]))
+    return np.flatnonzero(first == np.arange(len(first)))

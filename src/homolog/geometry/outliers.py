@@ -56,8 +56,16 @@ def find_outliers(points: Float[np.ndarray, "n 3"], settings: ClutterSettings | 
         False
     """
     settings = settings or ClutterSettings()
-    if len(points) < _FEWEST_POINTS:
-        return np.zeros(len(points), dtype=bool)
+    found = np.zeros(len(points), dtype=bool)
+    if len(points) >= _FEWEST_POINTS:
+        # Where points that are near lie near in memory, a large cloud takes half as long.
+        order = KDTree(points).indices
+        found[order] = _off_surface(points[order], settings)
+    return found
+
+
+def _off_surface(points: Float[np.ndarray, "n 3"], settings: ClutterSettings) -> Bool[np.ndarray, " n"]:
+    """The same, of enough points to have neighbourhoods."""
     clean = _Neighbourhoods.of(points, settings, 0.0)
     noise = _noise_level(clean, settings)
     around = clean if noise == 0 else _Neighbourhoods.of(points, settings, noise)
@@ -195,13 +203,17 @@ class _Neighbourhoods:
         core = (self.support > _between(settings.support, settings.support_noisy, noise)) & (self.off[:, 0] < slab)
         width = self.distances[:, _DENSITY]
         core &= noise * width <= settings.sparse_noisy * np.median(width)  # planes through thick slabs tell little
-        others, flat = self.indices[:, 1:], 2 * slab
-        away = self.points[:, None] - self.middles[others]
-        back = np.abs(np.einsum("njc,njc->nj", away, self.normals[others])) < flat * self.widths[:, None]
+        others = self.indices[:, 1:]
         near = self.distances[:, 1:] <= settings.link * self.widths[:, None]
-        linked = near & back & (self.off[:, 1:] < flat) & core[:, None] & core[others]
-        rows, columns = np.nonzero(linked)
-        component = components(rows, others[rows, columns], len(core))
+        one, column = np.nonzero(near & (self.off[:, 1:] < 2 * slab) & core[:, None] & core[others])
+        other = others[one, column]
+        linked = np.empty(len(one), dtype=bool)
+        for start in range(0, len(one), _AROUND * _BLOCK):
+            rows = slice(start, start + _AROUND * _BLOCK)
+            away = self.points[one[rows]] - self.middles[other[rows]]
+            back = np.abs(np.einsum("kc,kc->k", away, self.normals[other[rows]]))
+            linked[rows] = back < 2 * slab * self.widths[one[rows]]
+        component = components(one[linked], other[linked], len(core))
         noisy_piece = np.clip(_PIECE_SHARE * len(core), _PIECE, _PIECE_NOISY)
         sure: np.ndarray = core & (np.bincount(component) >= _between(_PIECE, noisy_piece, noise))[component]
         return sure

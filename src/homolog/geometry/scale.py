@@ -19,7 +19,8 @@ _BALLS = (0.15, 0.25)
 # A ball's flat disc also catches what a curved or thin body has nearby: bodies, animals and people alike come out
 # this much too small (5 % standard deviation over such shapes).
 _BALL_BIAS = 1.18
-_COUNTED_POINTS = 2000
+# Around so many points those nearby are counted; of more than so many only some are looked at, evenly taken.
+_COUNTED_POINTS, _MOST_POINTS = 2000, 100_000
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,9 @@ def cloud_area(points: Float[np.ndarray, "n 3"]) -> float:
     if radius == 0:
         return 0.0
     # Every so many-th point in the order of its coordinates: the order in the file must not matter.
-    centres = points[np.lexsort(points.T)][:: max(1, len(points) // _COUNTED_POINTS)]
-    tree = KDTree(points)
+    some = points[np.lexsort(points.T)][:: max(1, len(points) // _MOST_POINTS)]
+    centres = some[:: max(1, len(some) // _COUNTED_POINTS)]
+    tree = KDTree(some)
     radii = [share * radius for share in _BALLS]
     counts = [tree.query_ball_point(centres, reach, return_length=True, workers=-1) for reach in radii]
     small, large = (float(np.mean(tree.n * np.pi * reach**2 / n)) for reach, n in zip(radii, counts, strict=True))

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from homolog.core.memory import row_tiles
 from homolog.core.reprs import short_repr
 from homolog.geometry.grouping import FacesAround
-from homolog.shapes import face_vectors, half_edges
+from homolog.shapes import cross_products, face_vectors, half_edges
 
 # Projection tries this many nearest vertices for one whose normal agrees with the point's: a cosine above _SAME_SIDE.
 _NEAR = 16
@@ -304,8 +304,14 @@ def _plane_weights(triangles: Float[np.ndarray, "p 3 3"], points: Float[np.ndarr
     normals = face_vectors(triangles)
     squares = np.einsum("pk,pk->p", normals, normals)
     spans = triangles - points[:, None]
-    areas = np.cross(spans[:, [1, 2, 0]], spans[:, [2, 0, 1]])
-    weights = np.einsum("pck,pk->pc", areas, normals) / np.where(squares > 0, squares, 1.0)[:, None]
+    weights = np.stack(
+        [
+            np.einsum("pk,pk->p", cross_products(spans[:, (corner + 1) % 3], spans[:, (corner + 2) % 3]), normals)
+            for corner in range(3)
+        ],
+        axis=1,
+    )
+    weights /= np.where(squares > 0, squares, 1.0)[:, None]
     return np.asarray(np.where(squares[:, None] > 0, weights, -1.0))
 
 

@@ -10,7 +10,7 @@ from homolog.shapes.reading import VOLUMES, check_suffix, files_of_shape, read_h
 from homolog.shapes.repairing import Repaired, drawable, repair
 from homolog.shapes.sampling import add_noise, farthest_points
 from homolog.shapes.shape import FEWEST_POINTS, Modality, Shape
-from homolog.shapes.topology import components, face_areas, face_vectors, half_edges, mesh_components
+from homolog.shapes.topology import components, cross_products, face_areas, face_vectors, half_edges, mesh_components
 from homolog.shapes.upright import mirrored, rotation_about, stand_upright, upright_rotation
 from homolog.shapes.writing import write_shape
 
@@ -28,6 +28,7 @@ __all__ = [
     "check",
     "check_suffix",
     "components",
+    "cross_products",
     "demo_shapes",
     "drawable",
     "face_areas",

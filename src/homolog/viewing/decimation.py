@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from homolog.shapes.equal_rows import first_of_equal_rows
 from homolog.viewing.scene import typical_spacing
 
 # Cells grow by at least so much; and by this power of how many times too many points there are, between that of
@@ -75,5 +76,6 @@ def _faces_between(faces: Int[np.ndarray, "m 3"]) -> Int[np.ndarray, "k 3"]:
     """Triangles with three different corners, the first of those with the same ones."""
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
-    first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1]
-    return faces[np.sort(first)]
+    first = first_of_equal_rows(np.sort(faces, axis=1))
+    kept: np.ndarray = faces[first == np.arange(len(first))]
+    return kept

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import scipy.fft
@@ -65,14 +66,15 @@ class _Grid:
 
     def spread(self, points: Float[np.ndarray, "p 3"], values: Float[np.ndarray, " p"]) -> Float[np.ndarray, "i j k"]:
         """Sums of values at points, each spread over the eight voxels around it, trilinearly."""
-        voxels = (points - self.origin) / self.side
+        voxels = ((points - self.origin) / self.side).T
         first = np.floor(voxels).astype(np.int64)
         beyond = voxels - first
         total = np.zeros(int(np.prod(self.shape)))
-        for corner in np.ndindex(2, 2, 2):
-            share = np.where(corner, beyond, 1 - beyond).prod(axis=1)
-            at = np.ravel_multi_index(tuple((first + corner).T), self.shape, mode="wrap")
-            total += np.bincount(at, share * values, len(total))
+        # Along each axis, the two voxels around a point, and its share of each.
+        sides = [((f % n, 1 - b), ((f + 1) % n, b)) for f, b, n in zip(first, beyond, self.shape, strict=True)]
+        for (x, of_x), (y, of_y), (z, of_z) in product(*sides):
+            at = (x * self.shape[1] + y) * self.shape[2] + z
+            total += np.bincount(at, of_x * of_y * of_z * values, len(total))
         return total.reshape(self.shape)
 
 
