@@ -21,7 +21,9 @@ from homolog.shapes import FEWEST_POINTS, Finding, Repaired, Shape, check, mesh_
 _LEAST_OF_ALL = 0.25
 
 _PLANE, _OUTLIERS, _OBJECTS = "points of a plane", "outliers", "points of other objects"
-CLUTTER_RULES = (_PLANE, _OUTLIERS, _OBJECTS)
+EXTRA_PART = "points of a part that only this shape has"
+"""The rule of the finding that says what has no counterpart on the other shape."""
+CLUTTER_RULES = (_PLANE, _OUTLIERS, _OBJECTS, EXTRA_PART)
 """The rules of the findings that say what was set apart."""
 MASKED = "points outside the mask"
 """The rule of the finding that says what a user left out."""
