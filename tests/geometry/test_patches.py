@@ -46,6 +46,6 @@ def test_patches_at_rest_carry_points_to_where_they_are(bar):
 def test_counterparts_far_from_all_others_count_little(bar):
     target = _bent(bar.points)
     wrong = np.random.default_rng(0).random(len(target)) < 0.1
-    pairs = _pairs(bar, np.where(wrong[:, None], target + [0.0, 0.0, 1.0], target))
+    pairs = _pairs(bar, np.where(wrong[:, None], target + np.array([0.0, 0.0, 1.0]), target))
     found = bar.registered(target, pairs, np.ones(len(target), dtype=bool))
     assert np.linalg.norm(found - target, axis=1).mean() < 0.05

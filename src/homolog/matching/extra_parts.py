@@ -39,8 +39,8 @@ _OWN = 2.0
 # Rounds in which a piece grows before it is left out, and rings of points around it that may belong to it.
 _GROWING, _RINGS = 2, 3
 # So many maps are made without a piece, each of which says anew what belongs to it, two at least. All but the last may
-# leave so many times as much of the other shape uncovered.
-_FEWEST_MAPS, _MOST_MAPS, _LOOSELY = 2, 4, 5.0
+# leave so many times as much of the other shape uncovered, and from the third on such a share of the one before.
+_FEWEST_MAPS, _MOST_MAPS, _LOOSELY, _LESS = 2, 4, 5.0, 0.8
 _TINY = 1e-9
 # So many parts are looked for, and none that holds more of its shape.
 _MOST_PARTS, _LARGEST = 3, 0.5
@@ -142,6 +142,10 @@ class _Half:
         """Of the shape's area."""
         return float(self.patched.masses[points].sum())
 
+    def taken_to(self, points: Bool[np.ndarray, " m"]) -> float:
+        """The share of its area that its map takes to some points of the other."""
+        return self.share(points[self.to_other])
+
     def wider(self, points: Bool[np.ndarray, " n"], rings: int) -> Bool[np.ndarray, " n"]:
         for _ in range(rings):
             points = points | (self.edges @ points > 0)
@@ -201,7 +205,9 @@ class _Search:
         """The pair without such a part, and its match."""
         halves = _halves(self.matched, self.settings.patches)
         for side, piece in self._pieces(halves):
-            without = self._without(halves, side, self._grown(halves, side, piece))
+            out = self._grown(halves, side, piece)
+            is_likely = halves[_other(side)].taken_to(out) <= self.settings.taken * halves[side].share(out)
+            without = self._without(halves, side, out) if is_likely else None
             if without is not None:
                 yield without
 
@@ -233,17 +239,19 @@ class _Search:
     def _without(self, halves: dict[Side, _Half], side: Side, out: Bool[np.ndarray, " n"]) -> _Matched | None:
         """The pair without some points of a shape, and its match, if that shows that the other lacks them."""
         half, opposite, settings = halves[side], _other(side), self.settings
-        first = least = self._misfit(self.matched)
+        first, least = self._misfit(self.matched), _LOOSELY
         for number in range(1, _MOST_MAPS + 1):
             tried = self._tried(half, side, out)
-            if tried is None or self._misfit(tried) > least:
+            if tried is None or self._misfit(tried) > first:
                 return None
-            least, new = self._misfit(tried), _halves(tried, settings.patches)
+            new = _halves(tried, settings.patches)
             uncovered = self._uncovered(halves, new, side, out)
-            if uncovered > _LOOSELY:
+            if number >= _FEWEST_MAPS and uncovered <= 1:
+                is_better = self._misfit(tried) <= min(first - settings.gain, settings.most_misfit)
+                return tried if is_better else None
+            if uncovered > least:
                 return None
-            if number >= _FEWEST_MAPS and uncovered <= 1 and least <= min(first - settings.gain, settings.most_misfit):
-                return tried
+            least = _LESS * uncovered if number >= _FEWEST_MAPS else _LOOSELY
             everything = _in_frame_of(half.shape, new[side].shape)
             away = half.smoothed(KDTree(new[opposite].onto(new[side])).query(everything)[0])
             out = (away > settings.near) & half.wider(out, _RINGS)

@@ -173,6 +173,8 @@ class ExtraPartSettings(Settings):
         far: distance from the deformed shape from which on points may begin a part.
         near: the same from which on its other points belong to it.
         least: share of the area that points beyond ``far`` have at least, in one piece.
+        taken: area that the map of the other shape takes to such a piece, relative to its own, at most: a limb that was
+            missed has as much there.
         gain: by how much the misfit of the map is less without the part, at least.
         most_misfit: of the map without the part, at most.
         uncovered: area of the other shape farther than ``far`` from the rest of this one, relative to the part's, at
@@ -186,8 +188,9 @@ class ExtraPartSettings(Settings):
     far: Positive = 0.04
     near: Positive = 0.03
     least: Share = 0.015
+    taken: NotNegative = 0.75
     gain: NotNegative = 0.2
-    most_misfit: float = 2.0
+    most_misfit: float = 1.9
     uncovered: NotNegative = 0.2
     uncovered_there: Share = 0.05
 
