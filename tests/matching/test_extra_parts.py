@@ -71,3 +71,11 @@ def test_everything_has_a_counterpart_where_clutter_is_kept_and_in_clean_pairs(m
     for name in ("kept", "clean"):
         assert (matched[name].source_to_target >= 0).all() and (matched[name].target_to_source >= 0).all()
         assert not extra_part_warnings(matched[name])
+
+
+def test_warning_tells_which_shape_has_the_part():
+    shape = Shape(np.eye(4)[:, :3])
+    finding = {"rule": EXTRA_PART, "count": 7}
+    report = {"inputs": {"source": {"findings": []}, "target": {"findings": [finding]}}}
+    (warning,) = extra_part_warnings(homolog.Match(shape, shape, np.arange(4), np.arange(4), report=report))
+    assert warning.startswith("the target seems to have a part that the other shape lacks: 7 points")
