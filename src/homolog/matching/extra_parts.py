@@ -40,7 +40,7 @@ _OWN = 2.0
 _GROWING, _RINGS = 2, 3
 # So many maps are made without a piece, each of which says anew what belongs to it, two at least. All but the last may
 # leave so many times as much of the other shape uncovered, and from the third on such a share of the one before.
-_FEWEST_MAPS, _MOST_MAPS, _LOOSELY, _LESS = 2, 4, 5.0, 0.8
+_FEWEST_MAPS, _MOST_MAPS, _LOOSELY, _LESS = 2, 4, 4.0, 0.8
 _TINY = 1e-9
 # So many parts are looked for, and none that holds more of its shape.
 _MOST_PARTS, _LARGEST = 3, 0.5
@@ -61,11 +61,8 @@ def without_extra_parts(pair: Pair, maps: PointMaps, preprocessor: Preprocessor)
     if settings is None or not _may_be_told(pair):
         return matched.match
     again = replace(preprocessor, extractor=pair.extractor)
-    sure = settings.sure_mesh if pair.are_meshes else settings.sure_cloud
     for _ in range(_MOST_PARTS):
-        found = None
-        if map_misfit(matched.match, pair.settings.choice) > sure:
-            found = next(_Search(matched, again, settings).found(), None)
+        found = next(_Search(matched, again, settings).found(), None)
         if found is None:
             break
         matched = found
@@ -138,6 +135,10 @@ class _Half:
         found: np.ndarray = np.median(distances[self.near], axis=1)
         return found
 
+    def away(self, positions: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, " n"]:
+        """How far its points are from the other shape, deformed onto it."""
+        return self.smoothed(KDTree(positions).query(self.patched.points)[0])
+
     def share(self, points: Bool[np.ndarray, " n"]) -> float:
         """Of the shape's area."""
         return float(self.patched.masses[points].sum())
@@ -201,29 +202,39 @@ class _Search:
     preprocessor: Preprocessor
     settings: ExtraPartSettings
 
+    @property
+    def sure(self) -> float:
+        """The misfit up to which a map is sure."""
+        return self.settings.sure_mesh if self.matched.pair.are_meshes else self.settings.sure_cloud
+
     def found(self) -> Iterator[_Matched]:
-        """The pair without such a part, and its match."""
+        """The pair without such a part, and its match; nothing is looked for where the map is sure."""
+        if self._misfit(self.matched) <= self.sure:
+            return
         halves = _halves(self.matched, self.settings.patches)
-        for side, piece in self._pieces(halves):
+        positions: dict[Side, Float[np.ndarray, "n 3"]] = {
+            side: halves[side].onto(halves[_other(side)]) for side in SIDES
+        }
+        for side, piece in self._pieces(halves, positions):
             out = self._grown(halves, side, piece)
             is_likely = halves[_other(side)].taken_to(out) <= self.settings.taken * halves[side].share(out)
-            without = self._without(halves, side, out) if is_likely else None
+            missed = halves[_other(side)].away(positions[side]) > self.settings.far
+            without = self._without(halves, side, out, missed) if is_likely else None
             if without is not None:
                 yield without
 
-    def _pieces(self, halves: dict[Side, _Half]) -> list[tuple[Side, Bool[np.ndarray, " n"]]]:
+    def _pieces(
+        self, halves: dict[Side, _Half], positions: dict[Side, Float[np.ndarray, "n 3"]]
+    ) -> list[tuple[Side, Bool[np.ndarray, " n"]]]:
         """The largest piece of each shape that the other does not reach, if it is large enough; the larger first."""
-        one, other = halves["source"], halves["target"]
-        positions: dict[Side, np.ndarray] = {"source": one.onto(other), "target": other.onto(one)}
         found = []
         for side in SIDES:
             half, opposite = halves[side], _other(side)
-            away = KDTree(positions[opposite]).query(half.patched.points)[0]
-            own = KDTree(halves[opposite].patched.points).query(positions[side])[0]
-            off = half.smoothed(np.minimum(away, _OWN * own))
-            found += [(side, piece) for piece in half.pieces(off > self.settings.far)[:1]]
-        sizes = [(halves[side].share(piece), side, piece) for side, piece in found]
-        large = [size for size in sizes if size[0] >= self.settings.least]
+            away = half.away(positions[opposite])
+            own = half.smoothed(KDTree(halves[opposite].patched.points).query(positions[side])[0])
+            off = np.minimum(away, _OWN * own)
+            found += [(half.share(piece), side, piece) for piece in half.pieces(off > self.settings.far)[:1]]
+        large = [size for size in found if size[0] >= self.settings.least]
         return [(side, piece) for _, side, piece in sorted(large, key=lambda size: size[0], reverse=True)]
 
     def _grown(self, halves: dict[Side, _Half], side: Side, piece: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
@@ -231,13 +242,17 @@ class _Search:
         half, other = halves[side], halves[_other(side)]
         out = half.wider(piece, _GROWING)
         for _ in range(_GROWING):
-            away = half.smoothed(KDTree(other.onto(half, out)).query(half.patched.points)[0])
-            beyond = away > self.settings.near
+            beyond = half.away(other.onto(half, out)) > self.settings.near
             out = half.wider(half.joined(beyond | out, piece) & beyond, 1) | piece
         return out
 
-    def _without(self, halves: dict[Side, _Half], side: Side, out: Bool[np.ndarray, " n"]) -> _Matched | None:
-        """The pair without some points of a shape, and its match, if that shows that the other lacks them."""
+    def _without(
+        self, halves: dict[Side, _Half], side: Side, out: Bool[np.ndarray, " n"], missed: Bool[np.ndarray, " m"]
+    ) -> _Matched | None:
+        """The pair without some points of a shape, and its match, if that shows that the other lacks them.
+
+        Where the map is sure without them, what was missed of the other shape with them does not count as uncovered.
+        """
         half, opposite, settings = halves[side], _other(side), self.settings
         first, least = self._misfit(self.matched), _LOOSELY
         for number in range(1, _MOST_MAPS + 1):
@@ -245,7 +260,8 @@ class _Search:
             if tried is None or self._misfit(tried) > first:
                 return None
             new = _halves(tried, settings.patches)
-            uncovered = self._uncovered(halves, new, side, out)
+            is_sure = self._misfit(tried) <= self.sure
+            uncovered = self._uncovered(halves, new, side, out, missed & is_sure)
             if number >= _FEWEST_MAPS and uncovered <= 1:
                 is_better = self._misfit(tried) <= min(first - settings.gain, settings.most_misfit)
                 return tried if is_better else None
@@ -276,14 +292,19 @@ class _Search:
         return _Matched.of(pair, refine(pair, method_maps(pair)))
 
     def _uncovered(
-        self, before: dict[Side, _Half], after: dict[Side, _Half], side: Side, out: Bool[np.ndarray, " n"]
+        self,
+        before: dict[Side, _Half],
+        after: dict[Side, _Half],
+        side: Side,
+        out: Bool[np.ndarray, " n"],
+        missed: Bool[np.ndarray, " m"],
     ) -> float:
         """How much of the other shape the rest leaves uncovered, or of what was mapped to the part; 1 is allowed."""
         opposite, settings = _other(side), self.settings
         other = after[opposite]
-        away = other.smoothed(KDTree(after[side].onto(other)).query(other.patched.points)[0]) > settings.far
+        away = other.away(after[side].onto(other)) > settings.far
         there = out[before[opposite].to_other]
-        everywhere = other.share(away) / (settings.uncovered * before[side].share(out))
+        everywhere = other.share(away & ~missed) / (settings.uncovered * before[side].share(out))
         return max(everywhere, other.share(away & there) / max(settings.uncovered_there * other.share(there), _TINY))
 
 

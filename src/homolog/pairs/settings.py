@@ -178,7 +178,7 @@ class ExtraPartSettings(Settings):
         gain: by how much the misfit of the map is less without the part, at least.
         most_misfit: of the map without the part, at most.
         uncovered: area of the other shape farther than ``far`` from the rest of this one, relative to the part's, at
-            most.
+            most. Where the map is then sure, what was missed with the part as well does not count.
         uncovered_there: share of what the map took to the part that is as far, at most.
     """
 
@@ -192,7 +192,7 @@ class ExtraPartSettings(Settings):
     gain: NotNegative = 0.2
     most_misfit: float = 1.9
     uncovered: NotNegative = 0.2
-    uncovered_there: Share = 0.05
+    uncovered_there: Share = 0.12
 
 
 @dataclass(frozen=True, kw_only=True)
