@@ -112,8 +112,8 @@ ClutterOption = Annotated[
     KeepClutter,
     typer.Option(
         "--clutter",
-        help="remove: set apart outliers, a floor or a wall, and other objects; their points get no counterpart. "
-        "keep: take them for parts of the shapes.",
+        help="remove: set apart outliers, a floor or a wall, other objects, and what only one of two full shapes has; "
+        "their points get no counterpart. keep: take them for parts of the shapes.",
         rich_help_panel=INPUT,
     ),
 ]

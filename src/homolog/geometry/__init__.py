@@ -3,7 +3,7 @@
 from homolog.core.caches import cache_folder
 from homolog.geometry.basis import Basis, some_points
 from homolog.geometry.cache import OperatorCache
-from homolog.geometry.clutter import CLUTTER_RULES, MASKED, Clutter, find_clutter, restricted, set_apart
+from homolog.geometry.clutter import CLUTTER_RULES, EXTRA_PART, MASKED, Clutter, find_clutter, restricted, set_apart
 from homolog.geometry.clutter_settings import ClutterSettings
 from homolog.geometry.geodesics import Geodesics, distances_from, edge_graph, geodesic_distances, pair_distances
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
@@ -25,6 +25,7 @@ from homolog.geometry.surface import (
 __all__ = [
     "CLOUD_NEIGHBOURS",
     "CLUTTER_RULES",
+    "EXTRA_PART",
     "MASKED",
     "BarycentricPoints",
     "Basis",

@@ -25,7 +25,9 @@ _LEAST_OF_ALL = 0.25
 _THINNED = 0.1
 
 _PLANE, _OUTLIERS, _OBJECTS = "points of a plane", "outliers", "points of other objects"
-CLUTTER_RULES = (_PLANE, _OUTLIERS, _OBJECTS)
+EXTRA_PART = "points of a part that only this shape has"
+"""The rule of the finding that says what has no counterpart on the other shape."""
+CLUTTER_RULES = (_PLANE, _OUTLIERS, _OBJECTS, EXTRA_PART)
 """The rules of the findings that say what was set apart."""
 MASKED = "points outside the mask"
 """The rule of the finding that says what a user left out."""

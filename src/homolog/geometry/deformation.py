@@ -59,24 +59,38 @@ class RestShape:
     Masses add up to one, so that lengths are shares of the shape's unit.
 
     Args:
-        shape: a repaired mesh or cloud.
+        points: positions (n, 3).
+        laplacian: its positive semi-definite Laplacian (n, n).
+        mass: of each point (n,).
+        rotation_smoothing: radius over which rotations are averaged, in spacings of the points.
+        scale_smoothing: radius over which scales are averaged.
     """
 
-    def __init__(self, shape: Shape) -> None:
-        self.count = shape.n_points
-        laplacian, mass = (
-            cloud_laplacian(shape.points) if shape.faces is None else mesh_laplacian(shape.points, shape.faces)
-        )
+    def __init__(
+        self,
+        points: Float[np.ndarray, "n 3"],
+        laplacian: sparse.sparray,
+        mass: Float[np.ndarray, " n"],
+        *,
+        rotation_smoothing: float = _ROTATION_SMOOTHING,
+        scale_smoothing: float = _SCALE_SMOOTHING,
+    ) -> None:
+        self.count = len(points)
         self.mass = mass / mass.sum()
         edges = sparse.coo_array(sparse.triu(-laplacian, 1))
         positive = edges.data > 0
         self.ends, self.strengths = np.stack([edges.row, edges.col])[:, positive], edges.data[positive]
-        self.rest = shape.points[self.ends[0]] - shape.points[self.ends[1]]
+        self.rest = points[self.ends[0]] - points[self.ends[1]]
         self.around = _incidence(self.ends, self.count, sign=1.0) @ sparse.diags_array(self.strengths)
         self.differences = _incidence(self.ends, self.count, sign=-1.0)
         self.stiffness_matrix = self.differences @ sparse.diags_array(self.strengths) @ self.differences.T
-        self.rotation_smoother = self._smoother(_ROTATION_SMOOTHING)
-        self.scale_smoother = self._smoother(_SCALE_SMOOTHING)
+        self.rotation_smoother = self._smoother(rotation_smoothing)
+        self.scale_smoother = self._smoother(scale_smoothing)
+
+    @classmethod
+    def of(cls, shape: Shape) -> RestShape:
+        """A repaired mesh or cloud at rest."""
+        return RestShape(shape.points, *_laplacian(shape))
 
     def local_similarities(
         self, positions: Float[np.ndarray, "n 3"], known: Bool[np.ndarray, " e"], overall: float
@@ -98,11 +112,20 @@ class RestShape:
             scales = self.scale_smoother.solve(sizes) / (overall * self.scale_smoother.solve(rest_sizes))
         return rotations, np.asarray(overall * np.nan_to_num(scales, nan=1.0).clip(*_SCALES))
 
-    def _length(self, spacings: float) -> float:
+    def edge_forces(
+        self, rotations: Float[np.ndarray, "n 3 3"], scales: Float[np.ndarray, " n"]
+    ) -> Float[np.ndarray, "n 3"]:
+        """The right-hand side of the ARAP step: rest edges, rotated and scaled as the patches around their ends are."""
+        of_edges = (rotations * scales[:, None, None])[self.ends].mean(axis=0)
+        forces = self.strengths[:, None] * np.einsum("ekl,el->ek", of_edges, self.rest)
+        return np.asarray(self.differences @ forces)
+
+    def length(self, spacings: float) -> float:
+        """So many spacings of the points, as a share of the shape's unit."""
         return spacings / float(np.sqrt(self.count))
 
-    def _smoother(self, spacings: float) -> _Factors:
-        return _Factors(sparse.diags_array(self.mass) + self._length(spacings) ** 2 * self.stiffness_matrix)
+    def _smoother(self, spacings: float) -> Factors:
+        return Factors(sparse.diags_array(self.mass) + self.length(spacings) ** 2 * self.stiffness_matrix)
 
 
 class DeformedTemplate(RestShape):
@@ -118,7 +141,7 @@ class DeformedTemplate(RestShape):
     def __init__(
         self, source: SurfaceProjector, target: SurfaceProjector, pairs: WeightedPairs, *, stiffness: float = _STIFFNESS
     ) -> None:
-        super().__init__(source.shape)
+        super().__init__(source.shape.points, *_laplacian(source.shape))
         self.source, self.target, self.pairs, self.stiffness = source, target, pairs, stiffness
 
     def solve(self) -> tuple[int, Float[np.ndarray, "n 3"]]:
@@ -133,8 +156,12 @@ class DeformedTemplate(RestShape):
         positions = pulled / np.where(pull > 0, pull, 1.0)[:, None]
         known = (pull > 0)[self.ends].all(axis=0)
         for number in range(_ROUNDS):
-            stiffness = self._length(self.stiffness) ** 2
-            bent = stiffness * self._edge_forces(positions, known if number == 0 else np.ones_like(known))
+            stiffness = self.length(self.stiffness) ** 2
+            # Without any edge between paired points the shapes' own sizes give the global scale.
+            bends = self.local_similarities(
+                positions, known if number == 0 else np.ones_like(known), self.target.unit / self.source.unit
+            )
+            bent = stiffness * self.edge_forces(*bends)
             total, right = pull + _HOLD * self.mass, pulled + bent
             if number >= _FREE_ROUNDS:
                 orientation = orientation or self._orientation(positions)
@@ -142,7 +169,7 @@ class DeformedTemplate(RestShape):
                 below = self.target.positions(self.target.project(positions, normals))
                 surface_pull = _SURFACE_PULL * self.mass * self.paired
                 total, right = total + surface_pull, right + surface_pull[:, None] * below
-            positions = _Factors(sparse.diags_array(total) + stiffness * self.stiffness_matrix).solve(right)
+            positions = Factors(sparse.diags_array(total) + stiffness * self.stiffness_matrix).solve(right)
             # Geman and McClure's robust weights: pairs far from the deformed template count less.
             away = np.linalg.norm(self.pairs.positions - positions[self.pairs.points], axis=1)
             far = max(_FAR * float(np.median(away)), self.target.spacing)
@@ -161,14 +188,6 @@ class DeformedTemplate(RestShape):
         columns = [np.bincount(self.pairs.points, weights * axis, self.count) for axis in self.pairs.positions.T]
         return np.bincount(self.pairs.points, weights, self.count), np.stack(columns, axis=1)
 
-    def _edge_forces(self, positions: Float[np.ndarray, "n 3"], known: Bool[np.ndarray, " e"]) -> np.ndarray:
-        """The right-hand side of the ARAP step: rest edges, rotated and scaled as the patches around their ends are."""
-        # Without any edge between paired points the shapes' own sizes give the global scale.
-        rotations, scales = self.local_similarities(positions, known, self.target.unit / self.source.unit)
-        of_edges = (rotations * scales[:, None, None])[self.ends].mean(axis=0)
-        forces = self.strengths[:, None] * np.einsum("ekl,el->ek", of_edges, self.rest)
-        return np.asarray(self.differences @ forces)
-
     def _orientation(self, positions: Float[np.ndarray, "n 3"]) -> int:
         """1 or -1 if most normals of template and target agree or disagree; 0 if neither, and for clouds."""
         if self.source.surface is None or self.target.surface is None:
@@ -184,6 +203,11 @@ class DeformedTemplate(RestShape):
         return Surface(positions, self.source.surface.faces).vertex_normals
 
 
+def _laplacian(shape: Shape) -> tuple[sparse.sparray, Float[np.ndarray, " n"]]:
+    """The Laplacian and the masses of a mesh or cloud."""
+    return cloud_laplacian(shape.points) if shape.faces is None else mesh_laplacian(shape.points, shape.faces)
+
+
 def _incidence(ends: Int[np.ndarray, "2 e"], count: int, *, sign: float) -> sparse.csr_array:
     """The incidence matrix of edges (n, e): 1 where an edge begins, ``sign`` where it ends."""
     edges = np.arange(ends.shape[1])
@@ -191,7 +215,7 @@ def _incidence(ends: Int[np.ndarray, "2 e"], count: int, *, sign: float) -> spar
     return sparse.csr_array((entries, (ends.ravel(), np.concatenate([edges, edges]))), shape=(count, len(edges)))
 
 
-class _Factors:
+class Factors:
     """A sparse LU factorisation of a symmetric positive definite matrix."""
 
     def __init__(self, matrix: sparse.sparray) -> None:

@@ -176,6 +176,12 @@ class Operators:
         away = (self.centre - centre.to(self.centre)) / self.scale
         return replace(self, points=self.points + away.to(self.points), centre=centre.to(self.centre))
 
+    def sparse_laplacian(self) -> sparse.csr_array:
+        """The Laplacian in SciPy's form and double precision (n, n)."""
+        own = self.laplacian.cpu()
+        entries = own.values().double().numpy(), own.col_indices().numpy(), own.crow_indices().numpy()
+        return sparse.csr_array(entries, shape=(self.n_points, self.n_points))  # the last point may have no entry
+
     @property
     def n_pieces(self) -> int:
         """Number of connected components: of eigenvalues that are zero, as far as there are eigenpairs."""

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from annotated_types import Gt, Le
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csc_matrix, diags
+from scipy.sparse import diags_array
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 from torch import Tensor
@@ -202,10 +202,5 @@ def coverage_density(
     own = full.mass.double().cpu().numpy()
     pushed = np.bincount(partial_to_full.cpu().numpy(), weights=mass.double().cpu().numpy(), minlength=len(own))
     width = settings.smoothing * np.sqrt(own.sum() / len(own))
-    laplacian = full.laplacian.cpu()
-    sparse = csc_matrix(
-        (laplacian.values().double().numpy(), laplacian.col_indices().numpy(), laplacian.crow_indices().numpy()),
-        shape=laplacian.shape,  # the last point may have no entry
-    )
-    heat = splu((diags(own) + width**2 * sparse).tocsc(), permc_spec="MMD_AT_PLUS_A")
+    heat = splu((diags_array(own) + width**2 * full.sparse_laplacian()).tocsc(), permc_spec="MMD_AT_PLUS_A")
     return torch.from_numpy(heat.solve(pushed)).to(full.mass)

@@ -11,6 +11,7 @@ from homolog.matching.alternatives import (
 )
 from homolog.matching.choice import features_of_weights, needs_features
 from homolog.matching.colours import matched_colours, position_colours
+from homolog.matching.extra_parts import extra_part_warnings, without_extra_parts
 from homolog.matching.feature_choice import FeatureChoice
 from homolog.matching.guidance import guided, meet_landmarks
 from homolog.matching.in_one_call import match
@@ -54,6 +55,7 @@ __all__ = [
     "checked_maps",
     "degrees_between",
     "exchanges_sides",
+    "extra_part_warnings",
     "features_of_weights",
     "given_files",
     "guided",
@@ -74,5 +76,6 @@ __all__ = [
     "refine",
     "unit_warnings",
     "with_inputs",
+    "without_extra_parts",
     "write_folder",
 ]

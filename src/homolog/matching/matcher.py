@@ -21,6 +21,7 @@ from homolog.core.progress import Timings
 from homolog.features import FeatureExtractor, FeatureInfo
 from homolog.geometry import compute_operators
 from homolog.matching.choice import features_of_weights
+from homolog.matching.extra_parts import without_extra_parts
 from homolog.matching.feature_choice import FeatureChoice
 from homolog.matching.guidance import guided, meet_landmarks
 from homolog.matching.inputs import options_of, read_inputs, with_inputs
@@ -214,8 +215,8 @@ class Matcher:
         """Match a pair, without any check of the result."""
         check_kind("pair", pair, Pair)
         pair = guided(align_parts(orient(pair)))
-        maps = pair.maps or refine(pair, method_maps(pair))
-        return Match.of(pair, meet_landmarks(pair, maps))
+        maps = meet_landmarks(pair, pair.maps or refine(pair, method_maps(pair)))
+        return without_extra_parts(pair, maps, self.preprocess)
 
     def _checked(self, pair: Pair, units: tuple[str, ...]) -> Match:
         """A match with all that there is to warn of."""

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from homolog.core.errors import HomologError, ShapeError
+from homolog.matching.extra_parts import extra_part_warnings
 from homolog.matching.guidance import guidance_warnings
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.result import Match
@@ -85,6 +86,7 @@ def match_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
         match: of the two.
     """
     checks = (*guidance_warnings(pair), *part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
+    checks = (*checks, *extra_part_warnings(match))
     return (*checks, *low_confidence_warnings(match, pair.settings.warnings, pair=pair))
 
 

@@ -31,8 +31,8 @@ class PairOptions(Settings):
         orient: ``"auto"`` finds which way round the shapes are, ``"given"`` trusts their coordinates.
         mirror: which of the two is a mirror image of what it should be, if one is, and is reflected first. ``"auto"``
             reflects the source where both are found to be mirror images of each other, full shapes in one pose.
-        clutter: ``"remove"`` sets outliers, planes in the background and other objects apart, and their points get -1;
-            ``"keep"`` takes them for parts of the shapes.
+        clutter: ``"remove"`` sets apart outliers, planes in the background, other objects, and parts that only one of
+            two full shapes has; their points get -1. ``"keep"`` takes them for parts of the shapes.
         proxy: ``"auto"`` matches one closed surface around a mesh in its place where the mesh is in loose shells; see
             ``ProxySettings``. ``"always"`` does so for all meshes, ``"never"`` for none.
         strict: fail if a shape needs repair or a warning would be issued.

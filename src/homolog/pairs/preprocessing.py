@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import ArrayLike
 from torch import Tensor
 
@@ -337,6 +337,25 @@ class Preprocessor:
         as_given = (each for each in found if each.misfit < likely and torch.equal(each.rotation, torch.eye(3)))
         given = next(as_given, None)
         return tuple(found) if given is None else (given,)
+
+    @torch.no_grad()
+    def without(self, shape: PreprocessedShape, left: Bool[np.ndarray, " n"], finding: Finding) -> PreprocessedShape:
+        """A shape with some of its clean points alone, turned as it is, at its own scale.
+
+        Args:
+            shape: without a proxy.
+            left: which of its clean points stay (n,).
+            finding: what to say of the others.
+
+        Raises:
+            ShapeError: if what stays is no shape.
+        """
+        repaired = restricted(shape.repaired, left, [finding])
+        mass = shape.operators.mass.double().cpu().numpy()
+        scale = shape.operators.scale * float(np.sqrt(mass[left].sum() / mass.sum()))
+        operators = self.operators(repaired.shape, scale=scale).turned(shape.rotation)
+        found = self.features(operators, shape=shape.name)
+        return replace(shape, repaired=repaired, operators=operators, features=found, channels=None)
 
     @torch.no_grad()
     def features(self, operators: Operators, *, shape: str = "") -> Float[Tensor, "n d"] | None:

@@ -95,7 +95,7 @@ class DeformationTransfer:
     @cached_property
     def _similarities(self) -> tuple[Float[np.ndarray, "n 3 3"], Float[np.ndarray, " n"]]:
         """How the surroundings of each vertex are turned and scaled from the target to the source."""
-        rest = RestShape(self.map.source.shape)
+        rest = RestShape.of(self.map.source.shape)
         positions = np.nan_to_num(self.map.positions[self._kept])
         return rest.local_similarities(
             positions, self._known[rest.ends].all(axis=0), self.map.target.unit / self.map.source.unit
