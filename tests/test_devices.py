@@ -78,6 +78,8 @@ FUNCTIONS = [
 ]
 # These take operators, see below; surfaces, which are numpy, or their points; transforms; lists; or are no functions.
 OTHERS = {
+    "coarse_fit",
+    "surface_handedness",
     "closest_point_rotations",
     "composed",
     "registered_surfaces",

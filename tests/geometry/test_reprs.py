@@ -40,6 +40,8 @@ def objects(make) -> dict[type, Any]:
         maps.sinkhorn_matches(features, features),
         maps.RefinementSettings(),
         maps.ConfidenceSettings(),
+        maps.CoarseFit(0.5, 1.0),
+        maps.CoarseMapSettings(),
         maps.RegistrationSettings(),
         maps.RegistrationStart(maps.Similarity(torch.eye(3), 2.0, torch.zeros(3))),
         maps.SampledSurface(torch.zeros(300, 3), torch.ones(300)),

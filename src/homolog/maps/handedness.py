@@ -81,15 +81,19 @@ def surface_handedness(x: Basis, y: Basis, x_to_y: Int[Tensor, " n_x"]) -> Float
         True
     """
     carried = slice(1, _CARRIED)  # the first is constant
-    weight = x.mass.sqrt()[:, None]
-    vectors, gradients = x.eigenvectors[:, :_SMOOTHING], x.gradients[:, :, :_SMOOTHING]
-    coefficients = torch.linalg.lstsq(weight * vectors, weight * y.eigenvectors[x_to_y, carried]).solution
+    vectors, gradients, least = (
+        x.eigenvectors[:, :_SMOOTHING],
+        x.gradients[:, :, :_SMOOTHING],
+        torch.finfo(x.mass.dtype).tiny,
+    )
+    weighted = vectors.mT * x.mass
+    coefficients = torch.linalg.solve(weighted @ vectors, weighted @ y.eigenvectors[x_to_y, carried])
     # Each function counts alike, though gradients of higher ones are larger.
-    there = y.gradients[x_to_y][:, :, carried] / y.eigenvalues[carried].clamp(min=torch.finfo(weight.dtype).tiny)
+    there = y.gradients[x_to_y][:, :, carried] / y.eigenvalues[carried].clamp(min=least)
     across = torch.linalg.det(gradients @ coefficients @ there.mT)
     own = torch.linalg.det(y.gradients[x_to_y][:, :, carried] @ there.mT)
     signed = across.sign() * across.abs().sqrt()
-    found: Tensor = (x.mass @ signed) / (x.mass @ own.abs().sqrt()).clamp(min=torch.finfo(weight.dtype).tiny)
+    found: Tensor = (x.mass @ signed) / (x.mass @ own.abs().sqrt()).clamp(min=least)
     return found
 
 

@@ -113,9 +113,12 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
     settings = pair.settings.orientation
     if not _has_orientations(pair):
         samples = Samples.of(pair)
-        ranked = _turned_further(samples, samples.ranked([*_of_rigid_bodies(samples, settings), *_of_landmarks(pair)]))
+        ranked = samples.ranked([*_of_rigid_bodies(samples, settings), *_of_landmarks(pair)])
+        ranked = _turned_further(samples, ranked) if samples.refined else ranked
         ranked = _small_turn_left(samples, ranked) if pair.method.supports.small_turns else ranked
-        return _given_first(ranked, settings.turned_margin if samples.refined else settings.margin)
+        given = next(found for found in ranked if found.is_as_given)
+        is_doubted = samples.refined and not given.is_like(ranked[0])
+        return _given_first(ranked, settings.turned_margin if is_doubted else settings.margin)
     both = pair.source.orientations, pair.target.orientations
     # What landmarks say of a way round is worth more than what the orienter does.
     likely = _of_orienter(*both, settings, settings.orienter_margin if pair.guidance is None else math.inf)
@@ -259,8 +262,9 @@ class Samples:
         known = [None, None] if pair.guidance is None else [pair.guidance.x, pair.guidance.y]
         shapes = zip((pair.source, pair.target), known, strict=True)
         x, y = (draw(shape, settings.samples, seed, at) for seed, (shape, at) in enumerate(shapes))
-        misfit = settings.upright if _has_orientations(pair) else settings.turned
         refined = pair.near_isometric and pair.method.supports.refinement
+        without = settings.turned if refined else settings.rigid
+        misfit = settings.upright if _has_orientations(pair) else without
         n_landmarks = 0 if pair.guidance is None else len(pair.guidance)
         guidance = pair.settings.guidance.orientation
         return cls(x, y, pair.extractor, refined, pair.have_outsides, settings, misfit, n_landmarks, guidance)

@@ -26,6 +26,8 @@ from homolog.pairs import AxiomaticSettings, Pair, PointMaps
 
 # What a signature's channel must vary by, as a share of its size, to be of unit norm.
 _LEAST_VARIATION = 1e-4
+# What the coarse map by features must fit better by, to be taken.
+_CLEARLY = 0.05
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,8 @@ def _point_maps(pair: Pair) -> PointMaps:
         return by_functional_map
     unit = x.unit_features(), y.unit_features()
     by_features = PointMaps(most_similar(*unit).index, most_similar(*reversed(unit)).index)
-    return min((by_functional_map, by_features), key=lambda maps: _coarse_misfit(pair, maps))
+    gain = _coarse_misfit(pair, by_functional_map) - _coarse_misfit(pair, by_features)
+    return by_features if gain > _CLEARLY else by_functional_map
 
 
 def _coarse_misfit(pair: Pair, maps: PointMaps) -> float:

@@ -283,8 +283,9 @@ class OrientationSettings(Settings):
         hypotheses: how many rotations get one.
         map_eigenpairs: eigenfunctions that coarse maps are refined with.
         refinement: of coarse maps: few rounds, as they are to be told apart and no more.
-        turned: misfit of coarse maps where the source is turned to the target as a rigid body: a person's front then
-            fits his back, and what the map does to the surface decides.
+        turned: misfit of coarse maps by features where the source is turned to the target as a rigid body: a person's
+            front then fits his back, and what the map does to the surface decides.
+        rigid: the same of maps by closest points.
         upright: the same between ways in which an orienter may see a shape.
         doubtful_handedness: where the best map's is below, the shape that the orienter knows less well is also tried
             turned by a quarter about each axis. Right maps of people have 0.65 to 1, of noisy clouds 0.2 to 0.9.
@@ -294,8 +295,8 @@ class OrientationSettings(Settings):
         orienter_margin: what the orienter finds worse by more than this is not looked at any further.
         margin: what is better by less than this is not told apart: the given way round is then kept, and the pair is
             said to be ambiguous.
-        turned_margin: without an orienter, the given way round is kept where another is better by less than this, if
-            maps are near-isometric: upright people look alike from both sides to closest points.
+        turned_margin: the same without an orienter, where maps are by features: people look alike from both sides to
+            the closest points that hypotheses come from.
         given_margin: the way in which a shape is given is taken where the orienter finds another better by less than
             this: files are right more often than not.
         least_degrees: a shape that the orienter would turn by less stays as it is given.
@@ -308,6 +309,9 @@ class OrientationSettings(Settings):
     map_eigenpairs: Count = 50
     refinement: RefinementSettings = field(default_factory=lambda: RefinementSettings(k_init=15, k_step=12))
     turned: CoarseMapSettings = field(default_factory=CoarseMapSettings)
+    rigid: CoarseMapSettings = field(
+        default_factory=lambda: CoarseMapSettings(cycle=1.0, handedness=0.1, radius=0.25, surface_handedness=0.0)
+    )
     upright: CoarseMapSettings = field(
         default_factory=lambda: CoarseMapSettings(cycle=1.0, handedness=0.3, radius=0.25, surface_handedness=0.0)
     )
