@@ -351,7 +351,7 @@ def test_columns_of_baselines(data, output):
     assert (found["axiomatic"]["training"], found["axiomatic"]["made_by"]) == (None, "no weights")
     assert found["axiomatic"]["command"].endswith("--method axiomatic")
     table = (output / "compared" / "table.md").read_text()
-    assert "\nWeights: trained.\n\n|  | the paper | ours | axiomatic | losses of unsupervised DPFM |\n" in table
+    assert "\nWeights: trained.\n\n|  | ours | axiomatic | losses of unsupervised DPFM |\n" in table
     assert sorted(folder.name.rpartition("-")[0] for folder in (output / "runs").iterdir()) == ["small", "small_dpfm"]
     weights = str(next((output / "runs").glob("small-*")) / "weights.safetensors")
     done = reproduce("compared", data, output, ReproductionSettings(weights=weights))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -60,11 +60,11 @@ def table_of(experiment: Experiment, cells: _Cells) -> str:
     return "\n".join([*lines, figure_table(experiment.rows, cells), "", *_makers(cells)])
 
 
-def figure_table(rows: Iterable[Row], cells: _Cells) -> str:
+def figure_table(rows: Sequence[Row], cells: _Cells) -> str:
     """The figures of some rows beside the paper's, in Markdown.
 
     Args:
-        rows: of the table.
+        rows: of the table; without the paper's figures if none has one.
         cells: by row, column and origin of weights; where all weights are of one origin, a line says so, and otherwise
             each column.
     """
@@ -73,10 +73,12 @@ def figure_table(rows: Iterable[Row], cells: _Cells) -> str:
     columns = [key for key in product(COLUMNS, origins) if any(cell[1:] == key for cell in cells)]
     heads = [COLUMNS[column].title + (f", {origin}" if len(weights) > 1 else "") for column, origin in columns]
     lines = [f"Weights: {weights[0]}.", ""] if len(weights) == 1 else []
-    lines += [_line(["", "the paper", *heads]), _line(["---"] * (len(heads) + 2))]
+    told = ["the paper"] if any(row.paper is not None for row in rows) else []
+    lines += [_line(["", *told, *heads]), _line(["---"] * (1 + len(told) + len(heads)))]
     for row in rows:
+        paper = ["" if row.paper is None else f"{row.paper:.1f}" for _ in told]
         found = [cells.get((row.name, *column)) for column in columns]
-        lines.append(_line([row.name, "" if row.paper is None else f"{row.paper:.1f}", *map(_shown, found)]))
+        lines.append(_line([row.name, *paper, *map(_shown, found)]))
     return "\n".join(lines)
 
 
