@@ -114,11 +114,11 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
     if not _has_orientations(pair):
         samples = Samples.of(pair)
         ranked = samples.ranked([*_of_rigid_bodies(samples, settings), *_of_landmarks(pair)])
-        ranked = _turned_further(samples, ranked) if samples.refined else ranked
-        ranked = _small_turn_left(samples, ranked) if pair.method.supports.small_turns else ranked
         given = next(found for found in ranked if found.is_as_given)
-        is_doubted = samples.refined and not given.is_like(ranked[0])
-        return _given_first(ranked, settings.turned_margin if is_doubted else settings.margin)
+        if samples.refined and samples.extractor is not None and not given.is_like(ranked[0]):
+            return _given_first(_turned_further(samples, ranked), settings.turned_margin)
+        ranked = _small_turn_left(samples, ranked) if pair.method.supports.small_turns else ranked
+        return _given_first(ranked, settings.margin)
     both = pair.source.orientations, pair.target.orientations
     # What landmarks say of a way round is worth more than what the orienter does.
     likely = _of_orienter(*both, settings, settings.orienter_margin if pair.guidance is None else math.inf)
@@ -263,7 +263,7 @@ class Samples:
         shapes = zip((pair.source, pair.target), known, strict=True)
         x, y = (draw(shape, settings.samples, seed, at) for seed, (shape, at) in enumerate(shapes))
         refined = pair.near_isometric and pair.method.supports.refinement
-        without = settings.turned if refined else settings.rigid
+        without = settings.turned if refined and pair.extractor is not None else settings.rigid
         misfit = settings.upright if _has_orientations(pair) else without
         n_landmarks = 0 if pair.guidance is None else len(pair.guidance)
         guidance = pair.settings.guidance.orientation
