@@ -11,6 +11,7 @@ from homolog.geometry import Basis
 
 # Functions of y are carried to x, and smoothed there by twice as many eigenfunctions.
 _CARRIED, _SMOOTHING = 15, 30
+_RIDGE, _LEAST_EIGENVALUE = 1e-5, 1e-2
 
 
 @takes_arrays
@@ -87,9 +88,11 @@ def surface_handedness(x: Basis, y: Basis, x_to_y: Int[Tensor, " n_x"]) -> Float
         torch.finfo(x.mass.dtype).tiny,
     )
     weighted = vectors.mT * x.mass
-    coefficients = torch.linalg.solve(weighted @ vectors, weighted @ y.eigenvectors[x_to_y, carried])
-    # Each function counts alike, though gradients of higher ones are larger.
-    there = y.gradients[x_to_y][:, :, carried] / y.eigenvalues[carried].clamp(min=least)
+    # Few samples tell few functions apart.
+    normal = weighted @ vectors + _RIDGE * torch.eye(vectors.shape[1]).to(vectors)
+    coefficients = torch.linalg.solve(normal, weighted @ y.eigenvectors[x_to_y, carried])
+    # Each function counts alike, though gradients of higher ones are larger; those of pieces have none.
+    there = y.gradients[x_to_y][:, :, carried] / y.eigenvalues[carried].clamp(min=_LEAST_EIGENVALUE)
     across = torch.linalg.det(gradients @ coefficients @ there.mT)
     own = torch.linalg.det(y.gradients[x_to_y][:, :, carried] @ there.mT)
     signed = across.sign() * across.abs().sqrt()
