@@ -27,7 +27,7 @@ from homolog.pairs import AxiomaticSettings, Pair, PointMaps
 # What a signature's channel must vary by, as a share of its size, to be of unit norm.
 _LEAST_VARIATION = 1e-4
 # What the coarse map by features must fit better by, to be taken.
-_CLEARLY = 0.05
+_CLEARLY = 0.15
 
 
 @dataclass(frozen=True)
