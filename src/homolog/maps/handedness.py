@@ -82,21 +82,18 @@ def surface_handedness(x: Basis, y: Basis, x_to_y: Int[Tensor, " n_x"]) -> Float
         True
     """
     carried = slice(1, _CARRIED)  # the first is constant
-    vectors, gradients, least = (
-        x.eigenvectors[:, :_SMOOTHING],
-        x.gradients[:, :, :_SMOOTHING],
-        torch.finfo(x.mass.dtype).tiny,
-    )
+    vectors, gradients = x.eigenvectors[:, :_SMOOTHING], x.gradients[:, :, :_SMOOTHING]
     weighted = vectors.mT * x.mass
     # Few samples tell few functions apart.
     normal = weighted @ vectors + _RIDGE * torch.eye(vectors.shape[1]).to(vectors)
     coefficients = torch.linalg.solve(normal, weighted @ y.eigenvectors[x_to_y, carried])
+    there = y.gradients[:, :, carried][x_to_y]
     # Each function counts alike, though gradients of higher ones are larger; those of pieces have none.
-    there = y.gradients[x_to_y][:, :, carried] / y.eigenvalues[carried].clamp(min=_LEAST_EIGENVALUE)
-    across = torch.linalg.det(gradients @ coefficients @ there.mT)
-    own = torch.linalg.det(y.gradients[x_to_y][:, :, carried] @ there.mT)
+    levelled = there / y.eigenvalues[carried].clamp(min=_LEAST_EIGENVALUE)
+    across = torch.linalg.det(gradients @ coefficients @ levelled.mT)
+    own = torch.linalg.det(there @ levelled.mT)
     signed = across.sign() * across.abs().sqrt()
-    found: Tensor = (x.mass @ signed) / (x.mass @ own.abs().sqrt()).clamp(min=least)
+    found: Tensor = (x.mass @ signed) / (x.mass @ own.abs().sqrt()).clamp(min=torch.finfo(x.mass.dtype).tiny)
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -77,12 +78,12 @@ def _point_maps(pair: Pair) -> PointMaps:
         return by_functional_map
     unit = x.unit_features(), y.unit_features()
     by_features = PointMaps(most_similar(*unit).index, most_similar(*reversed(unit)).index)
-    gain = _coarse_misfit(pair, by_functional_map) - _coarse_misfit(pair, by_features)
-    return by_features if gain > _CLEARLY else by_functional_map
+    first, other = _coarse_misfits(pair, (by_functional_map, by_features))
+    return by_features if first - other > _CLEARLY else by_functional_map
 
 
-def _coarse_misfit(pair: Pair, maps: PointMaps) -> float:
-    """What speaks against point maps, refined among samples of both shapes.
+def _coarse_misfits(pair: Pair, candidates: Iterable[PointMaps]) -> Iterator[float]:
+    """What speaks against point maps, each refined among the same samples of both shapes.
 
     Signatures of near-isometric shapes agree, and a functional map evens their errors out. Those of two species do not,
     and mislead it: there counterparts by features, which are mostly positions, are better.
@@ -93,10 +94,11 @@ def _coarse_misfit(pair: Pair, maps: PointMaps) -> float:
     x, y = (one.basis.sampled(some.to(one.points.device)) for one, some in zip(operators, kept, strict=True))
     unit = pair.x.unit_features()[kept[0]], pair.y.unit_features()[kept[1]]
     phi_x, phi_y = (basis.eigenvectors[:, : settings.map_eigenpairs].contiguous() for basis in (x, y))
-    y_to_x = nearest_neighbour(operators[0].points[maps.y_to_x[kept[1]]], x.points).index
-    x_to_y = nearest_neighbour(operators[1].points[maps.x_to_y[kept[0]]], y.points).index
-    y_to_x, x_to_y = zoomout(y_to_x, x_to_y, phi_x, phi_y, *unit, settings=settings.refinement)
-    return coarse_fit(x, y, x_to_y, y_to_x, have_outsides=pair.have_outsides, settings=settings.turned).misfit
+    for maps in candidates:
+        y_to_x = nearest_neighbour(operators[0].points[maps.y_to_x[kept[1]]], x.points).index
+        x_to_y = nearest_neighbour(operators[1].points[maps.x_to_y[kept[0]]], y.points).index
+        y_to_x, x_to_y = zoomout(y_to_x, x_to_y, phi_x, phi_y, *unit, settings=settings.refinement)
+        yield coarse_fit(x, y, x_to_y, y_to_x, have_outsides=pair.have_outsides, settings=settings.turned).misfit
 
 
 def _why_undetermined(*both: Operators) -> str:
