@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 import homolog
 from homolog.core.errors import ArgumentError
 from homolog.features import FeatureInfo, Orientation
-from homolog.maps import rotation_angle
 from homolog.matching import Matcher, map_misfit, search
 from homolog.matching.search import orient
 from homolog.methods import registration
@@ -185,7 +184,6 @@ def test_shapes_that_are_trusted_to_stand_alike_are_not_looked_at(copies):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize(("shapes", "wanted"), [("copies", ["registration"]), ("bent", ["axiomatic", "registration"])])
 def test_what_the_choice_found_of_a_pair_is_not_looked_for_again(shapes, wanted, request, monkeypatch):
     """The way round and the start of a registration, and maps that were tried; the match is that without a choice."""
@@ -203,7 +201,7 @@ def test_what_the_choice_found_of_a_pair_is_not_looked_for_again(shapes, wanted,
     counted(registration, "registration_start")
     counted(registration, "registered_surfaces")
     counted(search, "closest_point_rotations")
-    matcher = Matcher([Positions("usual", 0.5), Positions("others", 0.6)])
+    matcher = Matcher([Positions(name, misfit, n_eigenpairs=128) for name, misfit in (("usual", 0.5), ("others", 0.6))])
     pair = matcher.pair(given.source, given.target)[0]
     before = dict(calls)
     match = matcher.match_pair(pair)
@@ -211,18 +209,11 @@ def test_what_the_choice_found_of_a_pair_is_not_looked_for_again(shapes, wanted,
     again = Counter(calls) - Counter(before)
     assert again == ({"registered_surfaces": 1} if shapes == "copies" else {})
     plain = Matcher(None, settings=MatcherSettings(method=pair.method.name)).match(given.source, given.target)
+    assert np.array_equal(match.source_to_target, plain.source_to_target)
+    assert np.array_equal(match.target_to_source, plain.target_to_source)
+    assert match.report["orientation"] == plain.report["orientation"]
     if shapes == "copies":
-        assert np.array_equal(match.source_to_target, plain.source_to_target)
-        assert np.array_equal(match.target_to_source, plain.target_to_source)
-        assert match.report["orientation"] == plain.report["orientation"]
         return
-    # Shapes that were turned and turned back differ in their last digits, and samples of them have other counterparts.
-    turns = [torch.tensor(found.report["orientation"]["source"]["rotation"]) for found in (match, plain)]
-    assert rotation_angle(turns[0] @ turns[1].T) < 5
-    away = np.linalg.norm(
-        given.target.points[match.source_to_target] - given.target.points[plain.source_to_target], axis=1
-    )
-    assert away.mean() < 0.03 * np.ptp(given.target.points)
     others = matcher.alternatives(pair, 2)
     assert np.array_equal(others[0].target_to_source, match.target_to_source)
     assert others[0].report["choice"] == match.report["choice"]
