@@ -201,6 +201,7 @@ def test_what_the_choice_found_of_a_pair_is_not_looked_for_again(shapes, wanted,
     counted(registration, "registration_start")
     counted(registration, "registered_surfaces")
     counted(search, "closest_point_rotations")
+    # With the operators that methods without features use alone.
     matcher = Matcher([Positions(name, misfit, n_eigenpairs=128) for name, misfit in (("usual", 0.5), ("others", 0.6))])
     pair = matcher.pair(given.source, given.target)[0]
     before = dict(calls)
