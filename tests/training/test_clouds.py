@@ -105,3 +105,30 @@ def test_seeds(make):
         first, again, other = (make_cloud(blob, variant, seed=seed).shape.points for seed in (0, 0, 1))
         assert np.array_equal(first, again)
         assert not np.array_equal(first, other)
+
+
+def test_parts_may_be_learned_as_meshes_too(make):
+    """With the triangles that are left, of larger holes; what a camera sees stays a cloud."""
+    settings = CloudSettings(cut=(0.4,), holes=(5,), views=(0.0,), hole_radius=(0.2, 0.3), part_meshes=True)
+    found = [(each.kind, each.is_mesh) for each in cloud_variants(settings)]
+    assert found == [
+        ("clean", False),
+        ("cut", False),
+        ("holes", False),
+        ("views", False),
+        ("cut", True),
+        ("holes", True),
+    ]
+    blob = make.blob(3)
+    cloud, mesh = (make_cloud(blob, variant, seed=1) for variant in cloud_variants(settings) if variant.kind == "holes")
+    origin = mesh.weights.argmax(axis=1)
+    assert cloud.shape.faces is None and np.array_equal(cloud.shape.points, mesh.shape.points)
+    corners = {tuple(sorted(face)) for face in blob.faces.tolist()}
+    assert all(tuple(sorted(origin[face])) in corners for face in mesh.shape.faces)
+    area = face_areas(mesh.shape.points, mesh.shape.faces).sum() / face_areas(blob.points, blob.faces).sum()
+    smaller = make_cloud(blob, CloudVariant("holes", 5, (0.02, 0.1), is_mesh=True), seed=1)
+    assert (
+        area
+        < 0.8
+        < face_areas(smaller.shape.points, smaller.shape.faces).sum() / face_areas(blob.points, blob.faces).sum()
+    )

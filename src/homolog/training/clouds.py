@@ -1,8 +1,8 @@
-"""The clouds of a mesh that the network is trained on beside it."""
+"""The clouds and parts of a mesh that the network is trained on beside it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,6 +16,8 @@ from homolog.training.settings import CloudSettings
 
 Kind = Literal["clean", "noise", "subsampled", "resampled", "cut", "holes", "views"]
 
+# What a depth camera sees of a triangle has no triangles of its own.
+_MESH_PARTS = ("cut", "holes")
 _NEED_NO_FACES = ("clean", "noise", "subsampled")
 
 
@@ -26,13 +28,17 @@ class CloudVariant:
     Args:
         kind: ``"clean"`` for the mesh's own points, or a key of a recipe's ``[clouds]``.
         amount: one of that key's values.
+        hole_radius: the least and the greatest radius of holes.
+        is_mesh: it keeps the triangles that are left.
     """
 
     kind: Kind = "clean"
     amount: float = 0.0
+    hole_radius: tuple[float, float] = CloudSettings.hole_radius
+    is_mesh: bool = False
 
     def __str__(self) -> str:
-        return f"{self.kind} {self.amount:g}"
+        return f"{self.kind} {self.amount:g}{' as a mesh' if self.is_mesh else ''}"
 
     @property
     def is_partial(self) -> bool:
@@ -42,10 +48,10 @@ class CloudVariant:
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """A cloud, and where its points lie on its mesh.
+    """A cloud, or a part with its triangles, and where its points lie on its mesh.
 
     Args:
-        shape: without faces, in the mesh's own units.
+        shape: in the mesh's own units.
         weights: barycentric weights of each cloud point at the mesh's points (n_cloud, n_mesh), or None where point i
             of the cloud comes from point i of the mesh.
     """
@@ -57,7 +63,11 @@ class Cloud:
 def cloud_variants(settings: CloudSettings) -> tuple[CloudVariant, ...]:
     """The variants that a recipe asks for; the clean one comes first."""
     kinds: tuple[Kind, ...] = ("noise", "subsampled", "resampled", "cut", "holes", "views")
-    return (CloudVariant(), *(CloudVariant(kind, amount) for kind in kinds for amount in getattr(settings, kind)))
+    variants = [
+        CloudVariant(kind, amount, settings.hole_radius) for kind in kinds for amount in getattr(settings, kind)
+    ]
+    meshes = (replace(each, is_mesh=True) for each in variants if each.kind in _MESH_PARTS and settings.part_meshes)
+    return (CloudVariant(), *variants, *meshes)
 
 
 def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
@@ -77,9 +87,10 @@ def make_cloud(mesh: Shape, variant: CloudVariant, *, seed: int) -> Cloud:
     if variant.kind == "resampled":
         return _weighted(mesh, _resampled(mesh, round(variant.amount), random))
     if variant.kind == "cut":
-        return _part(mesh, cut(mesh, removed=1 - variant.amount, seed=seed))
+        return _part(mesh, cut(mesh, removed=1 - variant.amount, seed=seed), variant)
     if variant.kind == "holes":
-        return _part(mesh, cut_holes(mesh, holes=round(variant.amount), seed=seed))
+        holed = cut_holes(mesh, holes=round(variant.amount), radius=variant.hole_radius, seed=seed)
+        return _part(mesh, holed, variant)
     if variant.kind == "views":
         # A depth camera's points lie within triangles or, with noise, before and behind them.
         seen = view(mesh, ViewSettings(noise=variant.amount), seed=seed).cloud
@@ -92,8 +103,9 @@ def _weighted(mesh: Shape, weights: sparse.csr_array) -> Cloud:
     return Cloud(Shape(weights @ mesh.points, name=mesh.name), weights)
 
 
-def _part(mesh: Shape, part: PartialShape) -> Cloud:
-    return _weighted(mesh, sparse.eye_array(mesh.n_points, format="csr")[part.full_index])
+def _part(mesh: Shape, part: PartialShape, variant: CloudVariant) -> Cloud:
+    shape = part.shape if variant.is_mesh else part.shape.as_cloud()
+    return Cloud(shape, sparse.eye_array(mesh.n_points, format="csr")[part.full_index])
 
 
 def _resampled(mesh: Shape, number: int, random: np.random.Generator) -> sparse.csr_array:

@@ -82,6 +82,8 @@ class CloudSettings(Settings):
         resampled: numbers of points drawn evenly from the surface.
         cut: shares of the surface that are left when a plane cuts the rest away.
         holes: numbers of holes cut into the surface.
+        hole_radius: the least and the greatest radius of these, along the surface, in units of sqrt(area).
+        part_meshes: give each shape that is cut or has holes as a mesh, too, with the triangles that are left.
         views: partial views by a depth camera: standard deviations of the noise of its depths, in units of sqrt(area);
             0 for none.
     """
@@ -91,6 +93,8 @@ class CloudSettings(Settings):
     resampled: tuple[Annotated[int, Ge(100)], ...] = ()
     cut: tuple[Annotated[float, Ge(0.1), Lt(1)], ...] = ()
     holes: tuple[Count, ...] = ()
+    hole_radius: tuple[Positive, Positive] = (0.03, 0.08)
+    part_meshes: bool = False
     views: tuple[NotNegative, ...] = ()
 
 
