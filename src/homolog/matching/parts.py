@@ -168,7 +168,7 @@ class _Search:
         """The pair with both parts there, moved by closest points where they are rigid, and how well they fit."""
         pair, extractor = self.pair, self.extractor
         x, y = _moved(pair.x, found.x, extractor), _moved(pair.y, found.y, extractor)
-        spacing, rigid = max(spacing_of(x), spacing_of(y)), found.one_scale
+        spacing, rigid = spacing_of(x, y), found.one_scale
         motion = motion_by_closest_points(PlacedPoints.of(x), PlacedPoints.of(y), spacing, self.settings, rigid=rigid)
         nearer = _moved(pair.y, composed(motion, found.y), extractor)
         fit = self._fit(x, nearer)
@@ -199,7 +199,7 @@ def _on_each_other(
     """Which points of either part lie on the other's surface."""
     are_meshes = x.surface is not None and y.surface is not None
     spacings = settings.overlap if are_meshes else settings.overlap_of_clouds
-    reach = spacings * max(spacing_of(x), spacing_of(y))
+    reach = spacings * spacing_of(x, y)
     return _lies_on(x, y, reach), _lies_on(y, x, reach)
 
 

@@ -171,7 +171,7 @@ def maps_by_features_and_positions(x: PreprocessedShape, y: PreprocessedShape, s
 
 def maps_by_closest_points(x: PreprocessedShape, y: PreprocessedShape) -> PointMaps:
     """Point maps between shapes that lie on each other as rigid bodies: closest points that face one way."""
-    spacing = max(spacing_of(x), spacing_of(y))
+    spacing = spacing_of(x, y)
     return _nearest(x, y, *embedded(PlacedPoints.of(x), PlacedPoints.of(y), spacing, normals=1.0))
 
 
@@ -180,9 +180,9 @@ def lies_apart(points: Float[Tensor, "n 3"], others: Iterable[Float[Tensor, "n 3
     return all((points - other).norm(dim=1).mean() > apart for other in others)
 
 
-def spacing_of(shape: PreprocessedShape) -> float:
-    """The typical distance between neighbouring points: sqrt(area / n)."""
-    return float((shape.operators.mass.sum() / shape.operators.n_points).sqrt())
+def spacing_of(*shapes: PreprocessedShape) -> float:
+    """The typical distance between neighbouring points, sqrt(area / n), of the coarsest of some shapes."""
+    return max(float((shape.operators.mass.sum() / shape.operators.n_points).sqrt()) for shape in shapes)
 
 
 def no_motion(like: Tensor) -> Similarity:

@@ -93,14 +93,17 @@ def _placed(search: AlignmentSearch) -> Pair:
 
 
 def _others(search: AlignmentSearch, best: Alignment, settings: PlacementSettings) -> Iterator[_Placement]:
-    """Other places, with maps, those first that bring most of the partial shape onto the full one."""
+    """Other places, with maps: that of a pre-aligned file, and then those that bring most of the part onto the full."""
+    given = Alignment(search.pair.y.operators.points)
+    if search.pair.options.pre_aligned and not search.any_size and best.points is not given.points:
+        yield _by_features(search, given, settings)
     if (oriented := search.oriented()) is not search:
         search, best = oriented, oriented.best()
         yield _by_features(search, best, settings)
     others = search.others(best, followed=settings.followed, apart=settings.apart)
-    moved: list[_Motion] = []
+    samples, moved = _Samples.of(search, settings), list[_Motion]()
     for alignment in (best, *others):
-        moved.append(_moved(search, alignment, settings))
+        moved.append(samples.moved(alignment))
         if moved[-1].share > settings.enough:
             break
     moved.sort(key=lambda motion: -motion.share)
@@ -110,19 +113,32 @@ def _others(search: AlignmentSearch, best: Alignment, settings: PlacementSetting
         yield _by_features(search, alignment, settings)
 
 
-def _moved(search: AlignmentSearch, found: Alignment, settings: PlacementSettings) -> _Motion:
-    """An alignment that is moved towards the full shape, on samples."""
-    parts = search.pair.settings.parts or PartsSettings()
-    x = PlacedPoints.of(search.pair.x).sampled(settings.full_samples, 0)
-    y = PartSample.of(search.pair.y, parts.samples, 1)
-    to = best_similarity(search.pair.y.points_as_given, found.points)
-    for reach in parts.reaches:
-        to = composed(motion_by_counterparts(x, y.at(to, search.extractor), reach, parts, rigid=True)[0], to)
-    spacing = spacing_of(search.pair.x) * math.sqrt(search.pair.x.operators.n_points / len(x.points))
-    there = y.at(to, search.extractor)
-    motion = motion_by_closest_points(x, there, spacing, parts, rigid=True)
-    share = float(near_one_another(x, there.moved(motion), spacing)[1].float().mean())
-    return _Motion(to, composed(motion, to), share)
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Samples of the full and the partial shape, of which the latter can be put anywhere."""
+
+    search: AlignmentSearch
+    x: PlacedPoints
+    y: PartSample
+    spacing: float
+
+    @classmethod
+    def of(cls, search: AlignmentSearch, settings: PlacementSettings) -> _Samples:
+        full, parts = search.pair.x, search.pair.settings.parts or PartsSettings()
+        x = PlacedPoints.of(full).sampled(settings.full_samples, 0)
+        spacing = spacing_of(full) * math.sqrt(full.operators.n_points / len(x.points))
+        return cls(search, x, PartSample.of(search.pair.y, parts.samples, 1), spacing)
+
+    def moved(self, found: Alignment) -> _Motion:
+        """An alignment that is moved towards the full shape."""
+        parts, extractor = self.search.pair.settings.parts or PartsSettings(), self.search.extractor
+        to = best_similarity(self.search.pair.y.points_as_given, found.points)
+        for reach in parts.reaches:
+            to = composed(motion_by_counterparts(self.x, self.y.at(to, extractor), reach, parts, rigid=True)[0], to)
+        there = self.y.at(to, extractor)
+        motion = motion_by_closest_points(self.x, there, self.spacing, parts, rigid=True)
+        share = float(near_one_another(self.x, there.moved(motion), self.spacing)[1].float().mean())
+        return _Motion(to, composed(motion, to), share)
 
 
 def _distinct(motions: list[_Motion], given: Float[Tensor, "n 3"], settings: PlacementSettings) -> list[_Motion]:
@@ -147,7 +163,7 @@ def _placements(search: AlignmentSearch, motion: _Motion, settings: PlacementSet
 def _rigid_placement(search: AlignmentSearch, motion: _Motion, settings: PlacementSettings) -> _Placement:
     """The pair with the partial shape as a rigid copy of a part of the full one, by closest points."""
     parts, near = search.pair.settings.parts or PartsSettings(), _at(search, motion.by_points)
-    spacing = max(spacing_of(near.x), spacing_of(near.y))
+    spacing = spacing_of(near.x, near.y)
     last = motion_by_closest_points(PlacedPoints.of(near.x), PlacedPoints.of(near.y), spacing, parts, rigid=True)
     near = _at(search, composed(last, motion.by_points))
     found = _judged(search, near, maps_by_closest_points(near.x, near.y), settings, motion.by_points.scale)
