@@ -132,6 +132,7 @@ def test_a_recipe_that_is_not_there(tmp_path):
         "holes",
         "views",
         "animal_parts",
+        "people_parts",
         "people",
         "organs",
     ],
@@ -141,7 +142,7 @@ def test_shipped_recipes_can_be_read(name):
     assert builtin_recipes()[name].stem == name
     assert recipe.name == name
     assert recipe.licence != "unknown"
-    assert (recipe.partial is not None) == (name in ("cuts", "holes", "views", "animal_parts"))
+    assert (recipe.partial is not None) == (name in ("cuts", "holes", "views", "animal_parts", "people_parts"))
 
 
 def test_every_setting_is_documented():
