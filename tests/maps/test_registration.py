@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from homolog.core.errors import ArgumentError
+from homolog.geometry import areas_by_density
 from homolog.maps import (
     RegistrationSettings,
     RegistrationStart,
@@ -281,3 +282,49 @@ def test_normals_tell_the_sides_of_a_thin_plate() -> None:
     assert off(told(moved), plate) < 1e-6
     first = closest_point_similarity(moved, plate, normals_x=normals, normals_y=normals, steps=1)
     assert off(first(moved), plate) < 0.3 * off(closest_point_similarity(moved, plate, steps=1)(moved), plate)
+
+
+def contours(points: Tensor, mesh: trimesh.Trimesh, n: int) -> Tensor:
+    """A surface in some horizontal slices; 150 points of each, along the contour."""
+    mesh = trimesh.Trimesh(points.numpy(), mesh.faces, process=False)
+    low, high = mesh.bounds[:, 2]
+    random, rows = np.random.default_rng(0), []
+    for height in np.linspace(low, high, 2 * n + 1)[1::2]:
+        ends = trimesh.intersections.mesh_plane(mesh, (0, 0, 1), (0, 0, height))
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        drawn = random.choice(len(ends), 150, p=lengths / lengths.sum())
+        along = random.random((150, 1))
+        rows.append((1 - along) * ends[drawn, 0] + along * ends[drawn, 1])
+    return torch.from_numpy(np.concatenate(rows))
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_slices_of_a_surface_stay_on_it(turns: bool) -> None:
+    """Truth: the slices are the surface's own, in other units and at another place; centre and size do not tell it."""
+    mesh = surface(0)
+    whole = lobed(torch.tensor(np.array(mesh.vertices)))
+    slices = contours(whole, mesh, 16)
+    moved = SampledSurface(3 * slices + 5, torch.from_numpy(areas_by_density(slices.numpy())), in_lines=True)
+    full = SampledSurface(whole, normals=normals_of(whole, mesh))
+    start = registration_start(full, moved, turns=turns)
+    assert start.near_rigid
+    assert off(start.similarity(whole), 3 * whole + 5) < 3 * 0.03
+    assert off(registered_surfaces(full, moved, start=start)[1], slices) < 0.05
+    # The other way round, too.
+    back = registration_start(moved, full, turns=turns)
+    assert back.near_rigid
+    assert off(back.similarity(3 * slices + 5), slices) < 0.03
+
+
+def test_slices_of_a_surface_that_is_bent_are_no_copy_and_are_followed() -> None:
+    mesh = surface(0)
+    whole = lobed(torch.tensor(np.array(mesh.vertices)))
+    slices = contours(whole, mesh, 16)
+    full, areas = SampledSurface(bent(whole), normals=None), torch.from_numpy(areas_by_density(slices.numpy()))
+    start = registration_start(full, SampledSurface(slices, areas, in_lines=True), turns=False)
+    assert not start.near_rigid
+    in_lines, not_told = (
+        off(registered_surfaces(full, SampledSurface(slices, areas, in_lines=told), start=start)[1], bent(slices))
+        for told in (True, False)
+    )
+    assert in_lines < 0.8 * not_told

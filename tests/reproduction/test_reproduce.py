@@ -204,6 +204,31 @@ def test_progress_is_one_count_of_pairs(data, output):
     assert told[0][2].startswith("blobs, mesh, the paper's setting: ")
 
 
+def test_cells_that_are_there_are_no_work(data, output):
+    """Twelve of 16 pairs are left when the first of four cells is there; how fast they go tells the time left."""
+    reproduce("plain", data, output)
+    cell = next((output / "plain" / "cells").glob("blobs-noisy-cloud--ours--*.json"))
+    for file in (output / "plain" / "cells").glob("*.json"):
+        if file != cell:
+            file.unlink()
+    told = []
+    done = reproduce("plain", data, output, progress=lambda *given: told.append(given))
+    assert (done.made, done.found) == (3, 1)
+    assert {total for _, total, _ in told} == {12}
+    assert told[0][0] == 0
+
+
+@pytest.mark.slow
+def test_cells_of_weights_that_are_trained_are_no_work(data, output):
+    settings = ReproductionSettings(train=True, only=("all losses",))
+    reproduce("learned", data, output, settings)
+    for file in (output / "learned" / "cells").glob("*--paper--*.json"):
+        file.unlink()
+    told = []
+    reproduce("learned", data, output, settings, progress=lambda *given: told.append(given))
+    assert {total for _, total, _ in told} == {4}
+
+
 def test_only_some_shapes_are_tested(data, output):
     reproduce("parts_of_it", data, output)
     listed = output / "parts_of_it" / "blobs-d-g-pairs.txt"

@@ -9,6 +9,7 @@ from homolog.geometry.geodesics import Geodesics, distances_from, edge_graph, ge
 from homolog.geometry.laplacian import CLOUD_NEIGHBOURS, LaplacianKind, cloud_laplacian, mesh_laplacian
 from homolog.geometry.operators import Operators, OperatorSettings, compute_operators
 from homolog.geometry.outliers import find_outliers
+from homolog.geometry.sampling import areas_by_density, lies_in_lines
 from homolog.geometry.scale import Frame, cloud_area, surface_area, unit_frame
 from homolog.geometry.spectrum import Spectrum, lowest_eigenpairs
 from homolog.geometry.surface import (
@@ -41,6 +42,7 @@ __all__ = [
     "Spectrum",
     "SplitSurface",
     "Surface",
+    "areas_by_density",
     "cache_folder",
     "closest_weights",
     "cloud_area",
@@ -51,6 +53,7 @@ __all__ = [
     "find_clutter",
     "find_outliers",
     "geodesic_distances",
+    "lies_in_lines",
     "lowest_eigenpairs",
     "mesh_laplacian",
     "outward",

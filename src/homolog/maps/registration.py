@@ -87,7 +87,9 @@ class SampledSurface:
     Args:
         points: positions (n, 3).
         areas: of the surface that each point stands for, such as ``Operators.mass`` (n,); by default all alike.
-        normals: unit normals, which count by ``RegistrationSettings.normal_weight`` (n, 3); by default none.
+        normals: unit normals, which count by ``RegistrationSettings.normal_weight`` if both shapes have some (n, 3); by
+            default none.
+        in_lines: whether the points lie in lines with empty space between them, as the contours of slices do.
 
     Raises:
         ArgumentError: if there are not as many areas or normals as points.
@@ -102,6 +104,7 @@ class SampledSurface:
     points: Float[Tensor, "n 3"]
     areas: Float[Tensor, " n"] | None = None
     normals: Float[Tensor, "n 3"] | None = None
+    in_lines: bool = False
 
     __repr__ = short_repr
 
@@ -115,11 +118,12 @@ class SampledSurface:
 
 @dataclass(frozen=True, eq=False)
 class _Cloud:
-    """Points with the share of the whole area that each stands for, and normals, which are zero where unknown."""
+    """Points with the share of the whole area that each stands for, and unit normals, which are zero where unknown."""
 
     points: _Points
     shares: Float[np.ndarray, " n"]
     normals: _Points
+    normal_length: float = 0.0  # by which normals weigh against distances
 
     @classmethod
     def of(cls, surface: SampledSurface) -> _Cloud:
@@ -135,12 +139,22 @@ class _Cloud:
     def few(self, seed: int) -> _Cloud:
         """Some of the points, without normals: turns are too coarse for them."""
         kept = some_points(len(self.points), _FEW, seed=seed).numpy()
-        return _Cloud(self.points[kept], self.shares[kept] / self.shares[kept].sum(), np.zeros((len(kept), 3)))
+        return _Cloud(self.points[kept], self.shares[kept] / self.shares[kept].sum(), self.normals[kept])
 
     def drawn(self, seed: int) -> _Cloud:
         """Points drawn by their area, which then count alike."""
         drawn = np.random.default_rng(seed).choice(len(self.points), _DRAWN, p=self.shares)
-        return _Cloud(self.points[drawn], np.full(_DRAWN, 1 / _DRAWN), self.normals[drawn])
+        return _Cloud(self.points[drawn], np.full(_DRAWN, 1 / _DRAWN), self.normals[drawn], self.normal_length)
+
+    @property
+    def weighed_normals(self) -> _Points:
+        """Normals as long as they weigh."""
+        weighed: _Points = self.normal_length * self.normals
+        return weighed
+
+    @property
+    def has_normals(self) -> bool:
+        return bool(self.normals.any())
 
     @property
     def centre(self) -> Float[np.ndarray, " 3"]:
@@ -160,13 +174,19 @@ class _Cloud:
 
     def away(self, other: _Cloud) -> _Points:
         """From the nearest point of the other to each point."""
-        away: _Points = self.points - other.points[_nearest(self.points, self.normals, other.points, other.normals)]
+        away: _Points = self.points - other.points[self._nearest_on(other)]
         return away
 
     def apart(self, other: _Cloud) -> float:
-        """The median distance of closest points across the surface, which does not depend on how it is sampled."""
-        across = np.abs((self.away(other) * self.normals).sum(axis=1)) / np.linalg.norm(self.normals, axis=1)
-        return float(np.median(across))
+        """The median distance of closest points across the surface, which does not depend on how it is sampled.
+
+        By the normals of one of them.
+        """
+        across = self.normals if self.has_normals else other.normals[self._nearest_on(other)]
+        return float(np.median(np.abs((self.away(other) * across).sum(axis=1))))
+
+    def _nearest_on(self, other: _Cloud) -> Int[np.ndarray, " n"]:
+        return _nearest(self.points, self.weighed_normals, other.points, other.weighed_normals)
 
     def bent(self, other: _Cloud) -> float:
         """How far the tenth of one that lies farthest from the other is away, at least; of the one that lies within."""
@@ -248,8 +268,9 @@ def registered_surfaces(
     back by y registered to x.
 
     What is nearly a rigid copy (``RegistrationStart.near_rigid``) is better moved by the mean of how far its
-    surroundings are pulled: a mean of positions shrinks, and draws a part that the other lacks into it. Nearest points
-    are those of like normals, if both have some.
+    surroundings are pulled: a mean of positions shrinks, and draws a part that the other lacks into it. So is what is
+    sampled in lines (``SampledSurface.in_lines``), between which nothing pulls. Nearest points are those of like
+    normals, if both have some.
 
     Args:
         x: one surface.
@@ -275,13 +296,14 @@ def registered_surfaces(
     one, other = _both(x, y, settings)
     start = start or RegistrationStart(one.onto(other, torch.eye(3).double()))
     begun = start.similarity.to(torch.empty(0).double())
-    on_y, at_start = _both_ways(one.moved(begun), other, settings, near_rigid=start.near_rigid)
+    by_shifts = start.near_rigid or x.in_lines or y.in_lines
+    on_y, at_start = _both_ways(one.moved(begun), other, settings, by_shifts=by_shifts)
     on_x = begun.inverse()(torch.from_numpy(at_start))
     return torch.from_numpy(on_y).to(x.points), on_x.to(x.points)
 
 
 def registration_start(
-    x: SampledSurface, y: SampledSurface, *, settings: RegistrationSettings | None = None
+    x: SampledSurface, y: SampledSurface, *, turns: bool = True, settings: RegistrationSettings | None = None
 ) -> RegistrationStart:
     """The similarity transform from which two surfaces that stand nearly alike are best registered. New here.
 
@@ -290,15 +312,16 @@ def registration_start(
     lobe of a lung, goes on to turn until it lies best within the other: what differs in form is taken for a turn. So
     none is made where turns do not soon become smaller.
 
-    Where normals are known, closest points go on from there (``closest_point_similarity``). They tell the turn, the
-    size and the place that most of one and of the other agree about; centres and sizes are misled by what one of them
-    lacks. That is believed of shapes with a distinct form, and of those that then lie nearly in one surface, unless a
-    tenth of it lies far away: they are nearly rigid copies. Without normals closest points slide along the surface, and
-    are not looked for.
+    Where normals of one are known, closest points go on from there (``closest_point_similarity``). They tell the turn,
+    the size and the place that most of one and of the other agree about; centres and sizes are misled by what one of
+    them lacks, and by a sampling that leaves much of a surface empty. That is believed of shapes that then lie nearly
+    in one surface, unless a tenth of it lies far away: they are nearly rigid copies. Where both have normals it is also
+    believed of shapes with a distinct form; without, closest points slide along surfaces that differ.
 
     Args:
         x: one surface.
         y: the other.
+        turns: whether x may be turned, but for a nearly rigid copy, which closest points turn in any case.
         settings: as of ``registered_surfaces``.
 
     Examples:
@@ -312,27 +335,35 @@ def registration_start(
     """
     settings = given_or_default("settings", settings, RegistrationSettings)
     one, other = _both(x, y, settings)
-    rotations = _turned(one, other, settings)
-    first, *_, last = (float(rotation_angle(after @ before.T)) for before, after in pairwise(rotations))
-    is_distinct = last < settings.most_left * first
-    if other.normals.any():
+    rotations = _turned(one, other, settings) if turns else [torch.eye(3).double()]
+    angles = [float(rotation_angle(after @ before.T)) for before, after in pairwise(rotations)]
+    is_distinct = bool(angles) and angles[-1] < settings.most_left * angles[0]
+    plain = one.onto(other, rotations[-1] if is_distinct else rotations[0])
+    if one.has_normals or other.has_normals:
+        has_both = one.normal_length > 0
+        # Normals of both find the way back from turns that are too large.
+        begun = one.onto(other, rotations[-1]) if has_both else plain
         drawn, among = one.drawn(0), other.drawn(1)
-        arrays = map(torch.from_numpy, (drawn.points, among.points, drawn.normals, among.normals))
-        points_x, points_y, normals_x, normals_y = arrays
-        begun = one.onto(other, rotations[-1])
-        closest = closest_point_similarity(points_x, points_y, normals_x=normals_x, normals_y=normals_y, start=begun)
+        closest = _closest(drawn, among, begun)
         at_start = drawn.moved(closest)
-        is_near = is_distinct or at_start.apart(among) < settings.most_apart * other.size
+        is_near = at_start.apart(among) < settings.most_apart * other.size or (is_distinct and has_both)
         if is_near and at_start.bent(among) < settings.most_bent * other.size:
             return RegistrationStart(closest, near_rigid=True)
-    return RegistrationStart(one.onto(other, rotations[-1] if is_distinct else rotations[0]))
+    return RegistrationStart(plain)
 
 
 def _both(x: SampledSurface, y: SampledSurface, settings: RegistrationSettings) -> tuple[_Cloud, _Cloud]:
-    """Both with unit normals as long as they weigh, in y's units; without normals where those of one are unknown."""
+    """Both, with the weight of normals in y's units; none where those of one are unknown."""
     one, other = _Cloud.of(x), _Cloud.of(y)
-    length = settings.normal_weight * other.size if one.normals.any() and other.normals.any() else 0.0
-    return replace(one, normals=length * one.normals), replace(other, normals=length * other.normals)
+    length = settings.normal_weight * other.size if one.has_normals and other.has_normals else 0.0
+    return replace(one, normal_length=length), replace(other, normal_length=length)
+
+
+def _closest(x: _Cloud, y: _Cloud, start: Similarity) -> Similarity:
+    """Closest points of x and y, which are drawn by area, from a start."""
+    arrays = map(torch.from_numpy, (x.points, y.points, x.weighed_normals, y.weighed_normals))
+    points_x, points_y, normals_x, normals_y = arrays
+    return closest_point_similarity(points_x, points_y, normals_x=normals_x, normals_y=normals_y, start=start)
 
 
 def _array(tensor: Tensor) -> np.ndarray:
@@ -358,20 +389,20 @@ def _turn(x: _Cloud, y: _Cloud, settings: RegistrationSettings) -> Float[Tensor,
 
 
 def _both_ways(
-    x: _Cloud, y: _Cloud, settings: RegistrationSettings, *, near_rigid: bool = False
+    x: _Cloud, y: _Cloud, settings: RegistrationSettings, *, by_shifts: bool = False
 ) -> tuple[_Points, Float[np.ndarray, "m 3"]]:
     """Where x lies on y and y on x, from where they are: the mean of one registered and of the other carried back."""
-    on_y, on_x = (_registered(*both, settings, near_rigid=near_rigid) for both in ((x, y), (y, x)))
+    on_y, on_x = (_registered(*both, settings, by_shifts=by_shifts) for both in ((x, y), (y, x)))
     return (on_y + _carried_back(x, on_x, y)) / 2, (on_x + _carried_back(y, on_y, x)) / 2
 
 
-def _registered(x: _Cloud, y: _Cloud, settings: RegistrationSettings, *, near_rigid: bool) -> _Points:
+def _registered(x: _Cloud, y: _Cloud, settings: RegistrationSettings, *, by_shifts: bool) -> _Points:
     """One direction of the registration: x pulled by y, averaged over neighbours on x."""
     averages, positions = _averages(x.points, settings.n_neighbours), x.points
     for width in settings.widths(len(positions)):
-        pulled = _nearest(y.points, y.normals, positions, x.normals)
+        pulled = _nearest(y.points, y.weighed_normals, positions, x.weighed_normals)
         # What is averaged is how far points are pulled, or where to.
-        origins = positions if near_rigid else np.zeros_like(positions)
+        origins = positions if by_shifts else np.zeros_like(positions)
         pulls = np.column_stack([y.points - origins[pulled], np.ones(len(y.points))]) * y.shares[:, None]
         sums = np.stack([np.bincount(pulled, column, minlength=len(positions)) for column in pulls.T], axis=1)
         for _ in range(width):
@@ -400,6 +431,6 @@ def _averages(points: _Points, n_neighbours: int) -> sparse.csr_array:
 
 def _carried_back(x: _Cloud, y_on_x: Float[np.ndarray, "m 3"], y: _Cloud) -> _Points:
     """Positions of x among y, which was registered to it: by the nearest point, with the offset from it."""
-    nearest = _nearest(x.points, x.normals, y_on_x, y.normals)
+    nearest = _nearest(x.points, x.weighed_normals, y_on_x, y.weighed_normals)
     back: _Points = y.points[nearest] + (x.points - y_on_x[nearest])
     return back

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-from torch import Tensor
 
+from homolog.geometry import areas_by_density, lies_in_lines
 from homolog.maps import RegistrationStart, SampledSurface, nearest_neighbour, registered_surfaces, registration_start
 from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import Pair, PointMaps, PreprocessedShape, Supports
@@ -18,36 +18,37 @@ def started(pair: Pair) -> Pair:
     Or whether they have a distinct form and are not bent against each other, as bones of one kind. Where the way round
     is trusted as given, nothing is looked at.
     """
-    return replace(pair, start=_surfaces(pair)[2])
+    return replace(pair, start=_start(pair, *_surfaces(pair))) if pair.options.orient == "auto" else pair
 
 
 def _point_maps(pair: Pair) -> PointMaps:
-    x, y, start = _surfaces(pair)
+    x, y = _surfaces(pair)
+    start = pair.start or _start(pair, x, y)
+    if not start.near_rigid:
+        x, y = replace(x, normals=None), replace(y, normals=None)
     on_y, on_x = registered_surfaces(x, y, start=start, settings=pair.settings.registration)
     return PointMaps(nearest_neighbour(on_y, y.points).index, nearest_neighbour(on_x, x.points).index)
 
 
-def _surfaces(pair: Pair) -> tuple[SampledSurface, SampledSurface, RegistrationStart | None]:
-    """Both, with normals if they are nearly rigid copies, and where x starts if the way round is looked for."""
-    x, y = (SampledSurface(shape.operators.points, _areas(shape)) for shape in (pair.x, pair.y))
-    if pair.options.orient != "auto":
-        return x, y, None
-    oriented = _with_normals(x, pair.x), _with_normals(y, pair.y)
-    start = pair.start or registration_start(*oriented, settings=pair.settings.registration)
-    return (*oriented, start) if start.near_rigid else (x, y, start)
+def _start(pair: Pair, x: SampledSurface, y: SampledSurface) -> RegistrationStart:
+    """Where x starts; poses that are trusted are turned for nearly rigid copies alone."""
+    return registration_start(x, y, turns=pair.options.orient == "auto", settings=pair.settings.registration)
 
 
-def _areas(shape: PreprocessedShape) -> Tensor:
-    """The area that each point stands for, times how much it counts."""
-    mass, weights = shape.operators.mass, shape.point_weights
-    return mass if weights is None else mass * weights
+def _surfaces(pair: Pair) -> tuple[SampledSurface, SampledSurface]:
+    return _surface(pair.x), _surface(pair.y)
 
 
-def _with_normals(points: SampledSurface, shape: PreprocessedShape) -> SampledSurface:
-    """The points with normals, where the shape has faces."""
-    if shape.surface is None:
-        return points
-    return replace(points, normals=torch.from_numpy(shape.surface.vertex_normals).to(points.points))
+def _surface(shape: PreprocessedShape) -> SampledSurface:
+    """The points, with the area that each stands for, times how much it counts; with normals where there are faces."""
+    points, areas, weights = shape.operators.points, shape.operators.mass, shape.point_weights
+    if shape.surface is not None:
+        normals = torch.from_numpy(shape.surface.vertex_normals).to(points)
+        return SampledSurface(points, areas if weights is None else areas * weights, normals)
+    positions = points.double().cpu().numpy()
+    if in_lines := lies_in_lines(positions):
+        areas = torch.from_numpy(areas_by_density(positions)).to(areas)
+    return SampledSurface(points, areas if weights is None else areas * weights, in_lines=in_lines)
 
 
 _SUPPORTS = Supports(partial=False, needs_features=False, refinement=False, small_turns=True)

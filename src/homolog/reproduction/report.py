@@ -65,20 +65,28 @@ def figure_table(rows: Sequence[Row], cells: _Cells) -> str:
 
     Args:
         rows: of the table; without the paper's figures if none has one.
-        cells: by row, column and origin of weights; where all weights are of one origin, a line says so, and otherwise
-            each column.
+        cells: by row, column and origin of weights. A line says whose weights all rows are measured with, or a column
+            does for each; rows that are measured with several have a column for each of them.
     """
-    origins = sorted({origin for _, _, origin in cells})
-    weights = [origin for origin in origins if origin != NO_WEIGHTS]
-    columns = [key for key in product(COLUMNS, origins) if any(cell[1:] == key for cell in cells)]
-    heads = [COLUMNS[column].title + (f", {origin}" if len(weights) > 1 else "") for column, origin in columns]
-    lines = [f"Weights: {weights[0]}.", ""] if len(weights) == 1 else []
+    weights_of = {row.name: sorted({key[2] for key in cells if key[0] == row.name} - {NO_WEIGHTS}) for row in rows}
+    weights = sorted({origin for found in weights_of.values() for origin in found})
     told = ["the paper"] if any(row.paper is not None for row in rows) else []
+    origins, shown = (NO_WEIGHTS, *weights), {key[1:] for key in cells}
+    columns: list[tuple[str, tuple[str, ...]]]
+    if any(len(found) > 1 for found in weights_of.values()):
+        columns = [(column, (origin,)) for column, origin in product(COLUMNS, origins) if (column, origin) in shown]
+        heads = [f"{COLUMNS[column].title}, {''.join(origin)}" for column, origin in columns]
+    else:
+        columns = [(each, origins) for each in COLUMNS if any(column == each for column, _ in shown)]
+        heads = [COLUMNS[column].title for column, _ in columns]
+        told = ["weights", *told] if len(weights) > 1 else told
+    lines = [f"Weights: {weights[0]}.", ""] if len(weights) == 1 else []
     lines += [_line(["", *told, *heads]), _line(["---"] * (1 + len(told) + len(heads)))]
     for row in rows:
-        paper = ["" if row.paper is None else f"{row.paper:.1f}" for _ in told]
-        found = [cells.get((row.name, *column)) for column in columns]
-        lines.append(_line([row.name, *paper, *map(_shown, found)]))
+        texts = {"weights": "".join(weights_of[row.name]), "the paper": "" if row.paper is None else f"{row.paper:.1f}"}
+        keys = [[(row.name, column, origin) for origin in each] for column, each in columns]
+        found = [next((cells[key] for key in each if key in cells), None) for each in keys]
+        lines.append(_line([row.name, *(texts[head] for head in told), *map(_shown, found)]))
     return "\n".join(lines)
 
 

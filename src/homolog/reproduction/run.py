@@ -143,6 +143,17 @@ def reproduce(
         return _Run(experiment, rows, expanded(data), root, settings, progress or ignore).run()
 
 
+@dataclass(frozen=True, eq=False)
+class _CellPlace:
+    """A cell's plan, what matches its pairs, the file that it belongs into, its key, and whether it is there."""
+
+    plan: CellPlan
+    matcher: Matcher
+    file: Path
+    key: str
+    is_there: bool
+
+
 class _Run:
     """One run of an experiment."""
 
@@ -159,6 +170,7 @@ class _Run:
         self.settings, self.progress = settings, progress
         self.folder = root / experiment.name
         self.dataset, self.training, self.matcher = cache(self._dataset), cache(self._training), cache(self._matcher)
+        self.place = cache(self._place_of)
         self.empty: dict[tuple[str, str], str] = {}
         self.made = self.found = self.pairs_done = self.pairs_left = 0
 
@@ -180,17 +192,22 @@ class _Run:
     def _cell(self, row: Row, column: str) -> None:
         """Make a cell, unless it is there or lacks what it needs."""
         try:
-            plan = self._plan(row, column)
-            matcher = self.matcher(plan.weights, plan.settings)
-            key = plan.key(matcher)
-            file = cell_file(self.folder, row.name, column, key)
-            if stored_cell(file, key) is None:
-                self._make(plan, matcher, file, {"row": row.name, "column": column, "key": key})
-                self.made += 1
-            else:
+            place = self.place(row, column)
+            if place.is_there:
                 self.found += 1
+            else:
+                self._make(place, {"row": row.name, "column": column, "key": place.key})
+                self.made += 1
         except (_EmptyCellError, DataError, ShapeError) as reason:
             self.empty[row.name, column] = str(reason)
+
+    def _place_of(self, row: Row, column: str) -> _CellPlace:
+        """Where a cell belongs; weights that it lacks are trained, or refused."""
+        plan = self._plan(row, column)
+        matcher = self.matcher(plan.weights, plan.settings)
+        key = plan.key(matcher)
+        file = cell_file(self.folder, row.name, column, key)
+        return _CellPlace(plan, matcher, file, key, stored_cell(file, key) is not None)
 
     def _plan(self, row: Row, name: str) -> CellPlan:
         folder, contents = self.dataset(row.data)
@@ -214,9 +231,9 @@ class _Run:
         )
         return CellPlan(row, column, folder, pairs, protocol, weights, training, contents)
 
-    def _make(self, plan: CellPlan, matcher: Matcher, file: Path, place: dict[str, str]) -> None:
+    def _make(self, cell: _CellPlace, place: dict[str, str]) -> None:
         """Evaluate, and write the cell with what made it."""
-        first = list[Match]()
+        plan, matcher, first = cell.plan, cell.matcher, list[Match]()
 
         def find(pair: ShapePair) -> Match:
             first.append(matcher.find(pair))
@@ -227,7 +244,7 @@ class _Run:
         seconds = time.perf_counter() - began
         self.pairs_done += plan.n_pairs
         features = matcher.describe()["features"]
-        write_match(self.folder, file.stem, first[0])
+        write_match(self.folder, cell.file.stem, first[0])
         told = {
             "experiment": self.experiment.name,
             **place,
@@ -249,7 +266,7 @@ class _Run:
             "settings": plan.settings.to_dict(),
             "evaluation": evaluation.to_dict(),
         }
-        write_cell(file, told)
+        write_cell(cell.file, told)
 
     def _part_of(self, plan: CellPlan) -> Progress:
         """The progress of one cell, as a part of that of all."""
@@ -292,11 +309,15 @@ class _Run:
         return made
 
     def _n_pairs(self, row: Row, column: str) -> int:
-        """How many pairs a cell has; 0 if it lacks what it needs."""
+        """How many pairs are to be matched for a cell; 0 if it is there, or lacks what it needs."""
         try:
             pairs = self._pairs(row, self.dataset(row.data)[0])[0]
-            self._check_weights(row, column)
-        except (_EmptyCellError, DataError):
+            is_to_be_trained = self._check_weights(row, column) and not (
+                self.settings.weights or self.training(row, column).done()
+            )
+            if not is_to_be_trained and self.place(row, column).is_there:
+                return 0
+        except (_EmptyCellError, DataError, ShapeError):
             return 0
         return _fewer(self.settings.n_pairs, pairs) or len(pairs)
 
