@@ -14,7 +14,7 @@ from dirty_shapes import dirtied
 from homolog.core.errors import ArgumentError, DataError
 from homolog.geometry import OperatorSettings, compute_operators
 from homolog.maps import confidence, overlap
-from homolog.matching import Match, align_parts, read_point_map, refine
+from homolog.matching import Match, align_parts, read_point_map, refine, smoothed
 from homolog.matching.inputs import options_of
 from homolog.pairs import PairOptions
 from homolog.shapes import Shape, repair
@@ -61,7 +61,7 @@ def test_all_arrays_are_those_of_the_pieces(build, blobs, method, partial):
     pair, _ = matcher.pair(source.shape, target.shape, options)
     assert (pair.x is pair.source) == (partial != "source")
     pair = align_parts(pair)
-    maps = pair.maps or refine(pair, matcher.method_of("mesh", "mesh")(pair))
+    maps = smoothed(pair, pair.maps or refine(pair, matcher.method_of("mesh", "mesh")(pair)))
     at_x, at_y = pair.x.operators.points, pair.y.operators.points
     x_to_y, y_to_x = maps.x_to_y.clone(), maps.y_to_x
     x_trust = confidence(at_x, at_y, maps.x_to_y, maps.y_to_x).numpy()

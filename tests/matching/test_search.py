@@ -150,6 +150,15 @@ def test_a_shape_that_features_do_not_know_in_the_pose_of_the_orienter_is_tried_
     assert float(rotation_angle(getattr(kept, side).rotation)) > 85
 
 
+def test_no_other_pose_is_tried_where_the_files_and_the_orienter_agree(people):
+    """However doubtful the coarse map, and though any other pose would be taken."""
+    _, pair = people
+    assert all(torch.equal(shape.rotation, torch.eye(3)) for shape in (pair.source, pair.target))
+    anything = replace(pair.settings.orientation, doubtful_handedness=1.0, sure_handedness=-1.0)
+    found = orient(replace(pair, settings=replace(pair.settings, orientation=anything)))
+    assert all(torch.equal(shape.rotation, torch.eye(3)) for shape in (found.source, found.target))
+
+
 def test_only_known_words_are_taken():
     with pytest.raises(ArgumentError, match="orient is 'maybe'"):
         PairOptions(orient="maybe")

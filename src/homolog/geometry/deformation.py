@@ -136,13 +136,21 @@ class DeformedTemplate(RestShape):
         target: the shape that it is deformed onto.
         pairs: correspondences between the repaired shapes.
         stiffness: in spacings of the source's points: what is smaller keeps its form, what is larger the pairs decide.
+        rounds: how often rotations and positions are found in turn; in the first two the pairs alone pull.
     """
 
     def __init__(
-        self, source: SurfaceProjector, target: SurfaceProjector, pairs: WeightedPairs, *, stiffness: float = _STIFFNESS
+        self,
+        source: SurfaceProjector,
+        target: SurfaceProjector,
+        pairs: WeightedPairs,
+        *,
+        stiffness: float = _STIFFNESS,
+        rounds: int = _ROUNDS,
     ) -> None:
         super().__init__(source.shape.points, *_laplacian(source.shape))
-        self.source, self.target, self.pairs, self.stiffness = source, target, pairs, stiffness
+        self.source, self.target, self.pairs = source, target, pairs
+        self.stiffness, self.rounds = stiffness, rounds
 
     def solve(self) -> tuple[int, Float[np.ndarray, "n 3"]]:
         """Alternate between local rotations and positions.
@@ -155,7 +163,7 @@ class DeformedTemplate(RestShape):
         # Positions begin at the mean of each point's pairs; rotations come from edges both of whose ends have pairs.
         positions = pulled / np.where(pull > 0, pull, 1.0)[:, None]
         known = (pull > 0)[self.ends].all(axis=0)
-        for number in range(_ROUNDS):
+        for number in range(self.rounds):
             stiffness = self.length(self.stiffness) ** 2
             # Without any edge between paired points the shapes' own sizes give the global scale.
             bends = self.local_similarities(

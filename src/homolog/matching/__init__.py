@@ -31,6 +31,7 @@ from homolog.matching.result_files import (
     write_folder,
 )
 from homolog.matching.search import Hypothesis, orient, orientations
+from homolog.matching.smoothing import smoothed
 from homolog.matching.units import unit_warnings
 from homolog.matching.warnings import low_confidence_warnings, orientation_warnings, part_warnings
 
@@ -74,6 +75,7 @@ __all__ = [
     "position_colours",
     "read_point_map",
     "refine",
+    "smoothed",
     "unit_warnings",
     "with_inputs",
     "without_extra_parts",

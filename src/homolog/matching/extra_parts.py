@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -46,8 +47,8 @@ _TINY = 1e-9
 _MOST_PARTS, _LARGEST = 3, 0.5
 
 
-def without_extra_parts(pair: Pair, maps: PointMaps, preprocessor: Preprocessor) -> Match:
-    """The match of two shapes, without the parts that only one of them has.
+def without_extra_parts(pair: Pair, maps: PointMaps, preprocessor: Preprocessor) -> tuple[Pair, PointMaps]:
+    """Two shapes and their maps, without the parts that only one of them has.
 
     Looked for in full shapes with features of near-isometric kind, where the map contradicts itself; not with
     landmarks, features or a proxy in a shape's place, and not where clutter is kept.
@@ -57,16 +58,16 @@ def without_extra_parts(pair: Pair, maps: PointMaps, preprocessor: Preprocessor)
         maps: between its repaired shapes, refined.
         preprocessor: of its shapes.
     """
-    matched, settings = _Matched.of(pair, maps), pair.settings.extra_parts
+    matched, settings = _Matched(pair, maps), pair.settings.extra_parts
     if settings is None or not _may_be_told(pair):
-        return matched.match
+        return pair, maps
     again = replace(preprocessor, extractor=pair.extractor)
     for _ in range(_MOST_PARTS):
         found = next(_Search(matched, again, settings).found(), None)
         if found is None:
             break
         matched = found
-    return matched.match
+    return matched.pair, matched.maps
 
 
 def extra_part_warnings(match: Match) -> tuple[str, ...]:
@@ -173,11 +174,10 @@ class _Matched:
 
     pair: Pair
     maps: PointMaps
-    match: Match
 
-    @classmethod
-    def of(cls, pair: Pair, maps: PointMaps) -> _Matched:
-        return cls(pair, maps, Match.of(pair, maps))
+    @cached_property
+    def match(self) -> Match:
+        return Match.of(self.pair, self.maps)
 
 
 def _other(side: Side) -> Side:
@@ -289,7 +289,7 @@ class _Search:
             return None
         pair = self.matched.pair
         pair = replace(pair, source=left, maps=None) if side == "source" else replace(pair, target=left, maps=None)
-        return _Matched.of(pair, refine(pair, method_maps(pair)))
+        return _Matched(pair, refine(pair, method_maps(pair)))
 
     def _uncovered(
         self,

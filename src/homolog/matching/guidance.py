@@ -14,13 +14,10 @@ from torch import Tensor
 
 from homolog.geometry import distances_from
 from homolog.geometry.deformation import DeformedTemplate, WeightedPairs
-from homolog.geometry.projection import SurfaceProjector
-from homolog.maps import ConfidenceSettings, confidence, nearest_neighbour
 from homolog.matching.result import Match
-from homolog.pairs import SIDES, GuidanceSettings, Pair, PointMaps, PreprocessedShape
+from homolog.matching.smoothing import DeformableShape
+from homolog.pairs import SIDES, GuidanceSettings, Pair, PointMaps
 
-# A pair of points that is not trusted at all still counts this much.
-_LEAST_CONFIDENCE = 0.01
 # Landmarks that are nearer to each other than they reach would have to undo each other's pull exactly.
 _RIDGE = 1e-3
 
@@ -103,29 +100,14 @@ def guidance_warnings(pair: Pair) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Surface:
-    """A shape that is deformed, or onto which another one is."""
+class _Surface(DeformableShape):
+    """A shape with landmarks."""
 
-    shape: PreprocessedShape
     landmarks: Int[Tensor, " p"]
-
-    @cached_property
-    def projector(self) -> SurfaceProjector:
-        return SurfaceProjector(self.shape.repaired.shape)
 
     @cached_property
     def at(self) -> Int[np.ndarray, " p"]:
         return self.landmarks.cpu().numpy()
-
-    @cached_property
-    def main(self) -> Int[np.ndarray, " m"]:
-        """The points that others are mapped to."""
-        return np.flatnonzero(self.shape.operators.in_main_component.cpu().numpy())
-
-    @cached_property
-    def normals(self) -> Float[np.ndarray, "n 3"] | None:
-        surface = self.projector.surface
-        return None if surface is None else surface.vertex_normals
 
     @cached_property
     def tree(self) -> KDTree:
@@ -176,12 +158,13 @@ class _Meeting:
 
     def deformed(self, maps: PointMaps) -> PointMaps:
         """The maps once the shapes are deformed onto each other along them; a part alone is deformed onto its whole."""
-        on_x, of_x = self._onto(self.y, self.x, maps.y_to_x, None if self.pair.is_partial else maps.x_to_y)
-        y_to_x = self._met(_counterparts(on_x, of_x, self.x.main), self.y, self.x)
+        x, y = self.x, self.y
+        on_x, of_x = self._onto(y, x, maps.y_to_x, None if self.pair.is_partial else maps.x_to_y)
+        y_to_x = self._met(x.nearest(on_x, of_x), y, x)
         if self.pair.is_partial:
-            return self._maps(self._met(_counterparts(of_x, on_x, self.y.main), self.x, self.y), y_to_x)
-        on_y, of_y = self._onto(self.x, self.y, maps.x_to_y, maps.y_to_x)
-        return self._maps(self._met(_counterparts(on_y, of_y, self.y.main), self.x, self.y), y_to_x)
+            return self._maps(self._met(y.nearest(of_x, on_x), x, y), y_to_x)
+        on_y, of_y = self._onto(x, y, maps.x_to_y, maps.y_to_x)
+        return self._maps(self._met(y.nearest(on_y, of_y), x, y), y_to_x)
 
     def _maps(self, x_to_y: Int[np.ndarray, " n_x"], y_to_x: Int[np.ndarray, " n_y"]) -> PointMaps:
         device = self.pair.x.operators.points.device
@@ -191,7 +174,7 @@ class _Meeting:
         self, one: _Surface, other: _Surface, there: Int[Tensor, " n"], back: Int[Tensor, " m"] | None
     ) -> tuple[Float[Tensor, "n e"], Float[Tensor, "m e"]]:
         """The points of one shape where they lie on the other, and those of the other, by all that is compared."""
-        pairs = _pairs(one, other, there, back, self.pair.settings.confidence, self.settings.points)
+        pairs = self._pairs(one, other, there, back)
         certain = WeightedPairs(
             np.concatenate([pairs.points, one.at]),
             np.concatenate([pairs.positions, other.projector.shape.points[other.at]]),
@@ -200,22 +183,19 @@ class _Meeting:
         )
         template = DeformedTemplate(one.projector, other.projector, certain, stiffness=self.settings.stiffness)
         side, solved = template.solve()
-        positions, normals, others = self._pulled(solved, one, other), None, None
-        if side and one.projector.surface is not None:
-            normals = side * replace(one.projector.surface, vertices=positions).vertex_normals
-            others = other.normals
-        target, unit = other.projector.shape.points, other.shape.operators.scale
-        middle = target.mean(axis=0)
-        return self._compared((positions - middle) / unit, normals), self._compared((target - middle) / unit, others)
+        # Places alone are compared where these are to be met.
+        normals = 0.0 if self.by_place else self.settings.normals
+        return one.beside(other, self._pulled(solved, one, other), side=side, normals=normals)
 
-    def _compared(
-        self, positions: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"] | None
-    ) -> Float[Tensor, "n e"]:
-        """Places and normals of points as one embedding; places alone where these are to be met."""
-        parts = [positions]
-        if normals is not None and not self.by_place:
-            parts.append(self.settings.normals * normals)
-        return torch.from_numpy(np.concatenate(parts, axis=1)).to(self.pair.x.operators.points)
+    def _pairs(
+        self, one: _Surface, other: _Surface, there: Int[Tensor, " n"], back: Int[Tensor, " m"] | None
+    ) -> WeightedPairs:
+        """The pairs of point maps; of a part's map alone all count alike."""
+        weight, settings = self.settings.points, self.pair.settings.confidence
+        if back is not None:
+            return one.pairs_with(other, there, back, settings=settings, weight=weight)
+        to, target = there.cpu().numpy(), other.projector.shape.points
+        return WeightedPairs(np.arange(len(to)), target[to], np.full(len(to), weight / len(to)))
 
     def _pulled(self, positions: Float[np.ndarray, "n 3"], one: _Surface, other: _Surface) -> Float[np.ndarray, "n 3"]:
         """The positions with what landmarks still miss made up for, and with their surroundings."""
@@ -236,37 +216,3 @@ class _Meeting:
         certain = self.uncertainties == 0
         found[one.at[certain]] = other.at[certain]
         return found
-
-
-def _counterparts(
-    points: Float[Tensor, "n e"], others: Float[Tensor, "m e"], among: Int[np.ndarray, " r"]
-) -> Int[np.ndarray, " n"]:
-    """For each point the nearest one among some others."""
-    found: np.ndarray = among[nearest_neighbour(points, others[torch.from_numpy(among)]).index.cpu().numpy()]
-    return found
-
-
-def _pairs(
-    one: _Surface,
-    other: _Surface,
-    there: Int[Tensor, " n"],
-    back: Int[Tensor, " m"] | None,
-    settings: ConfidenceSettings,
-    weight: float,
-) -> WeightedPairs:
-    """The pairs of both point maps by their confidence; each map has a total weight of at most ``weight``."""
-    at_one, at_other = one.shape.operators.points, other.shape.operators.points
-    target = other.projector.shape.points
-    to = there.cpu().numpy()
-    if back is None:
-        points, positions = np.arange(len(to)), target[to]
-        return WeightedPairs(points, positions, np.full(len(to), weight / len(to)))
-    trusts = (
-        confidence(at_one, at_other, there, back, settings=settings),
-        confidence(at_other, at_one, back, there, settings=settings),
-    )
-    return WeightedPairs(
-        np.concatenate([np.arange(len(to)), back.cpu().numpy()]),
-        np.concatenate([target[to], target]),
-        np.concatenate([weight * trust.cpu().numpy().clip(_LEAST_CONFIDENCE) / len(trust) for trust in trusts]),
-    )

@@ -29,6 +29,7 @@ from homolog.matching.placing import align_parts
 from homolog.matching.refinement import method_maps, refine
 from homolog.matching.result import Match
 from homolog.matching.search import orient, orientations
+from homolog.matching.smoothing import smoothed
 from homolog.matching.units import unit_warnings
 from homolog.matching.warnings import blaming, match_warnings
 from homolog.pairs import Device, MatcherSettings, Method, OperatorSource, Pair, PairOptions, PreprocessedShape, Side
@@ -216,7 +217,8 @@ class Matcher:
         check_kind("pair", pair, Pair)
         pair = guided(align_parts(orient(pair)))
         maps = meet_landmarks(pair, pair.maps or refine(pair, method_maps(pair)))
-        return without_extra_parts(pair, maps, self.preprocess)
+        pair, maps = without_extra_parts(pair, maps, self.preprocess)
+        return Match.of(pair, smoothed(pair, maps))
 
     def _checked(self, pair: Pair, units: tuple[str, ...]) -> Match:
         """A match with all that there is to warn of."""

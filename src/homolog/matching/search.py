@@ -135,9 +135,10 @@ def _handed_first(samples: Samples, ranked: list[Hypothesis], side: Side) -> lis
 
     The orienter may be right where features are not: they know no one who bends backwards, but may know him tilted.
     Counterparts are then far from each other at the right map as well, so that handedness decides.
+    Where both stand as they are given, though, file and orienter agree, and a coarse map does not overrule them.
     """
     settings, best = samples.settings, ranked[0]
-    if best.handedness >= settings.doubtful_handedness:
+    if best.is_as_given or best.handedness >= settings.doubtful_handedness:
         return ranked
     quarters = (turn for turn in cube_rotations() if _LEAST_TURN < rotation_angle(turn) < _MOST_TURN)
     poses = [replace(best, misfit=0.0, **{side: turn @ getattr(best, side)}) for turn in quarters]

@@ -388,6 +388,28 @@ class GuidanceSettings(Settings):
 
 
 @dataclass(frozen=True, kw_only=True)
+class SmoothingSettings(Settings):
+    """The deformations that refined maps of two full shapes are led by. New here; chosen on pairs of training shapes.
+
+    Args:
+        deformations: of one shape onto the other, in turn.
+        rounds: of each, at least 3.
+        stiffness: of the deformed shape, in spacings of its points: what is smaller keeps its form.
+        points_mesh: weight of each of the point maps beside the surface that the deformed shape is drawn to.
+        points_cloud: the same where a cloud takes part: noise moves what it is drawn to.
+        normals: distance, in units of sqrt(area), that weighs as much as a difference of one in unit normals where
+            points look for their counterparts.
+    """
+
+    deformations: Count = 4
+    rounds: Annotated[int, Ge(3)] = 4
+    stiffness: Positive = 3.0
+    points_mesh: Positive = 0.5
+    points_cloud: Positive = 2.0
+    normals: NotNegative = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
 class WarningSettings(Settings):
     """When a match is said to be doubtful.
 
@@ -449,6 +471,7 @@ class MatcherSettings(Settings):
         extra_parts: what only one of two full shapes has; None to give everything a counterpart.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
             nearly isometric are never refined.
+        smoothing: of refined maps of two full shapes, by deformations of each onto the other; None for none.
         guidance: by landmarks, where there are any.
         confidence: of the point maps, and the overlap of a full shape with a partial one.
         warnings: when a match is said to be doubtful.
@@ -477,6 +500,7 @@ class MatcherSettings(Settings):
     parts: Annotated[PartsSettings, "or None"] | None = field(default_factory=PartsSettings)
     extra_parts: Annotated[ExtraPartSettings, "or None"] | None = field(default_factory=ExtraPartSettings)
     refinement: Annotated[RefinementSettings, "or None"] | None = field(default_factory=RefinementSettings)
+    smoothing: Annotated[SmoothingSettings, "or None"] | None = field(default_factory=SmoothingSettings)
     guidance: GuidanceSettings = field(default_factory=GuidanceSettings)
     confidence: ConfidenceSettings = field(default_factory=ConfidenceSettings)
     warnings: WarningSettings = field(default_factory=WarningSettings)

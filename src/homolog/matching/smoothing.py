@@ -1,0 +1,154 @@
+"""Refined point maps without their slides along the surface: each shape is deformed onto the other. New here.
+
+Eigenfunctions of shapes of other proportions do not correspond: refinement that compares them leads even the true map
+away. Shapes that are deformed onto each other along the maps, as rigidly as may be, have no such bias.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from homolog.geometry.deformation import DeformedTemplate, WeightedPairs
+from homolog.geometry.projection import SurfaceProjector
+from homolog.maps import ConfidenceSettings, confidence, nearest_neighbour
+from homolog.pairs import Pair, PointMaps, PreprocessedShape, SmoothingSettings
+
+# A pair of points that is not trusted at all still counts this much.
+_LEAST_CONFIDENCE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class DeformableShape:
+    """A shape that is deformed, or onto which another one is.
+
+    Args:
+        shape: preprocessed.
+    """
+
+    shape: PreprocessedShape
+
+    @cached_property
+    def projector(self) -> SurfaceProjector:
+        """Its repaired points and surface."""
+        return SurfaceProjector(self.shape.repaired.shape)
+
+    @cached_property
+    def main(self) -> Int[np.ndarray, " m"]:
+        """The points that others are mapped to."""
+        return np.flatnonzero(self.shape.operators.in_main_component.cpu().numpy())
+
+    @cached_property
+    def normals(self) -> Float[np.ndarray, "n 3"] | None:
+        """Of the points of a mesh."""
+        surface = self.projector.surface
+        return None if surface is None else surface.vertex_normals
+
+    def pairs_with(
+        self,
+        other: DeformableShape,
+        there: Int[Tensor, " n"],
+        back: Int[Tensor, " m"],
+        *,
+        settings: ConfidenceSettings,
+        weight: float,
+    ) -> WeightedPairs:
+        """The pairs of two point maps by their confidence; each map has a total weight of at most ``weight``.
+
+        Args:
+            other: the shape that this one is deformed onto.
+            there: for each of its points one of the other's (n,).
+            back: the way back (m,).
+            settings: of the confidence.
+            weight: of all pairs of a map, where the surface that pulls beside them has one.
+        """
+        own, others = self.shape.operators.points, other.shape.operators.points
+        target, to = other.projector.shape.points, there.cpu().numpy()
+        trusts = (
+            confidence(own, others, there, back, settings=settings),
+            confidence(others, own, back, there, settings=settings),
+        )
+        return WeightedPairs(
+            np.concatenate([np.arange(len(to)), back.cpu().numpy()]),
+            np.concatenate([target[to], target]),
+            np.concatenate([weight * trust.cpu().numpy().clip(_LEAST_CONFIDENCE) / len(trust) for trust in trusts]),
+        )
+
+    def beside(
+        self, other: DeformableShape, positions: Float[np.ndarray, "n 3"], *, side: int, normals: float
+    ) -> tuple[Float[Tensor, "n e"], Float[Tensor, "m e"]]:
+        """Its points where they lie on the other, and those of the other, as embeddings by place and normal.
+
+        Args:
+            other: the shape that it was deformed onto.
+            positions: where its points then lie, in the other's coordinates (n, 3).
+            side: the relative orientation of both meshes; 0 where it is unknown, so that places alone are compared.
+            normals: distance, in units of sqrt(area), that weighs as much as a difference of one in unit normals.
+        """
+        target, unit = other.projector.shape.points, other.shape.operators.scale
+        middle = target.mean(axis=0)
+        own, others = [(positions - middle) / unit], [(target - middle) / unit]
+        if side and normals and self.projector.surface is not None and other.normals is not None:
+            own.append(normals * side * replace(self.projector.surface, vertices=positions).vertex_normals)
+            others.append(normals * other.normals)
+        like = other.shape.operators.points
+        deformed, rest = (torch.from_numpy(np.concatenate(parts, axis=1)).to(like) for parts in (own, others))
+        return deformed, rest
+
+    def nearest(self, points: Float[Tensor, "m e"], own: Float[Tensor, "n e"]) -> Int[np.ndarray, " m"]:
+        """For each point of another shape the nearest of its own, by embeddings of both."""
+        found: np.ndarray = self.main[nearest_neighbour(points, own[torch.from_numpy(self.main)]).index.cpu().numpy()]
+        return found
+
+
+@torch.no_grad()
+def smoothed(pair: Pair, maps: PointMaps) -> PointMaps:
+    """Refined point maps of two full shapes, led by deformations of each onto the other in turn.
+
+    One shape is deformed onto the other along both maps, as rigidly as may be, and drawn to the other's surface. Points
+    of both then go to the nearest one, by place and normal together. The next deformation is the other way round, along
+    these maps. Maps that were not refined are left as they are, and so are those with landmarks, which have a
+    deformation of their own.
+
+    Args:
+        pair: of full shapes, or any other, whose maps stay.
+        maps: between its repaired shapes.
+    """
+    settings, refined = pair.settings.smoothing, pair.near_isometric and pair.method.supports.refinement
+    is_full = pair.options.partial is None and pair.guidance is None
+    if settings is None or pair.settings.refinement is None or not (is_full and refined):
+        return maps
+    x, y = DeformableShape(pair.x), DeformableShape(pair.y)
+    x_to_y, y_to_x = maps.x_to_y, maps.y_to_x
+    for number in range(settings.deformations):
+        if number % 2:
+            y_to_x, x_to_y = _led(pair, settings, y, x, y_to_x, x_to_y)
+        else:
+            x_to_y, y_to_x = _led(pair, settings, x, y, x_to_y, y_to_x)
+    return PointMaps(x_to_y=x_to_y, y_to_x=y_to_x)
+
+
+def _led(
+    pair: Pair,
+    settings: SmoothingSettings,
+    one: DeformableShape,
+    other: DeformableShape,
+    there: Int[Tensor, " n"],
+    back: Int[Tensor, " m"],
+) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"]]:
+    """Both maps once one shape is deformed onto the other along them."""
+    weight = settings.points_mesh if pair.are_meshes else settings.points_cloud
+    pairs = one.pairs_with(other, there, back, settings=pair.settings.confidence, weight=weight)
+    template = DeformedTemplate(
+        one.projector, other.projector, pairs, stiffness=settings.stiffness, rounds=settings.rounds
+    )
+    side, positions = template.solve()
+    on_other, of_other = one.beside(other, positions, side=side, normals=settings.normals)
+    found = other.nearest(on_other, of_other), one.nearest(of_other, on_other)
+    led, led_back = (torch.from_numpy(each).to(there.device) for each in found)
+    return led, led_back

@@ -1,0 +1,84 @@
+"""Refined maps that are led by deformations come nearer to the truth, and others stay as they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from homolog.geometry import OperatorSettings
+from homolog.matching import Matcher, smoothed
+from homolog.pairs import MatcherSettings, PairOptions, PointMaps, SmoothingSettings
+from homolog.shapes import Shape
+
+SLIDE = 0.15
+
+
+@pytest.fixture(scope="module")
+def body():
+    """An uneven closed surface without symmetries."""
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions=4)
+    x, y, z = sphere.vertices.T
+    size = 1 + 0.25 * np.sin(3 * x + 1) * np.cos(2 * y) + 0.2 * z * x
+    return Shape(sphere.vertices * size[:, None] * [1.0, 1.6, 0.8], np.asarray(sphere.faces), name="body")
+
+
+@pytest.fixture(scope="module")
+def stretched(body):
+    """The same, longer in one part and bent, so that the points' numbers are the truth."""
+    x, y, z = body.points.T
+    return Shape(np.stack([x * (1.2 + 0.2 * y), 1.1 * y, z + 0.15 * y**2], axis=1), body.faces, name="stretched")
+
+
+def pair_of(source, target, **words):
+    settings = MatcherSettings(method="axiomatic", operators=OperatorSettings(n_eigenpairs=40))
+    return Matcher(settings=settings, device="cpu").pair(source, target, PairOptions(orient="given", **words))[0]
+
+
+def slid(points):
+    """A map of a surface to itself that takes each point to one some way along it, in one direction."""
+    aims = points + SLIDE * torch.tensor([0.0, 1.0, 0.0])
+    return torch.cdist(aims, points).argmin(dim=1)
+
+
+def error(maps, pair):
+    """Mean distances of both maps from the truth, equal numbers."""
+    there = (pair.y.operators.points[maps.x_to_y] - pair.y.operators.points).norm(dim=1).mean()
+    back = (pair.x.operators.points[maps.y_to_x] - pair.x.operators.points).norm(dim=1).mean()
+    return float(there), float(back)
+
+
+@pytest.mark.parametrize("as_cloud", [None, "both"])
+def test_maps_that_contradict_each_other_come_nearer_to_the_truth(body, stretched, as_cloud):
+    """Both slide the same way, so that neither is the other's inverse."""
+    pair = pair_of(body, stretched, as_cloud=as_cloud)
+    maps = PointMaps(slid(pair.y.operators.points), slid(pair.x.operators.points))
+    found = smoothed(pair, maps)
+    assert max(error(found, pair)) < 0.5 * min(error(maps, pair))
+
+
+def test_each_deformation_is_of_the_other_shape(body, stretched):
+    """One with the shapes exchanged is what the maps are led by first, where both are."""
+    pair, turned = pair_of(body, stretched), pair_of(stretched, body)
+    one = replace(pair.settings, smoothing=SmoothingSettings(deformations=1))
+    maps = PointMaps(slid(pair.y.operators.points), slid(pair.x.operators.points))
+    first = smoothed(replace(pair, settings=one), maps)
+    second = smoothed(replace(turned, settings=one), PointMaps(x_to_y=first.y_to_x, y_to_x=first.x_to_y))
+    both = smoothed(replace(pair, settings=replace(one, smoothing=SmoothingSettings(deformations=2))), maps)
+    assert torch.equal(both.x_to_y, second.y_to_x)
+    assert torch.equal(both.y_to_x, second.x_to_y)
+
+
+@pytest.mark.parametrize(
+    "changed", [{"smoothing": None}, {"refinement": None}, {"method": "registration"}], ids=lambda one: next(iter(one))
+)
+def test_maps_stay_where_there_is_nothing_to_lead(body, stretched, changed):
+    pair = pair_of(body, stretched)
+    settings = replace(pair.settings, **changed)
+    pair = replace(pair, settings=settings, method=Matcher(settings=settings, device="cpu").method_of("mesh", "mesh"))
+    maps = PointMaps(slid(pair.y.operators.points), slid(pair.x.operators.points))
+    assert smoothed(pair, maps) is maps
