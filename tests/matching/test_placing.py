@@ -101,6 +101,21 @@ def test_a_sure_map_is_kept_and_not_made_again(side, turned, monkeypatch):
                                   plain.target_to_source)  # fmt: skip
 
 
+@pytest.mark.long
+def test_a_pre_aligned_part_stays_where_it_was_given_unless_another_place_is_clearly_better(side, turned):
+    body, _, _ = side
+    there = {}
+    for given in (0.0, 99.0):
+        settings = PlacementSettings(followed=1, mapped=1, given=given, meshes=PlacedMapSettings(sure=-99.0))
+        matcher = matcher_of(settings)
+        there[given] = matcher.match(body, turned, partial="target", pre_aligned=True).target_to_source
+    settings = MatcherSettings(alignment=None, placement=None)
+    unmoved = Matcher(Misled(1202), FeatureInfo(partial=True, upright=False), settings=settings)
+    as_given = unmoved.match(body, turned, partial="target", pre_aligned=True).target_to_source
+    np.testing.assert_array_equal(there[99.0], as_given)
+    assert (there[0.0] != as_given).any()
+
+
 @pytest.mark.parametrize("method", ["own", "landmarks"])
 def test_where_maps_do_not_tell_features_place_the_part(side, turned, method, monkeypatch):
     """Another's maps may be of another kind, and landmarks say where a part lies."""

@@ -96,7 +96,8 @@ def _others(search: AlignmentSearch, best: Alignment, settings: PlacementSetting
     """Other places, with maps: that of a pre-aligned file, and then those that bring most of the part onto the full."""
     given = Alignment(search.pair.y.operators.points)
     if search.pair.options.pre_aligned and not search.any_size and best.points is not given.points:
-        yield _by_features(search, given, settings)
+        found = _by_features(search, given, settings)
+        yield replace(found, misfit=found.misfit - settings.given)
     if (oriented := search.oriented()) is not search:
         search, best = oriented, oriented.best()
         yield _by_features(search, best, settings)

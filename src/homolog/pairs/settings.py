@@ -172,6 +172,7 @@ class PlacementSettings(Settings):
             parts theirs is smooth, and wrong.
         enough: share of the partial shape that lies on the full one from which on no further one is moved.
         handed_samples: points of the partial shape at which the map's handedness is told.
+        given: what is taken off the misfit where a pre-aligned part was given: somebody has put it there.
         meshes: misfit of maps between meshes.
         clouds: of maps from or to clouds.
     """
@@ -183,6 +184,7 @@ class PlacementSettings(Settings):
     rigid: Share = 0.5
     enough: Share = 0.9
     handed_samples: Count = 1000
+    given: NotNegative = 1.0
     meshes: PlacedMapSettings = field(default_factory=PlacedMapSettings)
     clouds: PlacedMapSettings = _PLACED_CLOUDS
 
