@@ -113,13 +113,13 @@ def test_evaluate_shapes_that_lie(homolog, data, files, tmp_path):
 
 def test_evaluate_with_weights_and_all_options(homolog, data, files, tmp_path):
     (tmp_path / "pairs.txt").write_text("two,one\n")
-    options = ["--modality", "cloud", "--noise", "0.01", "--seed", "3", "--pairs", tmp_path / "pairs.txt", "--quiet"]
+    options = ["--modality", "cloud", "--noise", "0.1", "--seed", "3", "--pairs", tmp_path / "pairs.txt", "--quiet"]
     for name in ("first", "second"):
         ended = homolog("evaluate", data, "-q", "--weights", files.weights, *options, "--json", tmp_path / name)
         assert (ended.code, ended.out, ended.err) == (0, "", "")
     first, second = (strictly((tmp_path / name).read_text()) for name in ("first", "second"))
     assert first["features"]["sha256"] == hashlib.sha256(files.weights.read_bytes()).hexdigest()
-    assert first["protocol"]["noise"] == 0.01
+    assert first["protocol"]["noise"] == 0.1
     assert first["protocol"]["seed"] == 3
     assert [(pair["source"], pair["target"]) for pair in first["pairs"]] == [("two", "one")]
     assert first["method"] == "nearest-features"

@@ -61,11 +61,12 @@ def test_all_arrays_are_those_of_the_pieces(build, blobs, method, partial):
     pair, _ = matcher.pair(source.shape, target.shape, options)
     assert (pair.x is pair.source) == (partial != "source")
     pair = align_parts(pair)
-    maps = smoothed(pair, pair.maps or refine(pair, matcher.method_of("mesh", "mesh")(pair)))
+    refined = pair.maps or refine(pair, matcher.method_of("mesh", "mesh")(pair))
+    maps = smoothed(pair, refined)
     at_x, at_y = pair.x.operators.points, pair.y.operators.points
     x_to_y, y_to_x = maps.x_to_y.clone(), maps.y_to_x
-    x_trust = confidence(at_x, at_y, maps.x_to_y, maps.y_to_x).numpy()
-    y_trust = confidence(at_y, at_x, maps.y_to_x, maps.x_to_y).numpy()
+    x_trust = confidence(at_x, at_y, refined.x_to_y, refined.y_to_x).numpy()
+    y_trust = confidence(at_y, at_x, refined.y_to_x, refined.x_to_y).numpy()
     if partial is not None:
         seen = overlap(pair.x.operators, pair.y.operators, y_to_x).numpy()
         x_to_y[~torch.from_numpy(seen)] = -1

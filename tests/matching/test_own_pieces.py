@@ -337,7 +337,7 @@ def zoomed_out(maps, x, y, settings):
 @pytest.mark.parametrize("modality", ["mm", "cm"])
 def test_a_method_without_features_is_refined_without(blobs, modality):
     method = FunctionMethod("nearest", nearest_points, Supports(needs_features=False))
-    shapes, settings = blobs.of(modality), MatcherSettings(method=method)
+    shapes, settings = blobs.of(modality), MatcherSettings(method=method, smoothing=None)
     matcher = Matcher(settings=settings, device="cpu")
     found = matcher.match(*shapes)
     pair = matcher.pair(*shapes)[0]
@@ -345,7 +345,7 @@ def test_a_method_without_features_is_refined_without(blobs, modality):
     expected = zoomed_out(nearest_points(pair), *phi, settings.refinement)
     assert np.mean(found.target_to_source == expected) > 0.97
     assert np.mean(found.target_to_source == nearest_points(pair).y_to_x.numpy()) < 0.9
-    assert_same(homolog.match(*shapes, method=method, device="cpu"), found)
+    assert_same(homolog.match(*shapes, method=method, settings=settings, device="cpu"), found)
 
 
 def test_a_partial_shape_is_refined_without_features(blobs):

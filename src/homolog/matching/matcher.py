@@ -218,7 +218,7 @@ class Matcher:
         pair = guided(align_parts(orient(pair)))
         maps = meet_landmarks(pair, pair.maps or refine(pair, method_maps(pair)))
         pair, maps = without_extra_parts(pair, maps, self.preprocess)
-        return Match.of(pair, smoothed(pair, maps))
+        return Match.of(pair, smoothed(pair, maps), judged=maps)
 
     def _checked(self, pair: Pair, units: tuple[str, ...]) -> Match:
         """A match with all that there is to warn of."""

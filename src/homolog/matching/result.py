@@ -102,7 +102,7 @@ class Match:
             object.__setattr__(self, f"{side}_confidence", _checked_confidence(side, trust, len(indices)))
 
     @classmethod
-    def of(cls, pair: Pair, maps: PointMaps) -> Match:
+    def of(cls, pair: Pair, maps: PointMaps, *, judged: PointMaps | None = None) -> Match:
         """The match that point maps between the repaired shapes of a pair make.
 
         Adds confidences, the points of a full shape that have no counterpart on a partial one, figures of quality and a
@@ -111,22 +111,22 @@ class Match:
         Args:
             pair: two preprocessed shapes.
             maps: between their operators' points.
+            judged: whose confidences and quality are told in place of theirs: two maps that were found in one say
+                nothing of each other.
 
         Raises:
             ArgumentError: if the maps do not fit the pair.
         """
-        x, y = pair.x, pair.y
-        maps = checked_maps(pair, maps)
-        x_to_y = following_main_component(maps.x_to_y, x.operators)
-        y_to_x = following_main_component(maps.y_to_x, y.operators)
-        settings = pair.settings.confidence
+        x, y, settings = pair.x, pair.y, pair.settings.confidence
         at_x, at_y = x.operators.points, y.operators.points
-        x_trust = confidence(at_x, at_y, x_to_y, y_to_x, settings=settings)
-        y_trust = confidence(at_y, at_x, y_to_x, x_to_y, settings=settings)
+        there, back = _followed(pair, maps if judged is None else judged)
+        x_trust = confidence(at_x, at_y, there, back, settings=settings)
+        y_trust = confidence(at_y, at_x, back, there, settings=settings)
         figures: MapQuality | None = None
         if not pair.are_parts:  # most of what either part lacks would be counted, too
-            of_x = None if pair.is_partial else quality(x, y, x_to_y, y_to_x, x_trust)
-            figures = MapQuality(of_x, quality(y, x, y_to_x, x_to_y, y_trust))
+            of_x = None if pair.is_partial else quality(x, y, there, back, x_trust)
+            figures = MapQuality(of_x, quality(y, x, back, there, y_trust))
+        x_to_y, y_to_x = _followed(pair, maps)
         if pair.is_partial:
             found = overlap(x.operators, y.operators, y_to_x, settings=settings)
             x_to_y, x_trust = torch.where(found, x_to_y, -1), torch.where(found, x_trust, 0.0)
@@ -463,6 +463,15 @@ def _whole_numbers(given: Any) -> np.ndarray:
     """An array that tensors can be made of: of int64 where it holds whole numbers of any kind."""
     array = np.asarray(given)
     return array.astype(np.int64) if array.dtype.kind in "iu" else array.copy()
+
+
+def _followed(pair: Pair, maps: PointMaps) -> tuple[Int[Tensor, " n_x"], Int[Tensor, " n_y"]]:
+    """Both maps of a pair where loose bits follow the main component."""
+    maps = checked_maps(pair, maps)
+    return (
+        following_main_component(maps.x_to_y, pair.x.operators),
+        following_main_component(maps.y_to_x, pair.y.operators),
+    )
 
 
 def following_main_component(point_map: Int[Tensor, " n"], operators: Operators) -> Int[Tensor, " n"]:

@@ -124,13 +124,18 @@ def smoothed(pair: Pair, maps: PointMaps) -> PointMaps:
     if settings is None or pair.settings.refinement is None or not (is_full and refined):
         return maps
     x, y = DeformableShape(pair.x), DeformableShape(pair.y)
-    x_to_y, y_to_x = maps.x_to_y, maps.y_to_x
-    for number in range(settings.deformations):
-        if number % 2:
-            y_to_x, x_to_y = _led(pair, settings, y, x, y_to_x, x_to_y)
-        else:
-            x_to_y, y_to_x = _led(pair, settings, x, y, x_to_y, y_to_x)
-    return PointMaps(x_to_y=x_to_y, y_to_x=y_to_x)
+    one, other, there, back = x, y, maps.x_to_y, maps.y_to_x
+    if _rank(pair.x) > _rank(pair.y):
+        one, other, there, back = other, one, back, there
+    for _ in range(settings.deformations):
+        there, back = _led(pair, settings, one, other, there, back)
+        one, other, there, back = other, one, back, there
+    return PointMaps(there, back) if one is x else PointMaps(back, there)
+
+
+def _rank(shape: PreprocessedShape) -> tuple[int, float]:
+    """Which of two shapes is deformed first, whichever is the source: that of fewer points, or of lower frequencies."""
+    return shape.operators.n_points, float(shape.operators.eigenvalues.sum())
 
 
 def _led(
