@@ -73,6 +73,27 @@ def test_it_does_not_matter_which_shape_is_the_source(body, stretched, deformati
     assert torch.equal(one.x_to_y, other.y_to_x) and torch.equal(one.y_to_x, other.x_to_y)
 
 
+def test_a_part_is_deformed_onto_its_whole(body, stretched):
+    """Its map comes nearer to the truth, whichever of the two is the part, and the whole's points follow."""
+    kept = stretched.points[:, 1] > -0.4
+    (rows,) = np.nonzero(kept)
+    at = np.cumsum(kept) - 1
+    part = Shape(stretched.points[rows], at[stretched.faces[kept[stretched.faces].all(axis=1)]], name="part")
+    pair = pair_of(body, part, partial="target", pre_aligned=True)
+    at_x, at_y = pair.x.operators.points, pair.y.operators.points
+    truth, generator = torch.from_numpy(rows), torch.Generator().manual_seed(0)
+    scattered = at_x[truth] + SLIDE * torch.randn(len(truth), 3, generator=generator)
+    y_to_x = torch.cdist(scattered, at_x).argmin(dim=1)
+    maps = PointMaps(torch.cdist(at_x, scattered).argmin(dim=1), y_to_x)
+    found = smoothed(pair, maps)
+
+    def missed(there):
+        return float((at_x[there] - at_x[truth]).norm(dim=1).mean())
+
+    assert missed(found.y_to_x) < 0.5 * missed(maps.y_to_x)
+    assert float((at_y[found.x_to_y[truth]] - at_y).norm(dim=1).mean()) < missed(maps.y_to_x)
+
+
 def test_maps_that_are_led_are_judged_by_those_that_were_found_each_on_its_own(body, stretched):
     """One deformation gives both maps, so that they agree, right or wrong."""
     led, plain = (

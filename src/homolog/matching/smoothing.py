@@ -1,4 +1,4 @@
-"""Refined point maps without their slides along the surface: each shape is deformed onto the other. New here.
+"""Refined point maps without their slides along the surface: shapes are deformed onto each other. New here.
 
 Eigenfunctions of shapes of other proportions do not correspond: refinement that compares them leads even the true map
 away. Shapes that are deformed onto each other along the maps, as rigidly as may be, have no such bias.
@@ -57,6 +57,7 @@ class DeformableShape:
         *,
         settings: ConfidenceSettings,
         weight: float,
+        both: bool = True,
     ) -> WeightedPairs:
         """The pairs of two point maps by their confidence; each map has a total weight of at most ``weight``.
 
@@ -66,18 +67,16 @@ class DeformableShape:
             back: the way back (m,).
             settings: of the confidence.
             weight: of all pairs of a map, where the surface that pulls beside them has one.
+            both: those of the way back, too, which a part of the other has for some of its points alone.
         """
         own, others = self.shape.operators.points, other.shape.operators.points
         target, to = other.projector.shape.points, there.cpu().numpy()
-        trusts = (
-            confidence(own, others, there, back, settings=settings),
-            confidence(others, own, back, there, settings=settings),
-        )
-        return WeightedPairs(
-            np.concatenate([np.arange(len(to)), back.cpu().numpy()]),
-            np.concatenate([target[to], target]),
-            np.concatenate([weight * trust.cpu().numpy().clip(_LEAST_CONFIDENCE) / len(trust) for trust in trusts]),
-        )
+        found = [(np.arange(len(to)), target[to], confidence(own, others, there, back, settings=settings))]
+        if both:
+            found.append((back.cpu().numpy(), target, confidence(others, own, back, there, settings=settings)))
+        points, positions, trusts = zip(*found, strict=True)
+        weights = [weight * trust.cpu().numpy().clip(_LEAST_CONFIDENCE) / len(trust) for trust in trusts]
+        return WeightedPairs(np.concatenate(points), np.concatenate(positions), np.concatenate(weights))
 
     def beside(
         self, other: DeformableShape, positions: Float[np.ndarray, "n 3"], *, side: int, normals: float
@@ -108,7 +107,7 @@ class DeformableShape:
 
 @torch.no_grad()
 def smoothed(pair: Pair, maps: PointMaps) -> PointMaps:
-    """Refined point maps of two full shapes, led by deformations of each onto the other in turn.
+    """Refined point maps, led by deformations: of full shapes each onto the other in turn, or of a part onto its whole.
 
     One shape is deformed onto the other along both maps, as rigidly as may be, and drawn to the other's surface. Points
     of both then go to the nearest one, by place and normal together. The next deformation is the other way round, along
@@ -116,20 +115,21 @@ def smoothed(pair: Pair, maps: PointMaps) -> PointMaps:
     deformation of their own.
 
     Args:
-        pair: of full shapes, or any other, whose maps stay.
+        pair: of full shapes, or of a part and its whole; the maps of two parts stay.
         maps: between its repaired shapes.
     """
     settings, refined = pair.settings.smoothing, pair.near_isometric and pair.method.supports.refinement
-    is_full = pair.options.partial is None and pair.guidance is None
-    if settings is None or pair.settings.refinement is None or not (is_full and refined):
+    is_apart = pair.are_parts or pair.guidance is not None
+    if settings is None or pair.settings.refinement is None or is_apart or not refined:
         return maps
     x, y = DeformableShape(pair.x), DeformableShape(pair.y)
     one, other, there, back = x, y, maps.x_to_y, maps.y_to_x
-    if _rank(pair.x) > _rank(pair.y):
+    if pair.is_partial or _rank(pair.x) > _rank(pair.y):
         one, other, there, back = other, one, back, there
     for _ in range(settings.deformations):
         there, back = _led(pair, settings, one, other, there, back)
-        one, other, there, back = other, one, back, there
+        if not pair.is_partial:
+            one, other, there, back = other, one, back, there
     return PointMaps(there, back) if one is x else PointMaps(back, there)
 
 
@@ -148,7 +148,8 @@ def _led(
 ) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"]]:
     """Both maps once one shape is deformed onto the other along them."""
     weight = settings.points_mesh if pair.are_meshes else settings.points_cloud
-    pairs = one.pairs_with(other, there, back, settings=pair.settings.confidence, weight=weight)
+    confidences, both = pair.settings.confidence, not pair.is_partial
+    pairs = one.pairs_with(other, there, back, settings=confidences, weight=weight, both=both)
     template = DeformedTemplate(
         one.projector, other.projector, pairs, stiffness=settings.stiffness, rounds=settings.rounds
     )

@@ -391,10 +391,10 @@ class GuidanceSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothingSettings(Settings):
-    """The deformations that refined maps of two full shapes are led by. New here; chosen on pairs of training shapes.
+    """The deformations that refined maps are led by. New here; chosen on pairs of full training shapes.
 
     Args:
-        deformations: of one shape onto the other, in turn.
+        deformations: of one shape onto the other, of two full shapes in turn.
         rounds: of each, at least 3.
         stiffness: of the deformed shape, in spacings of its points: what is smaller keeps its form.
         points_mesh: weight of each of the point maps beside the surface that the deformed shape is drawn to.
