@@ -11,7 +11,7 @@ import homolog
 from homolog.core.errors import ArgumentError, DataError, ShapeError
 from homolog.geometry import MASKED
 from homolog.maps import normalised, zoomout
-from homolog.pairs import Mask, read_mask
+from homolog.pairs import Mask, MatcherSettings, read_mask
 
 
 @pytest.fixture(scope="module")
@@ -109,9 +109,10 @@ def test_graded_masks_reach_zoomout(bean, partial):
     growth = np.exp(-((bean.points - [-0.9, -0.6, 0]) ** 2).sum(axis=1) / 0.25)
     other = homolog.Shape(bean.points * (1 + 1.2 * growth[:, None]), bean.faces)
     weights = np.where(bean.points[:, 0] > 0, 1.0, 0.2)
+    settings = MatcherSettings(method="nearest-features", smoothing=None)
 
     def found(**masks):
-        words = {"method": "nearest-features", "features": features, "orient": "given", "partial": partial, **masks}
+        words = {"settings": settings, "features": features, "orient": "given", "partial": partial, **masks}
         return homolog.match(bean, other, **words).target_to_source
 
     def features(operators):

@@ -182,7 +182,7 @@ def test_parts_are_scored_as_parts(meshes, small, tmp_path, monkeypatch, pre_ali
     recipe = small(partial={"pre_aligned": pre_aligned}, validation={"score_every": 6, "score_pairs": 1})
     state = loop.train(recipe, tmp_path / "set", tmp_path / "run", device="cpu")
     assert [(protocol.partial, protocol.pre_aligned) for protocol in seen] == [(True, pre_aligned)] * 2
-    assert 0 < state.records[-1]["geodesic error/mesh"] < 150
+    assert 0 <= state.records[-1]["geodesic error/mesh"] < 150
 
 
 def test_training_can_begin_with_weights(trained, meshes, small, tmp_path):
