@@ -6,6 +6,7 @@ import copy
 import gc
 import hashlib
 import importlib
+import logging
 import os
 import shutil
 import tarfile
@@ -117,6 +118,15 @@ def _remembered(function: Callable[..., object], most: int) -> Callable[..., obj
         return copy.deepcopy(known[key])
 
     return once
+
+
+@pytest.fixture(autouse=True)
+def _own_log_level() -> Iterator[None]:
+    """A command sets for its process how much is told, which other tests in it must not depend on."""
+    log = logging.getLogger("homolog")
+    level = log.level
+    yield
+    log.setLevel(level)
 
 
 @pytest.fixture(scope="session", autouse=True)

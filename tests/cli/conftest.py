@@ -1,6 +1,5 @@
 """Running the command line within the test process, files to run it on, and a network to run it with."""
 
-import logging
 import re
 import sys
 from dataclasses import dataclass
@@ -45,7 +44,6 @@ def homolog(monkeypatch, capfd):
 
     def run(*arguments):
         arguments = [str(argument) for argument in arguments]
-        level = logging.getLogger("homolog").level
         capfd.readouterr()
         with monkeypatch.context() as patch:
             patch.setattr(sys, "argv", ["homolog", *arguments])
@@ -53,7 +51,6 @@ def homolog(monkeypatch, capfd):
             patch.setenv("COLUMNS", "200")
             with pytest.raises(SystemExit) as ended:
                 main()
-        logging.getLogger("homolog").setLevel(level)
         code = ended.value.code
         shown = capfd.readouterr()
         return Ended(0 if code is None else code, plain(shown.out), plain(shown.err))
