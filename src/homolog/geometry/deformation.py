@@ -9,7 +9,6 @@ fingers and feet below what their meshes can show. The smoothed local scales and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sparse
@@ -51,6 +50,10 @@ class WeightedPairs:
     positions: Float[np.ndarray, "p 3"]
     weights: Float[np.ndarray, " p"]
     n_certain: int = 0
+
+    def held(self, count: int) -> Bool[np.ndarray, " n"]:
+        """Which of so many points of the source occur in any pair."""
+        return np.bincount(self.points, minlength=count) > 0
 
 
 class RestShape:
@@ -134,7 +137,6 @@ class DeformedTemplate(RestShape):
     Args:
         source: the shape that is deformed.
         target: the shape that it is deformed onto.
-        pairs: correspondences between the repaired shapes.
         stiffness: in spacings of the source's points: what is smaller keeps its form, what is larger the pairs decide.
         rounds: how often rotations and positions are found in turn; in the first two the pairs alone pull.
     """
@@ -143,23 +145,24 @@ class DeformedTemplate(RestShape):
         self,
         source: SurfaceProjector,
         target: SurfaceProjector,
-        pairs: WeightedPairs,
         *,
         stiffness: float = _STIFFNESS,
         rounds: int = _ROUNDS,
     ) -> None:
         super().__init__(source.shape.points, *_laplacian(source.shape))
-        self.source, self.target, self.pairs = source, target, pairs
-        self.stiffness, self.rounds = stiffness, rounds
+        self.source, self.target, self.stiffness, self.rounds = source, target, stiffness, rounds
 
-    def solve(self) -> tuple[int, Float[np.ndarray, "n 3"]]:
+    def solve(self, pairs: WeightedPairs) -> tuple[int, Float[np.ndarray, "n 3"]]:
         """Alternate between local rotations and positions.
+
+        Args:
+            pairs: correspondences between the repaired shapes.
 
         Returns:
             The relative orientation of both meshes (see ``SurfaceMap``), and the deformed positions.
         """
-        weights, orientation = self.pairs.weights, 0
-        pull, pulled = self._pulled(weights)
+        orientation, surface_pull = 0, _SURFACE_PULL * self.mass * pairs.held(self.count)
+        pull, pulled = self._pulled(pairs, pairs.weights)
         # Positions begin at the mean of each point's pairs; rotations come from edges both of whose ends have pairs.
         positions = pulled / np.where(pull > 0, pull, 1.0)[:, None]
         known = (pull > 0)[self.ends].all(axis=0)
@@ -172,38 +175,34 @@ class DeformedTemplate(RestShape):
             bent = stiffness * self.edge_forces(*bends)
             total, right = pull + _HOLD * self.mass, pulled + bent
             if number >= _FREE_ROUNDS:
-                orientation = orientation or self._orientation(positions)
+                orientation = orientation or self._orientation(positions, surface_pull)
                 normals = orientation * self._normals(positions) if orientation else None
                 below = self.target.positions(self.target.project(positions, normals))
-                surface_pull = _SURFACE_PULL * self.mass * self.paired
                 total, right = total + surface_pull, right + surface_pull[:, None] * below
             positions = Factors(sparse.diags_array(total) + stiffness * self.stiffness_matrix).solve(right)
             # Geman and McClure's robust weights: pairs far from the deformed template count less.
-            away = np.linalg.norm(self.pairs.positions - positions[self.pairs.points], axis=1)
+            away = np.linalg.norm(pairs.positions - positions[pairs.points], axis=1)
             far = max(_FAR * float(np.median(away)), self.target.spacing)
             trust = 1.0 / (1.0 + (away / far) ** 2) ** 2
-            trust[len(trust) - self.pairs.n_certain :] = 1.0
-            pull, pulled = self._pulled(weights * trust)
+            trust[len(trust) - pairs.n_certain :] = 1.0
+            pull, pulled = self._pulled(pairs, pairs.weights * trust)
         return orientation, positions
 
-    @cached_property
-    def paired(self) -> Bool[np.ndarray, " n"]:
-        """Which points occur in any pair."""
-        return np.bincount(self.pairs.points, minlength=self.count) > 0
-
-    def _pulled(self, weights: Float[np.ndarray, " p"]) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
+    def _pulled(
+        self, pairs: WeightedPairs, weights: Float[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
         """The total weight of each point's pairs, and the weighted sum of their positions."""
-        columns = [np.bincount(self.pairs.points, weights * axis, self.count) for axis in self.pairs.positions.T]
-        return np.bincount(self.pairs.points, weights, self.count), np.stack(columns, axis=1)
+        columns = [np.bincount(pairs.points, weights * axis, self.count) for axis in pairs.positions.T]
+        return np.bincount(pairs.points, weights, self.count), np.stack(columns, axis=1)
 
-    def _orientation(self, positions: Float[np.ndarray, "n 3"]) -> int:
+    def _orientation(self, positions: Float[np.ndarray, "n 3"], weights: Float[np.ndarray, " n"]) -> int:
         """1 or -1 if most normals of template and target agree or disagree; 0 if neither, and for clouds."""
         if self.source.surface is None or self.target.surface is None:
             return 0
         below = self.target.normals(self.target.project(positions))
         assert below is not None
         agreement = np.einsum("pk,pk->p", self._normals(positions), below)
-        share = float(np.average(np.sign(agreement), weights=self.mass * self.paired))
+        share = float(np.average(np.sign(agreement), weights=weights))
         return int(np.sign(share)) if abs(share) > _ONE_SIDED else 0
 
     def _normals(self, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:

@@ -182,8 +182,9 @@ class _Cloud:
 
         By the normals of one of them.
         """
-        across = self.normals if self.has_normals else other.normals[self._nearest_on(other)]
-        return float(np.median(np.abs((self.away(other) * across).sum(axis=1))))
+        nearest = self._nearest_on(other)
+        across = self.normals if self.has_normals else other.normals[nearest]
+        return float(np.median(np.abs(((self.points - other.points[nearest]) * across).sum(axis=1))))
 
     def _nearest_on(self, other: _Cloud) -> Int[np.ndarray, " n"]:
         return _nearest(self.points, self.weighed_normals, other.points, other.weighed_normals)

@@ -181,8 +181,8 @@ class _Meeting:
             np.concatenate([pairs.weights, self.settings.pull * self.weights]),
             n_certain=len(one.at),
         )
-        template = DeformedTemplate(one.projector, other.projector, certain, stiffness=self.settings.stiffness)
-        side, solved = template.solve()
+        template = DeformedTemplate(one.projector, other.projector, stiffness=self.settings.stiffness)
+        side, solved = template.solve(certain)
         # Places alone are compared where these are to be met.
         normals = 0.0 if self.by_place else self.settings.normals
         return one.beside(other, self._pulled(solved, one, other), side=side, normals=normals)

@@ -125,14 +125,15 @@ class _Samples:
 
     @classmethod
     def of(cls, search: AlignmentSearch, settings: PlacementSettings) -> _Samples:
-        full, parts = search.pair.x, search.pair.settings.parts or PartsSettings()
+        """The samples of a pair."""
+        full, parts = search.pair.x, _parts_of(search)
         x = PlacedPoints.of(full).sampled(settings.full_samples, 0)
         spacing = spacing_of(full) * math.sqrt(full.operators.n_points / len(x.points))
         return cls(search, x, PartSample.of(search.pair.y, parts.samples, 1), spacing)
 
     def moved(self, found: Alignment) -> _Motion:
         """An alignment that is moved towards the full shape."""
-        parts, extractor = self.search.pair.settings.parts or PartsSettings(), self.search.extractor
+        parts, extractor = _parts_of(self.search), self.search.extractor
         to = best_similarity(self.search.pair.y.points_as_given, found.points)
         for reach in parts.reaches:
             to = composed(motion_by_counterparts(self.x, self.y.at(to, extractor), reach, parts, rigid=True)[0], to)
@@ -153,7 +154,7 @@ def _distinct(motions: list[_Motion], given: Float[Tensor, "n 3"], settings: Pla
 
 def _placements(search: AlignmentSearch, motion: _Motion, settings: PlacementSettings) -> Iterator[_Placement]:
     """The pair at both ends of a motion, with maps of several kinds."""
-    parts = search.pair.settings.parts or PartsSettings()
+    parts = _parts_of(search)
     if motion.share >= settings.rigid:
         yield _rigid_placement(search, motion, settings)
     pair = _at(search, motion.by_features)
@@ -163,7 +164,7 @@ def _placements(search: AlignmentSearch, motion: _Motion, settings: PlacementSet
 
 def _rigid_placement(search: AlignmentSearch, motion: _Motion, settings: PlacementSettings) -> _Placement:
     """The pair with the partial shape as a rigid copy of a part of the full one, by closest points."""
-    parts, near = search.pair.settings.parts or PartsSettings(), _at(search, motion.by_points)
+    parts, near = _parts_of(search), _at(search, motion.by_points)
     spacing = spacing_of(near.x, near.y)
     last = motion_by_closest_points(PlacedPoints.of(near.x), PlacedPoints.of(near.y), spacing, parts, rigid=True)
     near = _at(search, composed(last, motion.by_points))
@@ -175,6 +176,10 @@ def _by_features(search: AlignmentSearch, found: Alignment, settings: PlacementS
     """The pair at an alignment, with the maps by its features."""
     pair = search.pair_at(found)
     return _judged(search, pair, refine(pair, method_maps(pair)), settings, found.scale)
+
+
+def _parts_of(search: AlignmentSearch) -> PartsSettings:
+    return search.pair.settings.parts or PartsSettings()
 
 
 def _at(search: AlignmentSearch, to: Similarity) -> Pair:

@@ -119,14 +119,14 @@ class Match:
         """
         x, y, settings = pair.x, pair.y, pair.settings.confidence
         at_x, at_y = x.operators.points, y.operators.points
-        there, back = _followed(pair, maps if judged is None else judged)
+        x_to_y, y_to_x = _followed(pair, maps)
+        there, back = (x_to_y, y_to_x) if judged is None or judged is maps else _followed(pair, judged)
         x_trust = confidence(at_x, at_y, there, back, settings=settings)
         y_trust = confidence(at_y, at_x, back, there, settings=settings)
         figures: MapQuality | None = None
         if not pair.are_parts:  # most of what either part lacks would be counted, too
             of_x = None if pair.is_partial else quality(x, y, there, back, x_trust)
             figures = MapQuality(of_x, quality(y, x, back, there, y_trust))
-        x_to_y, y_to_x = _followed(pair, maps)
         if pair.is_partial:
             found = overlap(x.operators, y.operators, y_to_x, settings=settings)
             x_to_y, x_trust = torch.where(found, x_to_y, -1), torch.where(found, x_trust, 0.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import cycle, islice
 
 import numpy as np
 import torch
@@ -109,10 +110,10 @@ class DeformableShape:
 def smoothed(pair: Pair, maps: PointMaps) -> PointMaps:
     """Refined point maps, led by deformations: of full shapes each onto the other in turn, or of a part onto its whole.
 
-    One shape is deformed onto the other along both maps, as rigidly as may be, and drawn to the other's surface. Points
-    of both then go to the nearest one, by place and normal together. The next deformation is the other way round, along
-    these maps. Maps that were not refined are left as they are, and so are those with landmarks, which have a
-    deformation of their own.
+    One shape is deformed onto the other along both maps, as rigidly as may be, and drawn to the other's surface; a part
+    along its own map. Points of both then go to the nearest one, by place and normal together. The next deformation is
+    along these maps, of two full shapes the other way round. Maps that were not refined are left as they are, and so
+    are those with landmarks, which have a deformation of their own.
 
     Args:
         pair: of full shapes, or of a part and its whole; the maps of two parts stay.
@@ -123,14 +124,16 @@ def smoothed(pair: Pair, maps: PointMaps) -> PointMaps:
     if settings is None or pair.settings.refinement is None or is_apart or not refined:
         return maps
     x, y = DeformableShape(pair.x), DeformableShape(pair.y)
-    one, other, there, back = x, y, maps.x_to_y, maps.y_to_x
-    if pair.is_partial or _rank(pair.x) > _rank(pair.y):
-        one, other, there, back = other, one, back, there
-    for _ in range(settings.deformations):
-        there, back = _led(pair, settings, one, other, there, back)
-        if not pair.is_partial:
-            one, other, there, back = other, one, back, there
-    return PointMaps(there, back) if one is x else PointMaps(back, there)
+    first, second = (y, x) if pair.is_partial or _rank(pair.x) > _rank(pair.y) else (x, y)
+    ways = [(first, second)] if pair.is_partial else [(first, second), (second, first)]
+    templates = [
+        DeformedTemplate(one.projector, other.projector, stiffness=settings.stiffness, rounds=settings.rounds)
+        for one, other in ways
+    ]
+    found = {x: maps.x_to_y, y: maps.y_to_x}
+    for (one, other), template in islice(cycle(zip(ways, templates, strict=True)), settings.deformations):
+        found[one], found[other] = _led(pair, settings, template, one, other, found[one], found[other])
+    return PointMaps(found[x], found[y])
 
 
 def _rank(shape: PreprocessedShape) -> tuple[int, float]:
@@ -141,6 +144,7 @@ def _rank(shape: PreprocessedShape) -> tuple[int, float]:
 def _led(
     pair: Pair,
     settings: SmoothingSettings,
+    template: DeformedTemplate,
     one: DeformableShape,
     other: DeformableShape,
     there: Int[Tensor, " n"],
@@ -150,10 +154,7 @@ def _led(
     weight = settings.points_mesh if pair.are_meshes else settings.points_cloud
     confidences, both = pair.settings.confidence, not pair.is_partial
     pairs = one.pairs_with(other, there, back, settings=confidences, weight=weight, both=both)
-    template = DeformedTemplate(
-        one.projector, other.projector, pairs, stiffness=settings.stiffness, rounds=settings.rounds
-    )
-    side, positions = template.solve()
+    side, positions = template.solve(pairs)
     on_other, of_other = one.beside(other, positions, side=side, normals=settings.normals)
     found = other.nearest(on_other, of_other), one.nearest(of_other, on_other)
     led, led_back = (torch.from_numpy(each).to(there.device) for each in found)

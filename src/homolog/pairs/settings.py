@@ -473,7 +473,8 @@ class MatcherSettings(Settings):
         extra_parts: what only one of two full shapes has; None to give everything a counterpart.
         refinement: of the point maps, by ZoomOut; None for none, as the paper has it. Features for shapes that are not
             nearly isometric are never refined.
-        smoothing: of refined maps of two full shapes, by deformations of each onto the other; None for none.
+        smoothing: of refined maps, by deformations of full shapes onto each other or of a part onto its whole; None for
+            none.
         guidance: by landmarks, where there are any.
         confidence: of the point maps, and the overlap of a full shape with a partial one.
         warnings: when a match is said to be doubtful.

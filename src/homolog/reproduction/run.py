@@ -145,12 +145,12 @@ def reproduce(
 
 @dataclass(frozen=True, eq=False)
 class _CellPlace:
-    """A cell's plan, what matches its pairs, the file that it belongs into, its key, and whether it is there."""
+    """A cell's plan, what matches its pairs, the file that it belongs into, what names it, and whether it is there."""
 
     plan: CellPlan
     matcher: Matcher
     file: Path
-    key: str
+    names: dict[str, str]
     is_there: bool
 
 
@@ -196,7 +196,7 @@ class _Run:
             if place.is_there:
                 self.found += 1
             else:
-                self._make(place, {"row": row.name, "column": column, "key": place.key})
+                self._make(place)
                 self.made += 1
         except (_EmptyCellError, DataError, ShapeError) as reason:
             self.empty[row.name, column] = str(reason)
@@ -207,7 +207,8 @@ class _Run:
         matcher = self.matcher(plan.weights, plan.settings)
         key = plan.key(matcher)
         file = cell_file(self.folder, row.name, column, key)
-        return _CellPlace(plan, matcher, file, key, stored_cell(file, key) is not None)
+        names = {"row": row.name, "column": column, "key": key}
+        return _CellPlace(plan, matcher, file, names, stored_cell(file, key) is not None)
 
     def _plan(self, row: Row, name: str) -> CellPlan:
         folder, contents = self.dataset(row.data)
@@ -231,9 +232,9 @@ class _Run:
         )
         return CellPlan(row, column, folder, pairs, protocol, weights, training, contents)
 
-    def _make(self, cell: _CellPlace, place: dict[str, str]) -> None:
+    def _make(self, place: _CellPlace) -> None:
         """Evaluate, and write the cell with what made it."""
-        plan, matcher, first = cell.plan, cell.matcher, list[Match]()
+        plan, matcher, first = place.plan, place.matcher, list[Match]()
 
         def find(pair: ShapePair) -> Match:
             first.append(matcher.find(pair))
@@ -244,10 +245,10 @@ class _Run:
         seconds = time.perf_counter() - began
         self.pairs_done += plan.n_pairs
         features = matcher.describe()["features"]
-        write_match(self.folder, cell.file.stem, first[0])
+        write_match(self.folder, place.file.stem, first[0])
         told = {
             "experiment": self.experiment.name,
-            **place,
+            **place.names,
             "figures": figures_of(evaluation, is_whole=plan.is_whole),
             "paper": plan.row.paper,
             "made_by": plan.origin,
@@ -266,7 +267,7 @@ class _Run:
             "settings": plan.settings.to_dict(),
             "evaluation": evaluation.to_dict(),
         }
-        write_cell(cell.file, told)
+        write_cell(place.file, told)
 
     def _part_of(self, plan: CellPlan) -> Progress:
         """The progress of one cell, as a part of that of all."""

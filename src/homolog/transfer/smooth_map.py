@@ -123,16 +123,18 @@ def surface_map(source: Shape | SurfaceProjector, target: Shape | SurfaceProject
     """
     ends = [shape if isinstance(shape, SurfaceProjector) else SurfaceProjector(shape) for shape in (source, target)]
     source, target = ends
-    template = DeformedTemplate(source, target, _weighted_pairs(source, target, found))
-    orientation, deformed = template.solve()
-    extended = source.repaired.to_original(_with_loose_components(template, deformed), fill=np.nan)
+    template, pairs = DeformedTemplate(source, target), _weighted_pairs(source, target, found)
+    orientation, deformed = template.solve(pairs)
+    whole = _with_loose_components(template, deformed, held=pairs.held(template.count))
+    extended = source.repaired.to_original(whole, fill=np.nan)
     positions = np.where((found.source_to_target >= 0)[:, None], extended, np.nan)
     return SurfaceMap(source, target, positions, orientation=orientation, extended=extended)
 
 
-def _with_loose_components(template: DeformedTemplate, positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+def _with_loose_components(
+    template: DeformedTemplate, positions: Float[np.ndarray, "n 3"], *, held: Bool[np.ndarray, " n"]
+) -> Float[np.ndarray, "n 3"]:
     """The positions, with components that no pair holds moved as one body with the points that have pairs."""
-    held = template.paired
     component = components(template.ends[0], template.ends[1], template.count)
     loose = ~np.isin(component, component[held])
     if not loose.any():
