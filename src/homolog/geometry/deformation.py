@@ -26,7 +26,7 @@ _ROTATION_SMOOTHING = 2.0  # radius over which rotations are averaged
 _SCALE_SMOOTHING = 10.0  # radius over which scales are averaged
 _SCALES = (0.2, 5.0)  # bounds of the local scale, relative to the global one
 _ROUNDS = 8
-_FREE_ROUNDS = 2  # the first rounds ignore the target's surface
+_FREE_ROUNDS = 2
 _SURFACE_PULL = 1.0
 # A pair whose ends are this many times the median distance apart counts a quarter.
 _FAR = 2.0
@@ -137,8 +137,8 @@ class DeformedTemplate(RestShape):
     Args:
         source: the shape that is deformed.
         target: the shape that it is deformed onto.
-        stiffness: in spacings of the source's points: what is smaller keeps its form, what is larger the pairs decide.
-        rounds: how often rotations and positions are found in turn; in the first two the pairs alone pull.
+        rounds: how often rotations and positions are found in turn.
+        free_rounds: in how many of these, the first ones, the pairs alone pull, and not the target's surface.
     """
 
     def __init__(
@@ -146,40 +146,44 @@ class DeformedTemplate(RestShape):
         source: SurfaceProjector,
         target: SurfaceProjector,
         *,
-        stiffness: float = _STIFFNESS,
         rounds: int = _ROUNDS,
+        free_rounds: int = _FREE_ROUNDS,
     ) -> None:
         super().__init__(source.shape.points, *_laplacian(source.shape))
-        self.source, self.target, self.stiffness, self.rounds = source, target, stiffness, rounds
+        self.source, self.target, self.rounds, self.free_rounds = source, target, rounds, free_rounds
 
-    def solve(self, pairs: WeightedPairs) -> tuple[int, Float[np.ndarray, "n 3"]]:
+    def solve(
+        self, pairs: WeightedPairs, *, stiffness: float = _STIFFNESS, orientation: int = 0
+    ) -> tuple[int, Float[np.ndarray, "n 3"]]:
         """Alternate between local rotations and positions.
 
         Args:
             pairs: correspondences between the repaired shapes.
+            stiffness: in spacings of the source's points: what is smaller keeps its form, what is larger the pairs
+                decide.
+            orientation: the relative orientation of both meshes (see ``SurfaceMap``); by default it is found.
 
         Returns:
-            The relative orientation of both meshes (see ``SurfaceMap``), and the deformed positions.
+            The relative orientation of both meshes, and the deformed positions.
         """
-        orientation, surface_pull = 0, _SURFACE_PULL * self.mass * pairs.held(self.count)
+        surface_pull, bending = _SURFACE_PULL * self.mass * pairs.held(self.count), self.length(stiffness) ** 2
         pull, pulled = self._pulled(pairs, pairs.weights)
         # Positions begin at the mean of each point's pairs; rotations come from edges both of whose ends have pairs.
         positions = pulled / np.where(pull > 0, pull, 1.0)[:, None]
         known = (pull > 0)[self.ends].all(axis=0)
         for number in range(self.rounds):
-            stiffness = self.length(self.stiffness) ** 2
             # Without any edge between paired points the shapes' own sizes give the global scale.
             bends = self.local_similarities(
                 positions, known if number == 0 else np.ones_like(known), self.target.unit / self.source.unit
             )
-            bent = stiffness * self.edge_forces(*bends)
+            bent = bending * self.edge_forces(*bends)
             total, right = pull + _HOLD * self.mass, pulled + bent
-            if number >= _FREE_ROUNDS:
+            if number >= self.free_rounds:
                 orientation = orientation or self._orientation(positions, surface_pull)
                 normals = orientation * self._normals(positions) if orientation else None
                 below = self.target.positions(self.target.project(positions, normals))
                 total, right = total + surface_pull, right + surface_pull[:, None] * below
-            positions = Factors(sparse.diags_array(total) + stiffness * self.stiffness_matrix).solve(right)
+            positions = Factors(sparse.diags_array(total) + bending * self.stiffness_matrix).solve(right)
             # Geman and McClure's robust weights: pairs far from the deformed template count less.
             away = np.linalg.norm(pairs.positions - positions[pairs.points], axis=1)
             far = max(_FAR * float(np.median(away)), self.target.spacing)

@@ -6,7 +6,14 @@ point of x; a functional map ``C_xy`` takes spectral coefficients on x to those 
 """
 
 from homolog.maps.coarse_map import CoarseFit, CoarseMapSettings, coarse_fit
-from homolog.maps.confidence import ConfidenceSettings, confidence, coverage_density, local_stretch, overlap
+from homolog.maps.confidence import (
+    ConfidenceSettings,
+    confidence,
+    coverage_density,
+    local_stretch,
+    neighbourhoods,
+    overlap,
+)
 from homolog.maps.descriptors import heat_kernel_signature, smoothed_positions, wave_kernel_signature
 from homolog.maps.functional_map import (
     functional_map,
@@ -72,6 +79,7 @@ __all__ = [
     "local_stretch",
     "most_similar",
     "nearest_neighbour",
+    "neighbourhoods",
     "normalised",
     "overlap",
     "point_map_from_functional_map",

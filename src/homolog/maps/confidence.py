@@ -55,6 +55,7 @@ def confidence(
     x_to_y: Int[Tensor, " n_x"],
     *,
     settings: ConfidenceSettings | None = None,
+    near: Int[Tensor, "n_y j"] | None = None,
 ) -> Float[Tensor, " n_y"]:
     """Confidence in each entry of a point map, between 0 and 1, from cycle error and local distortion. New here.
 
@@ -68,6 +69,8 @@ def confidence(
         y_to_x: the map, for each point of y a point of x (n_y,).
         x_to_y: the map back (n_x,).
         settings: neighbours and scale.
+        near: the indices of each point of y and its neighbours (n_y, j), where many maps of one shape are judged; by
+            default ``neighbourhoods`` looks for them.
 
     Returns:
         A number per point of y (n_y,).
@@ -90,11 +93,16 @@ def confidence(
     """
     settings = given_or_default("settings", settings, ConfidenceSettings)
     home = cycle_error(points_y, y_to_x, x_to_y)
-    positions = points_y.cpu().numpy()
-    _, indices = KDTree(positions).query(positions, k=min(settings.n_neighbours + 1, len(positions)))
-    near = torch.from_numpy(indices).to(points_y.device)  # each point itself among them
+    near = neighbourhoods(points_y, settings.n_neighbours) if near is None else near
     stretch = local_stretch(points_y, points_x[y_to_x], near)
     return torch.exp(-(home[near].mean(dim=1) + stretch) / settings.scale)
+
+
+def neighbourhoods(points: Float[Tensor, "n 3"], count: int) -> Int[Tensor, "n j"]:
+    """The indices of each point and so many of the others, the nearest first."""
+    positions = points.cpu().numpy()
+    _, indices = KDTree(positions).query(positions, k=min(count + 1, len(positions)))
+    return torch.from_numpy(indices).to(points.device)
 
 
 @takes_arrays

@@ -49,7 +49,10 @@ def meet_landmarks(pair: Pair, maps: PointMaps) -> PointMaps:
     """
     if pair.guidance is None:
         return maps
-    x, y = (_Surface(shape, at) for shape, at in ((pair.x, pair.guidance.x), (pair.y, pair.guidance.y)))
+    x, y = (
+        _Surface(shape, pair.settings.confidence, at)
+        for shape, at in ((pair.x, pair.guidance.x), (pair.y, pair.guidance.y))
+    )
     meeting = _Meeting(pair, x, y)
     if not pair.method.supports.refinement and meeting.missed(maps) < pair.settings.guidance.trusted:
         return meeting.moved(maps)
@@ -172,7 +175,7 @@ class _Meeting:
 
     def _onto(
         self, one: _Surface, other: _Surface, there: Int[Tensor, " n"], back: Int[Tensor, " m"] | None
-    ) -> tuple[Float[Tensor, "n e"], Float[Tensor, "m e"]]:
+    ) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, "m e"]]:
         """The points of one shape where they lie on the other, and those of the other, by all that is compared."""
         pairs = self._pairs(one, other, there, back)
         certain = WeightedPairs(
@@ -181,8 +184,8 @@ class _Meeting:
             np.concatenate([pairs.weights, self.settings.pull * self.weights]),
             n_certain=len(one.at),
         )
-        template = DeformedTemplate(one.projector, other.projector, stiffness=self.settings.stiffness)
-        side, solved = template.solve(certain)
+        template = DeformedTemplate(one.projector, other.projector)
+        side, solved = template.solve(certain, stiffness=self.settings.stiffness)
         # Places alone are compared where these are to be met.
         normals = 0.0 if self.by_place else self.settings.normals
         return one.beside(other, self._pulled(solved, one, other), side=side, normals=normals)
@@ -191,9 +194,9 @@ class _Meeting:
         self, one: _Surface, other: _Surface, there: Int[Tensor, " n"], back: Int[Tensor, " m"] | None
     ) -> WeightedPairs:
         """The pairs of point maps; of a part's map alone all count alike."""
-        weight, settings = self.settings.points, self.pair.settings.confidence
+        weight = self.settings.points
         if back is not None:
-            return one.pairs_with(other, there, back, settings=settings, weight=weight)
+            return one.pairs_with(other, there, back, weight=weight)
         to, target = there.cpu().numpy(), other.projector.shape.points
         return WeightedPairs(np.arange(len(to)), target[to], np.full(len(to), weight / len(to)))
 

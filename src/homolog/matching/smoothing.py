@@ -8,20 +8,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import cycle, islice
+from itertools import cycle
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from homolog.geometry.deformation import DeformedTemplate, WeightedPairs
 from homolog.geometry.projection import SurfaceProjector
-from homolog.maps import ConfidenceSettings, confidence, nearest_neighbour
+from homolog.maps import ConfidenceSettings, confidence, neighbourhoods
 from homolog.pairs import Pair, PointMaps, PreprocessedShape, SmoothingSettings
 
 # A pair of points that is not trusted at all still counts this much.
 _LEAST_CONFIDENCE = 0.01
+# Of the rounds of a deformation: in so many, point maps alone pull.
+_FREE_ROUNDS = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +33,11 @@ class DeformableShape:
 
     Args:
         shape: preprocessed.
+        settings: of the confidence in its maps.
     """
 
     shape: PreprocessedShape
+    settings: ConfidenceSettings
 
     @cached_property
     def projector(self) -> SurfaceProjector:
@@ -50,13 +55,24 @@ class DeformableShape:
         surface = self.projector.surface
         return None if surface is None else surface.vertex_normals
 
+    def trust(
+        self, other: DeformableShape, there: Int[Tensor, " n"], back: Int[Tensor, " m"]
+    ) -> Float[np.ndarray, " n"]:
+        """The confidence in each entry of its map to another shape."""
+        points = self.shape.operators.points, other.shape.operators.points
+        found = confidence(*points, there, back, settings=self.settings, near=self._near)
+        return np.asarray(found.cpu().numpy())
+
+    @cached_property
+    def _near(self) -> Int[Tensor, "n j"]:
+        return neighbourhoods(self.shape.operators.points, self.settings.n_neighbours)
+
     def pairs_with(
         self,
         other: DeformableShape,
         there: Int[Tensor, " n"],
         back: Int[Tensor, " m"],
         *,
-        settings: ConfidenceSettings,
         weight: float,
         both: bool = True,
     ) -> WeightedPairs:
@@ -66,22 +82,20 @@ class DeformableShape:
             other: the shape that this one is deformed onto.
             there: for each of its points one of the other's (n,).
             back: the way back (m,).
-            settings: of the confidence.
             weight: of all pairs of a map, where the surface that pulls beside them has one.
             both: those of the way back, too, which a part of the other has for some of its points alone.
         """
-        own, others = self.shape.operators.points, other.shape.operators.points
         target, to = other.projector.shape.points, there.cpu().numpy()
-        found = [(np.arange(len(to)), target[to], confidence(own, others, there, back, settings=settings))]
+        found = [(np.arange(len(to)), target[to], self.trust(other, there, back))]
         if both:
-            found.append((back.cpu().numpy(), target, confidence(others, own, back, there, settings=settings)))
+            found.append((back.cpu().numpy(), target, other.trust(self, back, there)))
         points, positions, trusts = zip(*found, strict=True)
-        weights = [weight * trust.cpu().numpy().clip(_LEAST_CONFIDENCE) / len(trust) for trust in trusts]
+        weights = [weight * trust.clip(_LEAST_CONFIDENCE) / len(trust) for trust in trusts]
         return WeightedPairs(np.concatenate(points), np.concatenate(positions), np.concatenate(weights))
 
     def beside(
         self, other: DeformableShape, positions: Float[np.ndarray, "n 3"], *, side: int, normals: float
-    ) -> tuple[Float[Tensor, "n e"], Float[Tensor, "m e"]]:
+    ) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, "m e"]]:
         """Its points where they lie on the other, and those of the other, as embeddings by place and normal.
 
         Args:
@@ -96,13 +110,11 @@ class DeformableShape:
         if side and normals and self.projector.surface is not None and other.normals is not None:
             own.append(normals * side * replace(self.projector.surface, vertices=positions).vertex_normals)
             others.append(normals * other.normals)
-        like = other.shape.operators.points
-        deformed, rest = (torch.from_numpy(np.concatenate(parts, axis=1)).to(like) for parts in (own, others))
-        return deformed, rest
+        return np.concatenate(own, axis=1), np.concatenate(others, axis=1)
 
-    def nearest(self, points: Float[Tensor, "m e"], own: Float[Tensor, "n e"]) -> Int[np.ndarray, " m"]:
+    def nearest(self, points: Float[np.ndarray, "m e"], own: Float[np.ndarray, "n e"]) -> Int[np.ndarray, " m"]:
         """For each point of another shape the nearest of its own, by embeddings of both."""
-        found: np.ndarray = self.main[nearest_neighbour(points, own[torch.from_numpy(self.main)]).index.cpu().numpy()]
+        found: np.ndarray = self.main[KDTree(own[self.main]).query(points)[1]]
         return found
 
 
@@ -123,16 +135,14 @@ def smoothed(pair: Pair, maps: PointMaps) -> PointMaps:
     is_apart = pair.are_parts or pair.guidance is not None
     if settings is None or pair.settings.refinement is None or is_apart or not refined:
         return maps
-    x, y = DeformableShape(pair.x), DeformableShape(pair.y)
+    x, y = (DeformableShape(shape, pair.settings.confidence) for shape in (pair.x, pair.y))
     first, second = (y, x) if pair.is_partial or _rank(pair.x) > _rank(pair.y) else (x, y)
-    ways = [(first, second)] if pair.is_partial else [(first, second), (second, first)]
-    templates = [
-        DeformedTemplate(one.projector, other.projector, stiffness=settings.stiffness, rounds=settings.rounds)
-        for one, other in ways
-    ]
-    found = {x: maps.x_to_y, y: maps.y_to_x}
-    for (one, other), template in islice(cycle(zip(ways, templates, strict=True)), settings.deformations):
-        found[one], found[other] = _led(pair, settings, template, one, other, found[one], found[other])
+    both_ways = [(first, second)] if pair.is_partial else [(first, second), (second, first)]
+    ways = [_Way(pair, settings, one, other) for one, other in both_ways]
+    found, side = {x: maps.x_to_y, y: maps.y_to_x}, 0
+    for way, stiffness in zip(cycle(ways), settings.schedule()):
+        one, other = way.one, way.other
+        found[one], found[other], side = way.led(found[one], found[other], stiffness, side)
     return PointMaps(found[x], found[y])
 
 
@@ -141,21 +151,28 @@ def _rank(shape: PreprocessedShape) -> tuple[int, float]:
     return shape.operators.n_points, float(shape.operators.eigenvalues.sum())
 
 
-def _led(
-    pair: Pair,
-    settings: SmoothingSettings,
-    template: DeformedTemplate,
-    one: DeformableShape,
-    other: DeformableShape,
-    there: Int[Tensor, " n"],
-    back: Int[Tensor, " m"],
-) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"]]:
-    """Both maps once one shape is deformed onto the other along them."""
-    weight = settings.points_mesh if pair.are_meshes else settings.points_cloud
-    confidences, both = pair.settings.confidence, not pair.is_partial
-    pairs = one.pairs_with(other, there, back, settings=confidences, weight=weight, both=both)
-    side, positions = template.solve(pairs)
-    on_other, of_other = one.beside(other, positions, side=side, normals=settings.normals)
-    found = other.nearest(on_other, of_other), one.nearest(of_other, on_other)
-    led, led_back = (torch.from_numpy(each).to(there.device) for each in found)
-    return led, led_back
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """One shape that is deformed onto the other of a pair, again and again."""
+
+    pair: Pair
+    settings: SmoothingSettings
+    one: DeformableShape
+    other: DeformableShape
+
+    @cached_property
+    def template(self) -> DeformedTemplate:
+        ends = self.one.projector, self.other.projector
+        return DeformedTemplate(*ends, rounds=self.settings.rounds, free_rounds=_FREE_ROUNDS)
+
+    def led(
+        self, there: Int[Tensor, " n"], back: Int[Tensor, " m"], stiffness: float, side: int
+    ) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"], int]:
+        """Both maps once the shape is deformed along them, and the relative orientation, found where it is 0."""
+        weight = self.settings.points_mesh if self.pair.are_meshes else self.settings.points_cloud
+        pairs = self.one.pairs_with(self.other, there, back, weight=weight, both=not self.pair.is_partial)
+        side, positions = self.template.solve(pairs, stiffness=stiffness, orientation=side)
+        on_other, of_other = self.one.beside(self.other, positions, side=side, normals=self.settings.normals)
+        found = self.other.nearest(on_other, of_other), self.one.nearest(of_other, on_other)
+        led, led_back = (torch.from_numpy(each).to(there.device) for each in found)
+        return led, led_back, side

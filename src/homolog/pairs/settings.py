@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Annotated, Any, get_args
 
+import numpy as np
 import torch
 from annotated_types import Ge, Le
 
@@ -395,20 +396,31 @@ class SmoothingSettings(Settings):
 
     Args:
         deformations: of one shape onto the other, of two full shapes in turn.
-        rounds: of each, at least 3.
-        stiffness: of the deformed shape, in spacings of its points: what is smaller keeps its form.
+        rounds: of each, at least 2; in the first one point maps alone pull.
+        first_stiffness: of the shape in the first deformation, in spacings of its points: what is smaller keeps its
+            form.
+        last_stiffness: in the last one; in between it goes from one to the other by one factor.
         points_mesh: weight of each of the point maps beside the surface that the deformed shape is drawn to.
         points_cloud: the same where a cloud takes part: noise moves what it is drawn to.
         normals: distance, in units of sqrt(area), that weighs as much as a difference of one in unit normals where
             points look for their counterparts.
+
+    Examples:
+        >>> [round(stiffness, 2) for stiffness in SmoothingSettings(deformations=3).schedule()]
+        [4.0, 2.45, 1.5]
     """
 
-    deformations: Count = 4
-    rounds: Annotated[int, Ge(3)] = 4
-    stiffness: Positive = 3.0
+    deformations: Count = 12
+    rounds: Annotated[int, Ge(2)] = 2
+    first_stiffness: Positive = 4.0
+    last_stiffness: Positive = 1.5
     points_mesh: Positive = 0.5
     points_cloud: Positive = 2.0
     normals: NotNegative = 0.1
+
+    def schedule(self) -> list[float]:
+        """The stiffness of each deformation."""
+        return [float(each) for each in np.geomspace(self.first_stiffness, self.last_stiffness, self.deformations)]
 
 
 @dataclass(frozen=True, kw_only=True)
