@@ -61,6 +61,7 @@ FUNCTIONS = [
     (maps.rigid_motion, (POINTS[0], POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T + 1)),
     (maps.best_similarity, (POINTS[0], 2 * POINTS[0] @ torch.linalg.qr(random(3, 3)).Q.T + 1)),
     (maps.closest_point_similarity, (POINTS[0], POINTS[0] + 0.01)),
+    (maps.neighbourhoods, (POINTS[0], 5)),
     (maps.sinkhorn_matches, FEATURES),
     (maps.wave_kernel_signature, (VALUES[0], PHI[0])),
     (maps.zoomout, (Y_TO_X, X_TO_Y, *PHI, *FEATURES)),

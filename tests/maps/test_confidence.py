@@ -12,8 +12,10 @@ from torch import Tensor
 from homolog.core.errors import ArgumentError
 from homolog.geometry import Operators, OperatorSettings, compute_operators
 from homolog.maps import (
+    ConfidenceSettings,
     confidence,
     coverage_density,
+    neighbourhoods,
     overlap,
     smoothed_positions,
     wave_kernel_signature,
@@ -193,3 +195,13 @@ def test_a_last_point_without_neighbours_is_covered_by_itself_alone(blob):
     torch.testing.assert_close(density[:n], torch.ones(n), atol=1e-4, rtol=0)
     assert density[n] == 0
     assert coverage_density(lonely, mean[None], torch.tensor([n]))[n] == pytest.approx(1)
+
+
+def test_neighbourhoods_that_are_known_are_not_looked_for_again():
+    """The same numbers, whether they are given or found; other ones give others."""
+    generator = torch.Generator().manual_seed(0)
+    points, images = torch.rand(60, 3, generator=generator), torch.rand(50, 3, generator=generator)
+    there, back = torch.arange(60) % 50, torch.arange(50)
+    found = confidence(points, images, there, back, settings=ConfidenceSettings(n_neighbours=7))
+    assert torch.equal(found, confidence(points, images, there, back, near=neighbourhoods(points, 7)))
+    assert not torch.equal(found, confidence(points, images, there, back, near=neighbourhoods(points, 3)))

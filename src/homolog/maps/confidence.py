@@ -98,8 +98,23 @@ def confidence(
     return torch.exp(-(home[near].mean(dim=1) + stretch) / settings.scale)
 
 
+@takes_arrays
 def neighbourhoods(points: Float[Tensor, "n 3"], count: int) -> Int[Tensor, "n j"]:
-    """The indices of each point and so many of the others, the nearest first."""
+    """The indices of each point and so many of the others, or all of them, the nearest first.
+
+    Args:
+        points: positions (n, 3).
+        count: how many others.
+
+    Returns:
+        For each point its own index, and those of its nearest ones (n, count + 1).
+
+    Examples:
+        >>> import torch
+        >>> from homolog.maps import neighbourhoods
+        >>> neighbourhoods(torch.tensor([[0.0, 0, 0], [1, 0, 0], [3, 0, 0]]), 1).tolist()
+        [[0, 1], [1, 0], [2, 1]]
+    """
     positions = points.cpu().numpy()
     _, indices = KDTree(positions).query(positions, k=min(count + 1, len(positions)))
     return torch.from_numpy(indices).to(points.device)
