@@ -371,7 +371,6 @@ class GuidanceSettings(Settings):
         points: weight of the point maps in the deformation.
         normals: distance, in units of sqrt(area), that weighs as much as a difference of one in unit normals where
             points of the deformed shape look for their counterparts.
-        rounds: of deformation, at least 1.
         trusted: maps of methods that are not refined are smooth by themselves: nothing is deformed where they miss
             landmarks by less than this on average, in units of sqrt(area). Chosen on vertebrae.
         reach: of the last pull towards a landmark, in units of sqrt(area).
@@ -385,7 +384,6 @@ class GuidanceSettings(Settings):
     stiffness: Positive = 5.0
     points: Positive = 0.5
     normals: NotNegative = 0.1
-    rounds: Count = 2
     trusted: NotNegative = 0.1
     reach: Positive = 0.1
 
