@@ -164,6 +164,26 @@ def test_features_are_left_out_of_nearly_rigid_copies(copies):
         assert known.choice[0].name == first
 
 
+@dataclass(frozen=True, eq=False)
+class KnowsOne(Positions):
+    """Features that know one shape, by its size, and no other."""
+
+    size: float = 0.0
+
+    def orienter(self, operators):
+        knows = abs(operators.scale - self.size) < 1e-3 * self.size
+        return (Orientation(torch.eye(3), self.misfit if knows else 0.5),)
+
+
+@pytest.mark.parametrize(("misfit", "most", "first"), [(0.06, 1.0, "others"), (0.09, 1.0, None), (0.06, 0.05, None)])
+def test_features_that_know_one_of_both_well_are_taken_though_the_other_is_odd(copies, misfit, most, first):
+    """Even of nearly rigid copies: a wrong map by closest points may tear less."""
+    size = homolog.compute_operators(copies.source).scale
+    pair = chosen([Positions("usual", 0.3), KnowsOne("others", misfit, most=most, size=size)], copies, orient="auto")
+    assert pair.choice[0].name == (first or "registration")
+    assert first is None or pair.choice[0].misfit == 0.5
+
+
 @pytest.fixture(scope="module")
 def bent(copies):
     x, y, z = copies.source.points.T

@@ -70,10 +70,14 @@ class SeenShapes:
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """Pairs with some features, or a method without any, and what is known of them together."""
+    """Pairs with some features, or a method without any, and what is known of them together.
+
+    Its candidate has the misfit of the shape of a pair that the features know less well; ``least`` is the other one's.
+    """
 
     pairs: tuple[Pair, ...]
     candidate: Candidate
+    least: float = math.inf
 
 
 @torch.no_grad()
@@ -94,24 +98,41 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     if _misfit_of(usual) > settings.known:
         ways += [_way([shapes.seen(pair, extractor) for pair in pairs]) for extractor in others]
         ways.sort(key=_misfit_of)
-    best = ways[0].pairs[0].extractor
-    assert best is not None
-    misfit, most = _misfit_of(ways[0]), min(settings.known_best, best.info.most_misfit)
+    misfit, most = _misfit_of(ways[0]), _most_misfit(ways[0], settings.known_best)
+    half_known = min(ways, key=lambda way: way.least)
     # Maps of two parts contradict themselves wherever these do not overlap.
-    if misfit > (settings.known if ways[0] is usual else most) and not pairs[0].are_parts:
-        without = list(map(_started, _without_features(pairs, shapes)))
-        if rigid := [
-            way
-            for way in without
-            if median(pair.start is not None and pair.start.near_rigid for pair in way.pairs) == 1  # most of them
-        ]:
-            ways = [*rigid, *ways]
-        elif misfit > most:
-            plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
-            tried = _mapped([*plausible, *without])
-            ways = sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]
+    if misfit <= (settings.known if ways[0] is usual else most) or pairs[0].are_parts:
+        pass
+    elif half_known.least <= _most_misfit(half_known, settings.half_known):
+        # The other shape is of that kind, too, with an odd pose or mesh. Wrong maps by closest points tear less.
+        ways = [half_known, *(way for way in ways if way is not half_known)]
+    else:
+        ways = _unknown(pairs, ways, shapes, maps_tell=misfit > most)
     choice = tuple(way.candidate for way in ways)
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
+
+
+def _most_misfit(way: _Way, most: float) -> float:
+    """Up to which misfit features are believed to know a shape: so much, or what their file says, if that is less."""
+    extractor = way.pairs[0].extractor
+    assert extractor is not None
+    return min(most, extractor.info.most_misfit)
+
+
+def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, maps_tell: bool) -> list[_Way]:
+    """The ways for pairs that no features know, the best first: nearly rigid copies are registered, or maps tell."""
+    without = list(map(_started, _without_features(pairs, shapes)))
+    if rigid := [
+        way
+        for way in without
+        if median(pair.start is not None and pair.start.near_rigid for pair in way.pairs) == 1  # most of them
+    ]:
+        return [*rigid, *ways]
+    if not maps_tell:
+        return ways
+    plausible = [way for way in ways if _misfit_of(way) <= pairs[0].settings.choice.plausible]
+    tried = _mapped([*plausible, *without])
+    return sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]
 
 
 def _started(way: _Way) -> _Way:
@@ -168,13 +189,13 @@ def _way(pairs: Sequence[Pair]) -> _Way:
     orienter = _orienter_of(extractor)
     # Of a partial pair the full shape tells, or part and whole would have to be of one kind of orienter.
     misfits = [
-        max(
+        [
             (shape.orientations or orienter(shape.operators))[0].misfit
             for shape in ([pair.x] if pair.is_partial else [pair.x, pair.y])
-        )
+        ]
         for pair in pairs
     ]
-    return _Way(tuple(pairs), Candidate(extractor.info.name, median(misfits)))
+    return _Way(tuple(pairs), Candidate(extractor.info.name, median(map(max, misfits))), median(map(min, misfits)))
 
 
 def _without_features(pairs: Sequence[Pair], shapes: SeenShapes) -> Iterator[_Way]:

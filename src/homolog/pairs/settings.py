@@ -334,7 +334,7 @@ class ChoiceSettings(Settings):
     """The choice among features of several kinds of shapes, and of none. New here; chosen on pairs of training shapes.
 
     Features know a pair as well as their orienter knows the shape that it knows less well: by the misfit of the best
-    orientation, see ``homolog.features.Orientation``. Where no features know a pair, nearly rigid copies
+    orientation, see ``homolog.features.Orientation``. Where no features know either shape, nearly rigid copies
     (``homolog.maps.RegistrationStart``) are registered. Of others the maps that come into question are made, and that
     of least ``homolog.matching.map_misfit`` is taken.
 
@@ -345,6 +345,9 @@ class ChoiceSettings(Settings):
             ``FeatureInfo.most_misfit`` is not less. Animals have 0.04 to 0.12 by the weights for animals, hands and
             heads 0.04 to 0.05 by those of their own. Tibiae have 0.11 by the usual ones: above ``known``, nearly rigid
             copies are registered.
+        half_known: where no features know both shapes, those are taken that know one of the two up to this misfit, if
+            ``FeatureInfo.most_misfit`` is not less. A fox with a damaged mesh has 0.37, and the animals that it is
+            matched with 0.05 to 0.09. No bone has less than 0.1.
         plausible: misfit up to which maps by features are made; that of bones is some 0.4.
         cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
         flipped: weight of the share of triangles that it turns over.
@@ -352,6 +355,7 @@ class ChoiceSettings(Settings):
 
     known: NotNegative = 0.1
     known_best: NotNegative = 0.12
+    half_known: NotNegative = 0.08
     plausible: NotNegative = 0.3
     cycle: NotNegative = 50.0
     flipped: NotNegative = 20.0
