@@ -161,3 +161,12 @@ def test_what_is_not_finite_is_refused() -> None:
         mesh_laplacian(np.zeros((4, 3)), np.array([[0, 1, 2], [1, 3, 2]]))
     with pytest.raises(ArgumentError, match="n_neighbours"):
         cloud_laplacian(np.random.default_rng(0).random((50, 3)), n_neighbours=2)
+
+
+def test_a_cloud_far_from_the_origin_has_the_laplacian_that_it_has_there(make) -> None:
+    """The library that makes it rounds positions, so that neighbours differed."""
+    points = make.blob(3).points
+    laplacian, mass = cloud_laplacian(points)
+    moved, moved_mass = cloud_laplacian(1000 * points + [50.0, -3000.0, 7.0])
+    assert abs(moved - laplacian).max() < 1e-9 * abs(laplacian).max()
+    assert np.allclose(moved_mass, 1e6 * mass, rtol=1e-9)

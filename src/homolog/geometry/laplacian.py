@@ -99,8 +99,10 @@ def cloud_laplacian(
     cloud = Shape(points, name="the cloud")
     require_usable(cloud)
     n_neighbours = min(n_neighbours, cloud.n_points - 1)
+    # Far from the origin rounding changes which points the library takes for neighbours.
+    about_origin = cloud.points - cloud.points.mean(axis=0)
     with _degenerate_if_refused():
-        laplacian, mass = robust_laplacian.point_cloud_laplacian(cloud.points, n_neighbors=n_neighbours)
+        laplacian, mass = robust_laplacian.point_cloud_laplacian(about_origin, n_neighbors=n_neighbours)
     return _checked(laplacian, mass.diagonal())
 
 
