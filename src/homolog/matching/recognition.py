@@ -1,9 +1,9 @@
 """Which features know two shapes, or whether it is better to do without any. New here.
 
 Features are of the shapes that they were trained on: of people, or of animals. Their orienter tells how well it knows a
-shape, by how much it contradicts itself about it. Where no features know a pair, and the two shapes are nearly rigid
-copies, as bones of one kind are, they are registered. Otherwise the maps that come into question are made, and the one
-that contradicts itself least is believed.
+shape, by how much it contradicts itself about it. Where none know both shapes of a pair, those are taken that know one
+of them well. Where none do, and the two shapes are nearly rigid copies, as bones of one kind are, they are registered.
+Otherwise the maps that come into question are made, and the one that contradicts itself least is believed.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     # Maps of two parts contradict themselves wherever these do not overlap.
     if misfit <= (settings.known if ways[0] is usual else most) or pairs[0].are_parts:
         pass
-    elif half_known.least <= _most_misfit(half_known, settings.half_known):
+    elif half_known.least <= _most_misfit(half_known, settings.known):
         # The other shape is of that kind, too, with an odd pose or mesh. Wrong maps by closest points tear less.
         ways = [half_known, *(way for way in ways if way is not half_known)]
     else:

@@ -340,14 +340,13 @@ class ChoiceSettings(Settings):
 
     Args:
         known: misfit up to which the usual features know a pair: nothing else is looked at. People have 0.04 to 0.1 by
-            the weights for people, animals 0.11 and more.
+            the weights for people, animals 0.11 and more. Where no features know both shapes, those are taken that know
+            one of the two up to this misfit, if ``FeatureInfo.most_misfit`` is not less: animals have 0.05 to 0.1 by
+            those for animals, but one fox of 49 has 0.37. No bone has less than 0.1 by any.
         known_best: misfit up to which those that know a pair best are taken without a look at any map, if
             ``FeatureInfo.most_misfit`` is not less. Animals have 0.04 to 0.12 by the weights for animals, hands and
             heads 0.04 to 0.05 by those of their own. Tibiae have 0.11 by the usual ones: above ``known``, nearly rigid
             copies are registered.
-        half_known: where no features know both shapes, those are taken that know one of the two up to this misfit, if
-            ``FeatureInfo.most_misfit`` is not less. A fox with a damaged mesh has 0.37, and the animals that it is
-            matched with 0.05 to 0.09. No bone has less than 0.1.
         plausible: misfit up to which maps by features are made; that of bones is some 0.4.
         cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
         flipped: weight of the share of triangles that it turns over.
@@ -355,7 +354,6 @@ class ChoiceSettings(Settings):
 
     known: NotNegative = 0.1
     known_best: NotNegative = 0.12
-    half_known: NotNegative = 0.08
     plausible: NotNegative = 0.3
     cycle: NotNegative = 50.0
     flipped: NotNegative = 20.0
