@@ -14,6 +14,7 @@ from homolog.core.errors import ArgumentError
 from homolog.features import FeatureInfo, Orientation
 from homolog.matching import Matcher, map_misfit, search
 from homolog.matching.search import orient
+from homolog.matching.warnings import unknown_shape_warnings
 from homolog.methods import registration
 from homolog.methods.registration import started
 from homolog.pairs import MatcherSettings, PairOptions
@@ -64,6 +65,7 @@ def test_features_that_know_the_pair_are_taken_before_others_are_asked(blobs):
     pair = chosen([Positions("usual", 0.05), Positions("others", 0.01)], blobs)
     assert pair.extractor.info.name == "usual"
     assert [candidate.name for candidate in pair.choice] == ["usual"]
+    assert unknown_shape_warnings(pair) == ()
 
 
 @pytest.mark.parametrize(("partial", "first"), [(None, "usual"), ("source", "of parts"), ("both", "of parts")])
@@ -182,6 +184,9 @@ def test_features_that_know_one_of_both_well_are_taken_though_the_other_is_odd(c
     pair = chosen([Positions("usual", 0.3), KnowsOne("others", misfit, most=most, size=size)], copies, orient="auto")
     assert pair.choice[0].name == (first or "registration")
     assert first is None or pair.choice[0].misfit == 0.5
+    said = unknown_shape_warnings(pair)
+    assert len(said) == (first is not None)
+    assert all("'others', have a misfit of 0.50" in each for each in said)
 
 
 @pytest.fixture(scope="module")

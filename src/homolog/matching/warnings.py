@@ -86,7 +86,7 @@ def match_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
         match: of the two.
     """
     checks = (*guidance_warnings(pair), *part_warnings(pair), *orientation_warnings(match), *mirror_warnings(pair))
-    checks = (*checks, *extra_part_warnings(match))
+    checks = (*checks, *extra_part_warnings(match), *unknown_shape_warnings(pair))
     return (*checks, *low_confidence_warnings(match, pair.settings.warnings, pair=pair))
 
 
@@ -98,6 +98,17 @@ def orientation_warnings(match: Match) -> tuple[str, ...]:
     return (
         "which way round the shapes are is ambiguous: another rotation leads to another map, and fits nearly as well; "
         "look at both (Matcher.alternatives), or trust the files (orient='given')",
+    )
+
+
+def unknown_shape_warnings(pair: Pair) -> tuple[str, ...]:
+    """Say if features were chosen that know one of the shapes badly: maps may be smooth and confident all the same."""
+    best, most = next(iter(pair.choice), None), pair.settings.choice.known_best
+    if pair.extractor is None or best is None or best.name != pair.extractor.info.name or (best.misfit or 0.0) <= most:
+        return ()
+    return (
+        f"no weights know both shapes: those that were chosen, {best.name!r}, have a misfit of {best.misfit:.2f}, "
+        f"but at most {most:g} of shapes that they know; look at the map, and see whether both are of that kind",
     )
 
 
