@@ -271,6 +271,14 @@ def test_what_is_said_of_pairs_must_fit_them(more, said):
     assert said in str(refused.value)
 
 
+def test_a_point_that_belongs_to_two_is_refused():
+    """Two points that belong to one are not: a coarse mesh may have no more."""
+    with pytest.raises(ArgumentError, match="'1' and '3' are one point of the source, but two of the target"):
+        LandmarkPairs([4, 5, 4], [7, 8, 9])
+    assert len(LandmarkPairs([4, 5, 4], [7, 8, 7])) == 3
+    assert len(LandmarkPairs([4, 5], [7, 7])) == 2
+
+
 def test_names_pair_them_and_those_on_one_shape_are_left_out():
     pairs = LandmarkPairs.by_name({"nose": 3, "ear": 8, "chin": 1}, {"chin": 4, "nose": 5, "tail": 6})
     assert (pairs.names, pairs.source, pairs.target) == (("nose", "chin"), (3, 1), (5, 4))

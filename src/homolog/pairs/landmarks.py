@@ -37,7 +37,8 @@ class LandmarkPairs:
             positions are then brought to those of the shapes, LPS if these state none.
 
     Raises:
-        ArgumentError: if they are neither indices nor positions, of another number on either shape, or not 1 to 50.
+        ArgumentError: if they are neither indices nor positions, of another number on either shape, or not 1 to 50,
+            or if a point of the source belongs to two of the target.
 
     Examples:
         >>> from homolog.pairs import LandmarkPairs
@@ -75,11 +76,23 @@ class LandmarkPairs:
             kept = tuple(value for value, there in zip(values, known, strict=True) if there)
             object.__setattr__(self, column, kept)
         object.__setattr__(self, "left_out", (*self.left_out, *absent))
+        self._check_ends()
         if not 1 <= len(self) <= MOST_LANDMARKS:
             raise ArgumentError(
                 f"landmarks hold {len(self)} pairs of points that are on both shapes, but must hold 1 to "
                 f"{MOST_LANDMARKS}; " + ("name the same points on both" if not len(self) else "give the surest of them")
             )
+
+    def _check_ends(self) -> None:
+        """Refuse a point of the source that belongs to two points of the target."""
+        ends: dict[Place, tuple[str, Place]] = {}
+        for name, place, end in zip(self.names, self.source, self.target, strict=True):
+            other, first = ends.setdefault(place, (name, end))
+            if first != end:
+                raise ArgumentError(
+                    f"the landmarks {other!r} and {name!r} are one point of the source, but two of the target; "
+                    "leave one of them out"
+                )
 
     @classmethod
     def by_name(cls, source: Mapping[str, Place], target: Mapping[str, Place]) -> LandmarkPairs:
