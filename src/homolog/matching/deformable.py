@@ -6,12 +6,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 
 from homolog.geometry import distances_from
-from homolog.geometry.deformation import WeightedPairs
+from homolog.geometry.deformation import DeformedTemplate, WeightedPairs
 from homolog.geometry.projection import SurfaceProjector
 from homolog.maps import ConfidenceSettings, confidence, neighbourhoods
 from homolog.pairs import Guidance, GuidanceSettings, Pair, PreprocessedShape
@@ -156,6 +157,10 @@ class HeldLandmarks:
         """In units of sqrt(area)."""
         return np.asarray(self.guidance.uncertainties.cpu().double().numpy())
 
+    def normals(self, usual: float) -> float:
+        """What normals weigh in the end: nothing where a landmark is uncertain, which is missed by place alone."""
+        return 0.0 if self.uncertainties.any() else usual
+
     def among(self, pairs: WeightedPairs, one: DeformableShape, other: DeformableShape) -> WeightedPairs:
         """The pairs of point maps, and behind them the landmarks, which are certain."""
         weights = self.settings.pull * self.guidance.weights.cpu().double().numpy()
@@ -184,3 +189,53 @@ class HeldLandmarks:
         certain = self.uncertainties == 0
         found[one.at[certain]] = other.at[certain]
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class Deformation:
+    """One shape of a pair that is deformed onto the other along point maps, as often as is asked.
+
+    Args:
+        one: the shape that is deformed; of a part and its whole the part.
+        other: the shape that it is deformed onto.
+        both: whether the map back pulls as well, which a part of the other has for some of its points alone.
+        held: landmarks that it is held by, if there are any.
+        template: the first shape on its way onto the other.
+    """
+
+    one: DeformableShape
+    other: DeformableShape
+    both: bool
+    held: HeldLandmarks | None
+    template: DeformedTemplate
+
+    def led(
+        self,
+        there: Int[Tensor, " n"],
+        back: Int[Tensor, " m"],
+        *,
+        weight: float,
+        stiffness: float,
+        normals: float,
+        side: int = 0,
+    ) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"], int]:
+        """Both maps once the shape is deformed along them, and the relative orientation of both meshes.
+
+        Args:
+            there: for each of its points one of the other's (n,).
+            back: the way back (m,).
+            weight: of all pairs of a map.
+            stiffness: in spacings of its points.
+            normals: see ``DeformableShape.beside``.
+            side: the relative orientation, found where it is 0.
+        """
+        one, other, held = self.one, self.other, self.held
+        pairs = one.pairs_with(other, there, back, weight=weight, both=self.both)
+        pairs = pairs if held is None else held.among(pairs, one, other)
+        side, positions = self.template.solve(pairs, stiffness=stiffness, orientation=side)
+        positions = positions if held is None else held.pulled(positions, one, other)
+        on_other, of_other = one.beside(other, positions, side=side, normals=normals)
+        led, led_back = other.nearest(on_other, of_other), one.nearest(of_other, on_other)
+        if held is not None:
+            led, led_back = held.met(led, one, other), held.met(led_back, other, one)
+        return torch.from_numpy(led).to(there.device), torch.from_numpy(led_back).to(there.device), side

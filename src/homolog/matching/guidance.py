@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from torch import Tensor
 
 from homolog.geometry.deformation import DeformedTemplate
-from homolog.matching.deformable import DeformableShape, HeldLandmarks
+from homolog.matching.deformable import DeformableShape, Deformation, HeldLandmarks
 from homolog.matching.result import Match
 from homolog.pairs import SIDES, GuidanceSettings, Pair, PointMaps
 
@@ -41,9 +41,10 @@ def meet_landmarks(pair: Pair, maps: PointMaps) -> PointMaps:
         pair: with landmarks or without.
         maps: between its repaired shapes.
     """
-    if pair.guidance is None:
+    held = HeldLandmarks.of(pair)
+    if held is None:
         return maps
-    meeting = _Meeting(pair, HeldLandmarks(pair.guidance, pair.settings.guidance), *DeformableShape.of(pair))
+    meeting = _Meeting(pair, held, *DeformableShape.of(pair))
     if not pair.method.supports.refinement and meeting.missed(maps) < pair.settings.guidance.trusted:
         return meeting.moved(maps)
     return meeting.deformed(maps)
@@ -110,34 +111,25 @@ class _Meeting:
 
     def moved(self, maps: PointMaps) -> PointMaps:
         """The maps with what they miss made up for around the landmarks, and as they are elsewhere."""
-        return self._maps(self._moved(self.x, self.y, maps.x_to_y), self._moved(self.y, self.x, maps.y_to_x))
+        return PointMaps(self._moved(self.x, self.y, maps.x_to_y), self._moved(self.y, self.x, maps.y_to_x))
 
     def deformed(self, maps: PointMaps) -> PointMaps:
         """The maps once the shapes are deformed onto each other along them; a part alone is deformed onto its whole."""
-        x, y, held = self.x, self.y, self.held
-        on_x, of_x = self._onto(y, x, maps.y_to_x, maps.x_to_y)
-        y_to_x = held.met(x.nearest(on_x, of_x), y, x)
-        if self.pair.is_partial:
-            return self._maps(held.met(y.nearest(of_x, on_x), x, y), y_to_x)
-        on_y, of_y = self._onto(x, y, maps.x_to_y, maps.y_to_x)
-        return self._maps(held.met(y.nearest(on_y, of_y), x, y), y_to_x)
+        y_to_x, x_to_y = self._led(self.y, self.x, maps.y_to_x, maps.x_to_y)
+        if not self.pair.is_partial:
+            x_to_y, _ = self._led(self.x, self.y, maps.x_to_y, maps.y_to_x)
+        return PointMaps(x_to_y, y_to_x)
 
-    def _maps(self, x_to_y: Int[np.ndarray, " n_x"], y_to_x: Int[np.ndarray, " n_y"]) -> PointMaps:
-        device = self.pair.x.operators.points.device
-        return PointMaps(torch.from_numpy(x_to_y).to(device), torch.from_numpy(y_to_x).to(device))
-
-    def _moved(self, one: DeformableShape, other: DeformableShape, there: Int[Tensor, " n"]) -> Int[np.ndarray, " n"]:
+    def _moved(self, one: DeformableShape, other: DeformableShape, there: Int[Tensor, " n"]) -> Int[Tensor, " n"]:
         points = other.projector.shape.points
         positions = self.held.pulled(points[there.cpu().numpy()], one, other)
-        return self.held.met(other.nearest(positions, points), one, other)
+        return torch.from_numpy(self.held.met(other.nearest(positions, points), one, other)).to(there.device)
 
-    def _onto(
+    def _led(
         self, one: DeformableShape, other: DeformableShape, there: Int[Tensor, " n"], back: Int[Tensor, " m"]
-    ) -> tuple[Float[np.ndarray, "n e"], Float[np.ndarray, "m e"]]:
-        """The points of one shape where they lie on the other, and those of the other, by all that is compared."""
-        pairs = one.pairs_with(other, there, back, weight=self.settings.points, both=not self.pair.is_partial)
-        template = DeformedTemplate(one.projector, other.projector)
-        side, solved = template.solve(self.held.among(pairs, one, other), stiffness=self.settings.stiffness)
-        # By how much an uncertain landmark is missed is a matter of places alone.
-        normals = 0.0 if self.held.uncertainties.any() else self.settings.normals
-        return one.beside(other, self.held.pulled(solved, one, other), side=side, normals=normals)
+    ) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"]]:
+        settings, template = self.settings, DeformedTemplate(one.projector, other.projector)
+        deformation = Deformation(one, other, both=not self.pair.is_partial, held=self.held, template=template)
+        normals = self.held.normals(settings.normals)
+        weight, stiffness = settings.points, settings.stiffness
+        return deformation.led(there, back, weight=weight, stiffness=stiffness, normals=normals)[:2]

@@ -6,17 +6,13 @@ away. Shapes that are deformed onto each other along the maps, as rigidly as may
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
 from itertools import cycle
 
 import torch
-from jaxtyping import Int
-from torch import Tensor
 
 from homolog.geometry.deformation import DeformedTemplate
-from homolog.matching.deformable import DeformableShape, HeldLandmarks
-from homolog.pairs import Pair, PointMaps, PreprocessedShape, SmoothingSettings
+from homolog.matching.deformable import DeformableShape, Deformation, HeldLandmarks
+from homolog.pairs import Pair, PointMaps, PreprocessedShape
 
 # Of the rounds of a deformation: in so many, point maps alone pull.
 _FREE_ROUNDS = 1
@@ -41,50 +37,29 @@ def smoothed(pair: Pair, maps: PointMaps) -> PointMaps:
     x, y = DeformableShape.of(pair)
     first, second = (y, x) if pair.is_partial or _rank(pair.x) > _rank(pair.y) else (x, y)
     both_ways = [(first, second)] if pair.is_partial else [(first, second), (second, first)]
-    held = HeldLandmarks.of(pair)
-    ways = [_Way(pair, settings, one, other, held) for one, other in both_ways]
-    stiffnesses, normals = settings.schedule(), [settings.normals] * settings.deformations
-    if held is not None and held.uncertainties.any():
-        normals[-1] = 0.0  # by how much a landmark is missed in the end is a matter of places alone
+    held, weight = HeldLandmarks.of(pair), settings.points_mesh if pair.are_meshes else settings.points_cloud
+    ways = [
+        Deformation(
+            one,
+            other,
+            both=not pair.is_partial,
+            held=held,
+            template=DeformedTemplate(one.projector, other.projector, rounds=settings.rounds, free_rounds=_FREE_ROUNDS),
+        )
+        for one, other in both_ways
+    ]
+    normals = [settings.normals] * settings.deformations
+    if held is not None:
+        normals[-1] = held.normals(settings.normals)
     found, side = {x: maps.x_to_y, y: maps.y_to_x}, 0
-    for way, stiffness, weight in zip(cycle(ways), stiffnesses, normals):
-        one, other = way.one, way.other
-        found[one], found[other], side = way.led(found[one], found[other], stiffness, weight, side)
+    for way, stiffness, normal in zip(cycle(ways), settings.schedule(), normals):
+        there, back = found[way.one], found[way.other]
+        found[way.one], found[way.other], side = way.led(
+            there, back, weight=weight, stiffness=stiffness, normals=normal, side=side
+        )
     return PointMaps(found[x], found[y])
 
 
 def _rank(shape: PreprocessedShape) -> tuple[int, float]:
     """Which of two shapes is deformed first, whichever is the source: that of fewer points, or of lower frequencies."""
     return shape.operators.n_points, float(shape.operators.eigenvalues.sum())
-
-
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """One shape that is deformed onto the other of a pair, again and again."""
-
-    pair: Pair
-    settings: SmoothingSettings
-    one: DeformableShape
-    other: DeformableShape
-    held: HeldLandmarks | None
-
-    @cached_property
-    def template(self) -> DeformedTemplate:
-        ends = self.one.projector, self.other.projector
-        return DeformedTemplate(*ends, rounds=self.settings.rounds, free_rounds=_FREE_ROUNDS)
-
-    def led(
-        self, there: Int[Tensor, " n"], back: Int[Tensor, " m"], stiffness: float, normals: float, side: int
-    ) -> tuple[Int[Tensor, " n"], Int[Tensor, " m"], int]:
-        """Both maps once the shape is deformed along them, and the relative orientation, found where it is 0."""
-        weight = self.settings.points_mesh if self.pair.are_meshes else self.settings.points_cloud
-        one, other, held = self.one, self.other, self.held
-        pairs = one.pairs_with(other, there, back, weight=weight, both=not self.pair.is_partial)
-        pairs = pairs if held is None else held.among(pairs, one, other)
-        side, positions = self.template.solve(pairs, stiffness=stiffness, orientation=side)
-        positions = positions if held is None else held.pulled(positions, one, other)
-        on_other, of_other = one.beside(other, positions, side=side, normals=normals)
-        led, led_back = other.nearest(on_other, of_other), one.nearest(of_other, on_other)
-        if held is not None:
-            led, led_back = held.met(led, one, other), held.met(led_back, other, one)
-        return torch.from_numpy(led).to(there.device), torch.from_numpy(led_back).to(there.device), side
