@@ -141,13 +141,35 @@ def test_a_shape_that_features_do_not_know_in_the_pose_of_the_orienter_is_tried_
     _, pair = people
     tilt = torch.from_numpy(rotation_about(0, -90)).float()
     wrong = getattr(pair, side).turned(tilt, pair.extractor)
-    wrong = replace(wrong, orientations=(Orientation(tilt, misfit=0.2),))
+    wrong = replace(wrong, orientations=(Orientation(tilt, misfit=0.09),))
     found = orient(replace(pair, **{side: wrong}))
     assert all(float(rotation_angle(shape.rotation)) < 1 for shape in (found.source, found.target))
     assert found.orientation.margin > 0.3 and not found.orientation.ambiguous
     trusting = replace(pair.settings.orientation, doubtful_handedness=-1.0)
     kept = orient(replace(pair, **{side: wrong}, settings=replace(pair.settings, orientation=trusting)))
     assert float(rotation_angle(getattr(kept, side).rotation)) > 85
+
+
+@pytest.mark.parametrize(("misfit", "facing", "overruled"), [(0.15, 0, True), (0.09, 0, False), (0.15, 180, False)])
+def test_shapes_that_the_orienter_is_unsure_of_may_stand_alike(people, misfit, facing, overruled):
+    """An orienter that takes a front for a back: it is overruled where it is unsure, and the files stand alike."""
+    _, pair = people
+    back, given = (torch.from_numpy(rotation_about(1, angle)).float() for angle in (180, facing))
+    target = pair.target.turned(given, None)
+    target = replace(target, rotation=torch.eye(3)).turned(back, pair.extractor)
+    target = replace(target, orientations=(Orientation(back, misfit),))
+    source = replace(pair.source, orientations=(Orientation(torch.eye(3), misfit=0.05),))
+    found = orient(replace(pair, source=source, target=target))
+    assert (float(rotation_angle(found.target.rotation)) < 1) is overruled
+    assert torch.equal(found.source.rotation, torch.eye(3))
+
+
+def test_the_best_of_the_preferred_comes_first_unless_another_is_clearly_better():
+    likely, given, near = (search.Hypothesis(torch.eye(3), torch.eye(3), misfit) for misfit in (0.1, 0.3, 0.13))
+    ranked = [likely, near, given]
+    assert search._first(ranked, [given, near], 0.05) == [near, likely, given]
+    assert search._first(ranked, [given, near], 0.02) == ranked
+    assert search._first(ranked, [], 0.05) == ranked
 
 
 def test_no_other_pose_is_tried_where_the_files_and_the_orienter_agree(people):

@@ -9,7 +9,7 @@ rigid bodies.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import product
 
@@ -117,6 +117,7 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
         given = next(found for found in ranked if found.is_as_given)
         if samples.refined and samples.extractor is not None and not given.is_like(ranked[0]):
             return _given_first(_turned_further(samples, ranked), settings.turned_margin)
+        ranked = _first(ranked, (found for found in ranked if found.is_like(given)), settings.given_margin)
         ranked = _small_turn_left(samples, ranked) if pair.method.supports.small_turns else ranked
         return _given_first(ranked, settings.margin)
     both = pair.source.orientations, pair.target.orientations
@@ -126,6 +127,9 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
     others = [found for found in all_of_them if not any(found.is_like(other) for other in likely)]
     samples = Samples.of(pair)
     ranked = _given_first(samples.ranked(likely), settings.margin)
+    if max(orientations[0].misfit for orientations in both) > settings.unsure:
+        alike = samples.judged(_alike(*both, settings))
+        ranked = _first([*ranked, alike], [alike], settings.alike_margin)
     less_known: Side = "source" if pair.source.orientations[0].misfit > pair.target.orientations[0].misfit else "target"
     return [*_handed_first(samples, ranked, less_known), *samples.ranked(others)]
 
@@ -161,6 +165,15 @@ def _of_orienter(
     weight = settings.orienter
     found = [Hypothesis(one.rotation, other.rotation, weight * (one.misfit + other.misfit)) for one, other in pairs]
     return _distinct(found)[: settings.hypotheses]
+
+
+def _alike(
+    source: tuple[Orientation, ...], target: tuple[Orientation, ...], settings: OrientationSettings
+) -> Hypothesis:
+    """Both turned as the orienter turns the shape that it knows better: files often hold shapes that stand alike."""
+    best = source[0], target[0]
+    rotation = min(best, key=lambda found: found.misfit).rotation
+    return Hypothesis(rotation, rotation, settings.orienter * sum(found.misfit for found in best))
 
 
 def _distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
@@ -215,8 +228,15 @@ def _small_turn_left(samples: Samples, ranked: list[Hypothesis]) -> list[Hypothe
 
 def _given_first(ranked: list[Hypothesis], margin: float) -> list[Hypothesis]:
     """With the shapes as they are given in the first place, where nothing is clearly better."""
-    near = [found for found in ranked if found.is_as_given and found.misfit < ranked[0].misfit + margin]
-    return [*near, *(found for found in ranked if found not in near)]
+    return _first(ranked, (found for found in ranked if found.is_as_given), margin)
+
+
+def _first(ranked: list[Hypothesis], preferred: Iterable[Hypothesis], margin: float) -> list[Hypothesis]:
+    """With the best of some in the first place, where nothing is better by a margin."""
+    best = min(preferred, key=lambda found: found.misfit, default=ranked[0])
+    if best.misfit >= ranked[0].misfit + margin:
+        return ranked
+    return [best, *(found for found in ranked if found is not best)]
 
 
 def _certainty(distinct: list[Hypothesis], number: int, settings: OrientationSettings) -> PairOrientation:

@@ -296,6 +296,10 @@ class OrientationSettings(Settings):
             0.75.
         orienter: weight of the orienter's misfit.
         orienter_margin: what the orienter finds worse by more than this is not looked at any further.
+        unsure: where the orienter's misfit of a shape is above, as of people in much noise, the shapes are also tried
+            as standing alike, and kept so unless another way is better by ``alike_margin``.
+        alike_margin: of pairs that face apart, the right way is better by 0.07 to 0.15; of pairs that stand alike, a
+            wrong one by up to 0.05.
         margin: what is better by less than this is not told apart: the given way round is then kept, and the pair is
             said to be ambiguous.
         turned_margin: the same without an orienter, where maps are by features: people look alike from both sides to
@@ -322,6 +326,8 @@ class OrientationSettings(Settings):
     sure_handedness: Annotated[float, Ge(-1), Le(1)] = 0.8
     orienter: NotNegative = 1.0
     orienter_margin: NotNegative = 0.05
+    unsure: NotNegative = 0.1
+    alike_margin: NotNegative = 0.05
     margin: NotNegative = 0.01
     turned_margin: NotNegative = 0.15
     given_margin: NotNegative = 0.03
