@@ -17,7 +17,7 @@ from homolog.matching.search import orient
 from homolog.matching.warnings import unknown_shape_warnings
 from homolog.methods import registration
 from homolog.methods.registration import started
-from homolog.pairs import MatcherSettings, PairOptions
+from homolog.pairs import ChoiceSettings, MatcherSettings, PairOptions
 from homolog.shapes import Shape
 from homolog.synthesis import view
 
@@ -123,16 +123,20 @@ def test_those_that_know_it_better_are_taken_where_the_usual_ones_do_not(blobs, 
     assert torch.equal(pair.x.features, Positions("others", 0)(pair.x.operators))
 
 
+ALL_MAPS = MatcherSettings(choice=ChoiceSettings(registered=0.0))
+"""Also those of shapes that are registered with less contradiction than any other map could have."""
+
+
 def test_features_may_say_that_they_know_shapes_less_well(blobs):
     strict = Positions("strict", 0.11, most=0.08)
-    told = {each.name: each.map_misfit for each in chosen([Positions("usual", 0.5), strict], blobs).choice}
+    told = {each.name: each.map_misfit for each in chosen([Positions("usual", 0.5), strict], blobs, ALL_MAPS).choice}
     assert set(told) == {"strict", "axiomatic", "registration"} and None not in told.values()
     assert chosen([Positions("usual", 0.5), replace(strict, misfit=0.07)], blobs).extractor.info.name == "strict"
 
 
 def test_a_pair_that_none_know_gets_the_best_map(blobs):
     good, bad, ignorant = Positions("good", 0.3), Positions("bad", 0.2, tells=False), Positions("ignorant", 0.5)
-    pair = chosen([bad, good, ignorant], blobs)
+    pair = chosen([bad, good, ignorant], blobs, ALL_MAPS)
     told = {candidate.name: candidate.map_misfit for candidate in pair.choice}
     assert set(told) == {"good", "bad", "axiomatic", "registration"}
     assert pair.choice[0].map_misfit == min(told.values())
@@ -140,11 +144,20 @@ def test_a_pair_that_none_know_gets_the_best_map(blobs):
 
 
 def test_methods_without_features_are_tried_where_no_features_are_plausible(blobs):
-    matcher = Matcher([Positions("some", 0.5), Positions("others", 0.9)])
+    matcher = Matcher([Positions("some", 0.5), Positions("others", 0.9)], settings=ALL_MAPS)
     match = matcher.match(blobs.source, blobs.target, orient="given")
     assert match.method in ("axiomatic", "registration")
     assert match.report["choice"][0]["name"] == match.method
     assert {candidate["name"] for candidate in match.report["choice"]} == {"axiomatic", "registration"}
+
+
+def test_where_a_registration_contradicts_itself_nowhere_no_other_map_is_looked_at(blobs):
+    features = [Positions("good", 0.3), Positions("others", 0.9)]
+    registered = chosen(features, blobs)
+    assert registered.method.name == "registration" and registered.choice[0].map_misfit < 1
+    assert [each.map_misfit for each in registered.choice[1:]] == [None, None]
+    least = replace(ALL_MAPS.choice, registered=registered.choice[0].map_misfit - 0.01)
+    assert len(chosen(features, blobs, replace(ALL_MAPS, choice=least)).choice) == 3
 
 
 @pytest.fixture(scope="module")

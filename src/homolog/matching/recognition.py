@@ -79,6 +79,11 @@ class _Way:
     candidate: Candidate
     least: float = math.inf
 
+    @property
+    def method(self) -> str:
+        """The name of the method of its pairs."""
+        return self.pairs[0].method.name
+
 
 @torch.no_grad()
 def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes: SeenShapes) -> list[Pair]:
@@ -120,7 +125,7 @@ def _most_misfit(way: _Way, most: float) -> float:
 
 
 def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, maps_tell: bool) -> list[_Way]:
-    """The ways for pairs that no features know, the best first: nearly rigid copies are registered, or maps tell."""
+    """The ways for pairs that no features know, the best first: some are registered, of others maps tell."""
     without = list(map(_started, _without_features(pairs, shapes)))
     if rigid := [
         way
@@ -130,9 +135,13 @@ def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, map
         return [*rigid, *ways]
     if not maps_tell:
         return ways
-    plausible = [way for way in ways if _misfit_of(way) <= pairs[0].settings.choice.plausible]
-    tried = _mapped([*plausible, *without])
-    return sorted(tried, key=lambda way: way.candidate.map_misfit or 0.0) or ways[:1]
+    settings = pairs[0].settings.choice
+    registered = list(_mapped(way for way in without if way.method == registration.METHOD.name))
+    if registered and _map_misfit_of(registered[0]) <= settings.registered:
+        return [*registered, *ways]
+    others = [way for way in without if way.method != registration.METHOD.name]
+    plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
+    return sorted([*_mapped([*plausible, *others]), *registered], key=_map_misfit_of) or ways[:1]
 
 
 def _started(way: _Way) -> _Way:
@@ -144,8 +153,7 @@ def _started(way: _Way) -> _Way:
         except ShapeError:
             return pair
 
-    is_registered = way.pairs[0].method.name == registration.METHOD.name
-    return replace(way, pairs=tuple(map(found, way.pairs))) if is_registered else way
+    return replace(way, pairs=tuple(map(found, way.pairs))) if way.method == registration.METHOD.name else way
 
 
 def _suited(extractors: Sequence[FeatureExtractor], pair: Pair) -> list[FeatureExtractor]:
@@ -180,6 +188,10 @@ def _orienter_of(extractor: FeatureExtractor) -> Orienter:
 
 def _misfit_of(way: _Way) -> float:
     return way.candidate.misfit or 0.0
+
+
+def _map_misfit_of(way: _Way) -> float:
+    return way.candidate.map_misfit or 0.0
 
 
 def _way(pairs: Sequence[Pair]) -> _Way:

@@ -353,6 +353,9 @@ class ChoiceSettings(Settings):
             ``FeatureInfo.most_misfit`` is not less. Animals have 0.04 to 0.12 by the weights for animals, hands and
             heads 0.04 to 0.05 by those of their own. Tibiae have 0.11 by the usual ones: above ``known``, nearly rigid
             copies are registered.
+        registered: map's misfit up to which a registration is taken without a look at other maps. Of lungs, whose maps
+            by eigenfunctions are as smooth and mostly wrong, it is 0.6 to 0.9, of animals and people in two poses 1.3
+            and more.
         plausible: misfit up to which maps by features are made; that of bones is some 0.4.
         cycle: weight of the mean cycle error in a map's misfit, beside the logarithm of its Dirichlet energy.
         flipped: weight of the share of triangles that it turns over.
@@ -360,6 +363,7 @@ class ChoiceSettings(Settings):
 
     known: NotNegative = 0.1
     known_best: NotNegative = 0.12
+    registered: NotNegative = 1.0
     plausible: NotNegative = 0.3
     cycle: NotNegative = 50.0
     flipped: NotNegative = 20.0
