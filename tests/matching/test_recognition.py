@@ -202,6 +202,15 @@ def test_features_that_know_one_of_both_well_are_taken_though_the_other_is_odd(c
     assert all("'others', have a misfit of 0.50" in each for each in said)
 
 
+@pytest.mark.parametrize(("most", "warned"), [(0.08, True), (1.0, False)])
+def test_a_warning_goes_by_what_the_features_say_of_themselves(blobs, most, warned):
+    """Though their map is the best: other shapes have that misfit as well."""
+    matcher = Matcher([Positions("usual", 0.5), Positions("strict", 0.1, most=most)], settings=ALL_MAPS)
+    pair, _ = matcher.pair(blobs.source, blobs.target, partial="both", orient="given")
+    assert pair.choice[0].name == "strict"
+    assert [f"but at most {most:g} of shapes" in each for each in unknown_shape_warnings(pair)] == [True] * warned
+
+
 @pytest.fixture(scope="module")
 def bent(copies):
     x, y, z = copies.source.points.T

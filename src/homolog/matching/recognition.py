@@ -103,16 +103,11 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     if _misfit_of(usual) > settings.known:
         ways += [_way([shapes.seen(pair, extractor) for pair in pairs]) for extractor in others]
         ways.sort(key=_misfit_of)
-    misfit, most = _misfit_of(ways[0]), _most_misfit(ways[0], settings.known_best)
-    half_known = min(ways, key=lambda way: way.least)
+    most = _most_misfit(ways[0], settings.known_best)
+    is_known = _misfit_of(ways[0]) <= (settings.known if ways[0] is usual else most)
     # Maps of two parts contradict themselves wherever these do not overlap.
-    if misfit <= (settings.known if ways[0] is usual else most) or pairs[0].are_parts:
-        pass
-    elif half_known.least <= _most_misfit(half_known, settings.known):
-        # The other shape is of that kind, too, with an odd pose or mesh. Wrong maps by closest points tear less.
-        ways = [half_known, *(way for way in ways if way is not half_known)]
-    else:
-        ways = _unknown(pairs, ways, shapes, maps_tell=misfit > most)
+    if not (is_known or pairs[0].are_parts):
+        ways = _unknown(pairs, ways, shapes, maps_tell=_misfit_of(ways[0]) > most)
     choice = tuple(way.candidate for way in ways)
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
 
@@ -125,7 +120,14 @@ def _most_misfit(way: _Way, most: float) -> float:
 
 
 def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, maps_tell: bool) -> list[_Way]:
-    """The ways for pairs that no features know, the best first: some are registered, of others maps tell."""
+    """The ways for pairs that no features know both shapes of, the best first.
+
+    Features that know one of the two are taken; else some pairs are registered, and of others maps tell.
+    """
+    settings, half_known = pairs[0].settings.choice, min(ways, key=lambda way: way.least)
+    if half_known.least <= _most_misfit(half_known, settings.known):
+        # The other shape is of that kind, too, with an odd pose or mesh. Wrong maps by closest points tear less.
+        return [half_known, *(way for way in ways if way is not half_known)]
     without = list(map(_started, _without_features(pairs, shapes)))
     if rigid := [
         way
@@ -135,7 +137,6 @@ def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, map
         return [*rigid, *ways]
     if not maps_tell:
         return ways
-    settings = pairs[0].settings.choice
     registered = list(_mapped(way for way in without if way.method == registration.METHOD.name))
     if registered and _map_misfit_of(registered[0]) <= settings.registered:
         return [*registered, *ways]

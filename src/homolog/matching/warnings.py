@@ -103,8 +103,11 @@ def orientation_warnings(match: Match) -> tuple[str, ...]:
 
 def unknown_shape_warnings(pair: Pair) -> tuple[str, ...]:
     """Say if features were chosen that know one of the shapes badly: maps may be smooth and confident all the same."""
-    best, most = next(iter(pair.choice), None), pair.settings.choice.known_best
-    if pair.extractor is None or best is None or best.name != pair.extractor.info.name or (best.misfit or 0.0) <= most:
+    best = next(iter(pair.choice), None)
+    if pair.extractor is None or best is None or best.name != pair.extractor.info.name:
+        return ()
+    most = min(pair.settings.choice.known_best, pair.extractor.info.most_misfit)
+    if (best.misfit or 0.0) <= most:
         return ()
     return (
         f"no weights know both shapes: those that were chosen, {best.name!r}, have a misfit of {best.misfit:.2f}, "
