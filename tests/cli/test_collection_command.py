@@ -228,6 +228,10 @@ def test_an_interrupt_keeps_what_is_done(homolog, shapes, tmp_path):
             [("axiomatic", None, 0.3), ("hands", 0.2, 0.5)],
             "All shapes are matched by axiomatic: its maps have the least misfit, 0.30 (hands 0.50).",
         ),
+        (
+            [("registration", None, 0.7), ("hands", 0.2, None)],
+            "All shapes are matched by registration: its maps hardly contradict themselves (misfit 0.70).",
+        ),
     ],
 )
 def test_what_all_shapes_are_matched_by(choice, told):

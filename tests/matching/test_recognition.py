@@ -134,6 +134,28 @@ def test_features_may_say_that_they_know_shapes_less_well(blobs):
     assert chosen([Positions("usual", 0.5), replace(strict, misfit=0.07)], blobs).extractor.info.name == "strict"
 
 
+def test_automatic_weights_are_not_left_aside_by_a_method_that_needs_none():
+    settings = MatcherSettings(method="registration")
+    assert Matcher.from_weights("auto", settings=settings).warnings == ()
+    assert "'people' are left aside" in Matcher.from_weights("people", settings=settings).warnings[0]
+
+
+def test_features_with_a_smaller_misfit_than_they_allow_do_not_hide_those_that_know_the_pair(blobs):
+    strict, others = Positions("strict", 0.09, most=0.08), Positions("others", 0.095)
+    assert chosen([Positions("usual", 0.5), strict, others], blobs).extractor.info.name == "others"
+    assert chosen([strict, others], blobs).extractor.info.name == "others"
+
+
+def test_a_pair_whose_best_map_is_no_good_is_said_to_be_doubtful(blobs):
+    features = [Positions("some", 0.5), Positions("others", 0.9)]
+    pair = chosen(features, blobs)
+    assert pair.extractor is None or pair.choice[0].name != pair.extractor.info.name
+    assert unknown_shape_warnings(pair) == ()
+    strict = replace(pair.settings, choice=ChoiceSettings(doubtful=pair.choice[0].map_misfit - 0.01))
+    (said,) = unknown_shape_warnings(replace(pair, settings=strict))
+    assert said.startswith("the match is doubtful: no weights know both shapes, and the best map, by 'registration'")
+
+
 def test_a_pair_that_none_know_gets_the_best_map(blobs):
     good, bad, ignorant = Positions("good", 0.3), Positions("bad", 0.2, tells=False), Positions("ignorant", 0.5)
     pair = chosen([bad, good, ignorant], blobs, ALL_MAPS)

@@ -233,8 +233,12 @@ def _of_choice(choice: Sequence[Candidate]) -> str:
         return f"All shapes are matched by {best.name}: they are nearly rigid copies."
     if best.map_misfit is None:
         return f"All shapes are matched with the weights {best.name}, which know them (misfit {best.misfit:.2f})."
-    told = ", ".join(f"{each.name} {each.map_misfit:.2f}" for each in others)
-    return f"All shapes are matched by {best.name}: its maps have the least misfit, {best.map_misfit:.2f} ({told})."
+    told = ", ".join(f"{each.name} {each.map_misfit:.2f}" for each in others if each.map_misfit is not None)
+    if not told:
+        why = f"its maps hardly contradict themselves (misfit {best.map_misfit:.2f})"
+    else:
+        why = f"its maps have the least misfit, {best.map_misfit:.2f} ({told})"
+    return f"All shapes are matched by {best.name}: {why}."
 
 
 def _summary(built: BuiltModel, warnings_of_all: Iterable[str]) -> None:

@@ -108,11 +108,11 @@ def features_of_weights(
         WeightsError: if there are no such weights, or the file does not hold any.
     """
     settings = given_or_default("settings", settings, MatcherSettings)
-    if weights is None and not needs_features(settings):
+    if weights is not None and str(weights) != AUTO_WEIGHTS:
+        return load_weights(weights)
+    if not needs_features(settings):
         return None
-    if weights is None or str(weights) == AUTO_WEIGHTS:
-        return tuple(load_weights(name) for name in (*KINDS, *OF_PARTS) if name in pretrained_weights())
-    return load_weights(weights)
+    return tuple(load_weights(name) for name in (*KINDS, *OF_PARTS) if name in pretrained_weights())
 
 
 def method_between(

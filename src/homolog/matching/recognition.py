@@ -70,14 +70,10 @@ class SeenShapes:
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """Pairs with some features, or a method without any, and what is known of them together.
-
-    Its candidate has the misfit of the shape of a pair that the features know less well; ``least`` is the other one's.
-    """
+    """Pairs with some features, or a method without any, and what is known of them together."""
 
     pairs: tuple[Pair, ...]
     candidate: Candidate
-    least: float = math.inf
 
     @property
     def method(self) -> str:
@@ -100,23 +96,23 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     first, *others = _suited(extractors, pairs[0])
     usual = _way(pairs if first is extractors[0] else [shapes.seen(pair, first) for pair in pairs])
     ways = [usual]
-    if _misfit_of(usual) > settings.known:
+    if not _know(usual, _misfit_of(usual), settings.known):
         ways += [_way([shapes.seen(pair, extractor) for pair in pairs]) for extractor in others]
-        ways.sort(key=_misfit_of)
-    most = _most_misfit(ways[0], settings.known_best)
-    is_known = _misfit_of(ways[0]) <= (settings.known if ways[0] is usual else most)
-    # Maps of two parts contradict themselves wherever these do not overlap.
-    if not (is_known or pairs[0].are_parts):
-        ways = _unknown(pairs, ways, shapes, maps_tell=_misfit_of(ways[0]) > most)
+        # Those that know the pair by a measure of their own come first.
+        ways.sort(key=lambda way: (not _know(way, _misfit_of(way), settings.known_best), _misfit_of(way)))
+        may_know = _know(ways[0], _misfit_of(ways[0]), settings.known_best)
+        # Maps of two parts contradict themselves wherever these do not overlap.
+        if not (may_know and ways[0] is not usual) and not pairs[0].are_parts:
+            ways = _unknown(pairs, ways, shapes, maps_tell=not may_know)
     choice = tuple(way.candidate for way in ways)
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
 
 
-def _most_misfit(way: _Way, most: float) -> float:
-    """Up to which misfit features are believed to know a shape: so much, or what their file says, if that is less."""
+def _know(way: _Way, misfit: float, most: float) -> bool:
+    """Whether features are believed to know a shape: up to a misfit, or what their file says, if that is less."""
     extractor = way.pairs[0].extractor
     assert extractor is not None
-    return min(most, extractor.info.most_misfit)
+    return misfit <= min(most, extractor.info.most_misfit)
 
 
 def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, maps_tell: bool) -> list[_Way]:
@@ -124,10 +120,11 @@ def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, map
 
     Features that know one of the two are taken; else some pairs are registered, and of others maps tell.
     """
-    settings, half_known = pairs[0].settings.choice, min(ways, key=lambda way: way.least)
-    if half_known.least <= _most_misfit(half_known, settings.known):
+    settings = pairs[0].settings.choice
+    if half_known := [way for way in ways if _know(way, _least_misfit_of(way), settings.known)]:
         # The other shape is of that kind, too, with an odd pose or mesh. Wrong maps by closest points tear less.
-        return [half_known, *(way for way in ways if way is not half_known)]
+        best = min(half_known, key=_least_misfit_of)
+        return [best, *(way for way in ways if way is not best)]
     without = list(map(_started, _without_features(pairs, shapes)))
     if rigid := [
         way
@@ -191,6 +188,10 @@ def _misfit_of(way: _Way) -> float:
     return way.candidate.misfit or 0.0
 
 
+def _least_misfit_of(way: _Way) -> float:
+    return way.candidate.least_misfit or 0.0
+
+
 def _map_misfit_of(way: _Way) -> float:
     return way.candidate.map_misfit or 0.0
 
@@ -208,7 +209,8 @@ def _way(pairs: Sequence[Pair]) -> _Way:
         ]
         for pair in pairs
     ]
-    return _Way(tuple(pairs), Candidate(extractor.info.name, median(map(max, misfits))), median(map(min, misfits)))
+    most, least = median(map(max, misfits)), median(map(min, misfits))
+    return _Way(tuple(pairs), Candidate(extractor.info.name, most, least_misfit=least))
 
 
 def _without_features(pairs: Sequence[Pair], shapes: SeenShapes) -> Iterator[_Way]:

@@ -144,6 +144,7 @@ class _Candidate(TypedDict):
     name: str
     misfit: NotRequired[float | None]
     map_misfit: NotRequired[float | None]
+    least_misfit: NotRequired[float | None]
 
 
 class _Features(TypedDict, total=False):

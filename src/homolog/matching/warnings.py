@@ -102,11 +102,21 @@ def orientation_warnings(match: Match) -> tuple[str, ...]:
 
 
 def unknown_shape_warnings(pair: Pair) -> tuple[str, ...]:
-    """Say if features were chosen that know one of the shapes badly: maps may be smooth and confident all the same."""
-    best = next(iter(pair.choice), None)
-    if pair.extractor is None or best is None or best.name != pair.extractor.info.name:
+    """Say if the features that were chosen know one of the shapes badly, or none do, and the best map is no good.
+
+    Maps may be smooth and confident all the same.
+    """
+    best, settings = next(iter(pair.choice), None), pair.settings.choice
+    if best is None:
         return ()
-    most = min(pair.settings.choice.known_best, pair.extractor.info.most_misfit)
+    if pair.extractor is None or best.name != pair.extractor.info.name:
+        if (best.map_misfit or 0.0) <= settings.doubtful:
+            return ()
+        return (
+            f"the match is doubtful: no weights know both shapes, and the best map, by {best.name!r}, has a misfit of "
+            f"{best.map_misfit:.1f}, but hardly any right one above {settings.doubtful:g}; look at the map",
+        )
+    most = min(settings.known_best, pair.extractor.info.most_misfit)
     if (best.misfit or 0.0) <= most:
         return ()
     return (
@@ -141,7 +151,7 @@ def low_confidence_warnings(
     if energy > settings.most_dirichlet_energy:
         return (
             f"the match is doubtful: it tears the shapes (Dirichlet energy {energy:.0f}, of good maps 1 to 3); "
-            + (cause or "are they of one kind, which any weights must know?"),
+            + (cause or "are they of one kind?"),
         )
     return ()
 

@@ -84,13 +84,16 @@ class Candidate:
 
     Args:
         name: of the features, or of the method.
-        misfit: how little the features know the pair, see ``ChoiceSettings``; None of a method.
+        misfit: how little the features know the shape of the pair that they know less, see ``ChoiceSettings``; None of
+            a method.
         map_misfit: how much the map that they lead to contradicts itself; None where the choice needed no map.
+        least_misfit: how little they know the other shape.
     """
 
     name: str
     misfit: float | None = None
     map_misfit: float | None = None
+    least_misfit: float | None = None
 
 
 @dataclass(frozen=True)
