@@ -123,7 +123,7 @@ def test_those_that_know_it_better_are_taken_where_the_usual_ones_do_not(blobs, 
     assert torch.equal(pair.x.features, Positions("others", 0)(pair.x.operators))
 
 
-ALL_MAPS = MatcherSettings(choice=ChoiceSettings(registered=0.0))
+ALL_MAPS = MatcherSettings(choice=ChoiceSettings(registered=-10.0))
 """Also those of shapes that are registered with less contradiction than any other map could have."""
 
 

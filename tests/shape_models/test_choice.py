@@ -11,7 +11,7 @@ from without_weights import axiomatic
 from homolog.datasets import demo_folder
 from homolog.maps import RegistrationSettings
 from homolog.matching import Match, Matcher, map_misfit
-from homolog.pairs import MatcherSettings
+from homolog.pairs import ChoiceSettings, MatcherSettings
 from homolog.shape_models import ShapeModelSettings, batch, build, choice_for_all, subjects_of
 from homolog.shapes import Shape, read_shape, write_shape
 
@@ -48,8 +48,8 @@ def test_people_are_matched_by_the_weights_for_people(people, tmp_path):
 def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path, monkeypatch):
     """The best by the medians of what single matches have; later shapes follow without a question."""
     template, files, _ = family
-    never_rigid = MatcherSettings(registration=RegistrationSettings(most_bent=0.0))
-    matcher = Matcher.from_weights(settings=never_rigid)
+    by_maps = MatcherSettings(registration=RegistrationSettings(most_bent=0.0), choice=ChoiceSettings(registered=-10.0))
+    matcher = Matcher.from_weights(settings=by_maps)
     built = build(template, files[:2], tmp_path / "out", matcher)
     best, *others = built.folder.choice()
     assert {"axiomatic", "registration"} <= {best.name, *(candidate.name for candidate in others)}

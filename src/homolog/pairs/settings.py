@@ -365,7 +365,7 @@ class ChoiceSettings(Settings):
 
     known: NotNegative = 0.1
     known_best: NotNegative = 0.12
-    registered: NotNegative = 1.0
+    registered: float = 1.0
     plausible: NotNegative = 0.3
     doubtful: NotNegative = 3.0
     cycle: NotNegative = 50.0
