@@ -2,8 +2,9 @@
 
 Features are of the shapes that they were trained on: of people, or of animals. Their orienter tells how well it knows a
 shape, by how much it contradicts itself about it. Where none know both shapes of a pair, those are taken that know one
-of them well. Where none do, and the two shapes are nearly rigid copies, as bones of one kind are, they are registered.
-Otherwise the maps that come into question are made, and the one that contradicts itself least is believed.
+of them well. Where none do, and the two shapes are nearly rigid copies, as bones of one kind are, they are registered;
+so are those whose registration hardly contradicts itself, as that of organs. Otherwise the maps that come into question
+are made, and the one that contradicts itself least is believed.
 """
 
 from __future__ import annotations
