@@ -92,6 +92,7 @@ OTHERS = {
     "flipped_triangles",
     "joint_rotations",
     "overlap",
+    "smooth_dirichlet_energy",
     "smoothed_positions",
 }
 
@@ -171,6 +172,9 @@ def test_functions_of_operators(operators, device):
     points = random(162, 3).float()
     energy = maps.dirichlet_energy(on_device, points.to(device), point_map.to(device))
     assert energy == pytest.approx(maps.dirichlet_energy(operators, points, point_map), rel=1e-4)
+    on_basis, basis = on_device.basis, operators.basis
+    smooth = maps.smooth_dirichlet_energy(on_basis, on_basis, point_map.to(device))
+    assert smooth == pytest.approx(maps.smooth_dirichlet_energy(basis, basis, point_map), rel=1e-3)
     share = maps.coverage(on_device, on_device, point_map.to(device))
     assert share == pytest.approx(maps.coverage(operators, operators, point_map), abs=0.01)
 

@@ -40,7 +40,7 @@ def objects(make) -> dict[type, Any]:
         maps.sinkhorn_matches(features, features),
         maps.RefinementSettings(),
         maps.ConfidenceSettings(),
-        maps.CoarseFit(0.5, 1.0),
+        maps.CoarseFit(0.5, 1.0, 1.0),
         maps.CoarseMapSettings(),
         maps.RegistrationSettings(),
         maps.RegistrationStart(maps.Similarity(torch.eye(3), 2.0, torch.zeros(3))),

@@ -9,7 +9,14 @@ import trimesh
 
 from homolog.core.errors import ArgumentError
 from homolog.geometry import OperatorSettings, Surface, compute_operators
-from homolog.maps import coverage, cycle_error, dirichlet_energy, flipped_triangles
+from homolog.maps import (
+    coverage,
+    cycle_error,
+    dirichlet_energy,
+    flipped_triangles,
+    nearest_neighbour,
+    smooth_dirichlet_energy,
+)
 from homolog.shapes import Shape
 
 FEW = OperatorSettings(n_eigenpairs=5)
@@ -35,6 +42,23 @@ def test_the_identity_is_perfect(blob, make):
     assert dirichlet_energy(blob, blob.points, identity) == pytest.approx(1)
     shape = make.blob(3)
     assert not flipped_triangles(surface(shape), surface(shape), identity.numpy()).any()
+
+
+def test_the_smooth_energy_of_samples_is_that_of_calculus():
+    """Twice round the axis where the identity goes once: the coordinates have 5 / 2 of the energy on a sphere."""
+    mesh = trimesh.creation.icosphere(subdivisions=4)
+    sphere = compute_operators(Shape(mesh.vertices, mesh.faces), settings=OperatorSettings(n_eigenpairs=60)).basis
+    x, y, z = sphere.points.T
+    radius = (x**2 + y**2).sqrt().clamp(min=1e-9)
+    twice = torch.stack([(x**2 - y**2) / radius, 2 * x * y / radius, z], dim=1)
+    kept = torch.randperm(sphere.n_points, generator=torch.Generator().manual_seed(0))[:500]
+    for at in (torch.arange(sphere.n_points), kept):
+        samples = sphere.sampled(at)
+        identity, doubled = (nearest_neighbour(points[at], sphere.points).index for points in (sphere.points, twice))
+        assert smooth_dirichlet_energy(samples, sphere, identity) == pytest.approx(1, abs=0.02)
+        assert smooth_dirichlet_energy(samples, sphere, doubled) == pytest.approx(2.5, rel=0.03)
+        turned = sphere.turned(torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+        assert smooth_dirichlet_energy(samples, turned, doubled) == pytest.approx(2.5, rel=0.03)
 
 
 def test_a_constant_map_has_no_energy_and_covers_next_to_nothing(blob, make):

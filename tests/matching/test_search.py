@@ -145,9 +145,10 @@ def test_a_shape_that_features_do_not_know_in_the_pose_of_the_orienter_is_tried_
     found = orient(replace(pair, **{side: wrong}))
     assert all(float(rotation_angle(shape.rotation)) < 1 for shape in (found.source, found.target))
     assert found.orientation.margin > 0.3 and not found.orientation.ambiguous
-    trusting = replace(pair.settings.orientation, doubtful_handedness=-1.0)
-    kept = orient(replace(pair, **{side: wrong}, settings=replace(pair.settings, orientation=trusting)))
-    assert float(rotation_angle(getattr(kept, side).rotation)) > 85
+    for trusting in ({"doubtful_handedness": -1.0}, {"pose_margin": 10.0}):
+        settings = replace(pair.settings, orientation=replace(pair.settings.orientation, **trusting))
+        kept = orient(replace(pair, **{side: wrong}, settings=settings))
+        assert float(rotation_angle(getattr(kept, side).rotation)) > 85
 
 
 @pytest.mark.parametrize(("misfit", "facing", "overruled"), [(0.15, 0, True), (0.09, 0, False), (0.15, 180, False)])

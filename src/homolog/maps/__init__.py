@@ -23,7 +23,13 @@ from homolog.maps.functional_map import (
 )
 from homolog.maps.handedness import handedness, surface_handedness
 from homolog.maps.nearest import Nearest, most_similar, nearest_neighbour
-from homolog.maps.quality import coverage, cycle_error, dirichlet_energy, flipped_triangles
+from homolog.maps.quality import (
+    coverage,
+    cycle_error,
+    dirichlet_energy,
+    flipped_triangles,
+    smooth_dirichlet_energy,
+)
 from homolog.maps.registration import (
     RegistrationSettings,
     RegistrationStart,
@@ -91,6 +97,7 @@ __all__ = [
     "rigid_motion",
     "rotation_angle",
     "sinkhorn_matches",
+    "smooth_dirichlet_energy",
     "smoothed_positions",
     "surface_handedness",
     "wave_kernel_signature",

@@ -10,7 +10,7 @@ from torch import Tensor
 from homolog.core.settings import NotNegative, Positive, Settings
 from homolog.geometry import Basis
 from homolog.maps.handedness import handedness, surface_handedness
-from homolog.maps.quality import cycle_error
+from homolog.maps.quality import cycle_error, smooth_dirichlet_energy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,10 +37,12 @@ class CoarseFit:
     Args:
         misfit: how much speaks against it.
         handedness: how far it keeps left and right, 1 if everywhere.
+        energy: the mean ``homolog.maps.smooth_dirichlet_energy`` of both ways.
     """
 
     misfit: float
     handedness: float
+    energy: float
 
 
 def coarse_fit(
@@ -78,12 +80,13 @@ def coarse_fit(
         True
     """
     settings = settings or CoarseMapSettings()
-    misfit, kept = 0.0, 0.0
+    misfit, kept, energy = 0.0, 0.0, 0.0
     for a, b, a_to_b, b_to_a in ((x, y, x_to_y, y_to_x), (y, x, y_to_x, x_to_y)):
         images = b.points[a_to_b]
         misfit += float((a.points - images).norm(dim=1).mean())
         misfit += settings.cycle * float(cycle_error(a.points, a_to_b, b_to_a).mean())
         kept += float(handedness(a.points, images, radius=settings.radius)) / 2
+        energy += smooth_dirichlet_energy(a, b, a_to_b) / 2
         if have_outsides and settings.surface_handedness:
             misfit -= settings.surface_handedness * float(surface_handedness(a, b, a_to_b)) / 2
-    return CoarseFit(misfit - settings.handedness * kept, kept)
+    return CoarseFit(misfit - settings.handedness * kept, kept, energy)

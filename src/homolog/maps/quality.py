@@ -13,7 +13,10 @@ from torch import Tensor
 
 from homolog.core.arguments import check_indices
 from homolog.core.arrays import takes_arrays
-from homolog.geometry import Operators, Surface, outward
+from homolog.geometry import Basis, Operators, Surface, outward
+
+# Few samples tell few functions apart.
+_RIDGE = 1e-3
 
 
 @takes_arrays
@@ -143,6 +146,43 @@ def _edges(operators: Operators) -> tuple[Int[Tensor, " e"], Int[Tensor, " e"], 
     start, end = laplacian.indices()
     apart = start != end
     return start[apart], end[apart], -laplacian.values()[apart].double()
+
+
+def smooth_dirichlet_energy(x: Basis, y: Basis, x_to_y: Int[Tensor, " n_x"], *, eigenpairs: int = 50) -> float:
+    """Dirichlet energy of a map between samples of two shapes, relative to that of y's own coordinates. New here.
+
+    As ``dirichlet_energy``, but samples have no edges: the coordinates of y, carried to x, are fitted by the lowest
+    eigenfunctions there, whose energies are the eigenvalues. So it tells of the map's smooth part alone.
+
+    Args:
+        x: at all its points or samples.
+        y: likewise.
+        x_to_y: for each of those of x one of y (n_x,).
+        eigenpairs: how many to fit with; fewer than a fifth of the samples.
+
+    Examples:
+        >>> import torch, trimesh
+        >>> from homolog import Shape, compute_operators
+        >>> from homolog.maps import smooth_dirichlet_energy
+        >>> mesh = trimesh.creation.icosphere(subdivisions=3)
+        >>> sphere = compute_operators(Shape(mesh.vertices, mesh.faces)).basis
+        >>> identity = torch.arange(sphere.n_points)
+        >>> round(smooth_dirichlet_energy(sphere, sphere, identity), 3)
+        1.0
+        >>> smooth_dirichlet_energy(sphere, sphere, torch.zeros_like(identity)) < 1e-6  # a constant map
+        True
+    """
+    carried, own = _energies(x, y.points[x_to_y], eigenpairs), _energies(y, y.points, eigenpairs)
+    return float(carried / own)
+
+
+def _energies(basis: Basis, functions: Float[Tensor, "n d"], eigenpairs: int) -> Float[Tensor, ""]:
+    """The Dirichlet energy of the functions' smooth parts, summed."""
+    vectors, energies = basis.eigenvectors[:, :eigenpairs], basis.eigenvalues[:eigenpairs]
+    weighted = vectors.mT * (basis.mass / basis.mass.sum())
+    normal = weighted @ vectors + _RIDGE * torch.eye(vectors.shape[1]).to(vectors)
+    found: Tensor = energies @ torch.linalg.solve(normal, weighted @ functions).square().sum(dim=1)
+    return found
 
 
 def flipped_triangles(x: Surface, y: Surface, x_to_y: Int[np.ndarray, " n_x"]) -> Bool[np.ndarray, " m_x"]:

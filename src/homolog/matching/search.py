@@ -54,6 +54,7 @@ class Hypothesis:
         target: of the target.
         misfit: how much speaks against it.
         handedness: how far its coarse map keeps left and right; 1 without a map.
+        energy: the Dirichlet energy of its coarse map, that of an isometry being 1; 0 without a map.
         turn: of the source onto the target, as its coarse map tells it (3, 3); none without a map.
     """
 
@@ -61,6 +62,7 @@ class Hypothesis:
     target: Float[Tensor, "3 3"]
     misfit: float = 0.0
     handedness: float = 1.0
+    energy: float = 0.0
     turn: Float[Tensor, "3 3"] = field(default_factory=lambda: torch.eye(3))
 
     @property
@@ -127,8 +129,9 @@ def _ranked(pair: Pair, *, unlikely_too: bool) -> list[Hypothesis]:
     others = [found for found in all_of_them if not any(found.is_like(other) for other in likely)]
     samples = Samples.of(pair)
     ranked = _given_first(samples.ranked(likely), settings.margin)
-    if max(orientations[0].misfit for orientations in both) > settings.unsure:
-        alike = samples.judged(_alike(*both, settings))
+    alike = _alike(*both, settings)
+    if max(orientations[0].misfit for orientations in both) > settings.unsure and not alike.is_like(ranked[0]):
+        alike = samples.judged(alike)
         ranked = _first([*ranked, alike], [alike], settings.alike_margin)
     less_known: Side = "source" if pair.source.orientations[0].misfit > pair.target.orientations[0].misfit else "target"
     return [*_handed_first(samples, ranked, less_known), *samples.ranked(others)]
@@ -138,7 +141,8 @@ def _handed_first(samples: Samples, ranked: list[Hypothesis], side: Side) -> lis
     """With another pose of one shape in the first place, where the best map mixes left and right and its map does not.
 
     The orienter may be right where features are not: they know no one who bends backwards, but may know him tilted.
-    Counterparts are then far from each other at the right map as well, so that handedness decides.
+    Counterparts are then far from each other at the right map as well, so that handedness decides. The other map must
+    be smoother, too: one that takes a front for a back keeps left and right, but not all distances on the surface.
     Where both stand as they are given, though, file and orienter agree, and a coarse map does not overrule them.
     """
     settings, best = samples.settings, ranked[0]
@@ -146,7 +150,8 @@ def _handed_first(samples: Samples, ranked: list[Hypothesis], side: Side) -> lis
         return ranked
     quarters = (turn for turn in cube_rotations() if _LEAST_TURN < rotation_angle(turn) < _MOST_TURN)
     poses = [replace(best, misfit=0.0, **{side: turn @ getattr(best, side)}) for turn in quarters]
-    return [*[found for found in samples.ranked(poses) if found.handedness >= settings.sure_handedness][:1], *ranked]
+    others = (found for found in samples.ranked(poses) if found.handedness >= settings.sure_handedness)
+    return [*[found for found in others if found.energy < best.energy - settings.pose_margin][:1], *ranked]
 
 
 def _has_orientations(pair: Pair) -> bool:
@@ -299,11 +304,11 @@ class Samples:
         x, y = self.x.turned(hypothesis.source.to(self.x.points)), self.y.turned(hypothesis.target.to(self.y.points))
         x_to_y, y_to_x = maps = self._coarse_maps(x, y)
         fit = coarse_fit(x, y, *maps, have_outsides=self.have_outsides, settings=self.misfit)
-        told = fit.misfit + self._missed(x.points, y.points, *maps)
+        misfit = hypothesis.misfit + fit.misfit + self._missed(x.points, y.points, *maps)
         starts = torch.cat([self.x.points, self.x.points[y_to_x]])
         ends = torch.cat([self.y.points[x_to_y], self.y.points])
         turn = best_rotation(starts, ends).cpu().float()
-        return replace(hypothesis, misfit=hypothesis.misfit + told, handedness=fit.handedness, turn=turn)
+        return replace(hypothesis, misfit=misfit, handedness=fit.handedness, energy=fit.energy, turn=turn)
 
     def distance(self, hypothesis: Hypothesis) -> float:
         """The mean squared distance of closest points, of each shape's points to the other's."""

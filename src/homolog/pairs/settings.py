@@ -294,6 +294,8 @@ class OrientationSettings(Settings):
             turned by a quarter about each axis. Right maps of people have 0.65 to 1, of noisy clouds 0.2 to 0.9.
         sure_handedness: what that of another pose must be, to be taken; where left and right are exchanged, it is below
             0.75.
+        pose_margin: by how much the Dirichlet energy of that map must also be below the other's. Where the first pose
+            is wrong, it is by 0.07 to 0.9; where it is right, that of another is higher.
         orienter: weight of the orienter's misfit.
         orienter_margin: what the orienter finds worse by more than this is not looked at any further.
         unsure: where the orienter's misfit of a shape is above, as of people in much noise, the shapes are also tried
@@ -324,6 +326,7 @@ class OrientationSettings(Settings):
     )
     doubtful_handedness: Annotated[float, Ge(-1), Le(1)] = 0.7
     sure_handedness: Annotated[float, Ge(-1), Le(1)] = 0.8
+    pose_margin: NotNegative = 0.05
     orienter: NotNegative = 1.0
     orienter_margin: NotNegative = 0.05
     unsure: NotNegative = 0.1
