@@ -86,8 +86,11 @@ def test_unknown_command():
     assert ended.returncode == 2
     assert ended.stderr.startswith("Error: ")
     assert ended.stderr.count("\n") == 1
-    assert "did you mean" in ended.stderr.lower()
+    assert "must be one of match, view, " in ended.stderr and "did you mean 'match'" in ended.stderr
     assert ended.stdout == ""
+    ended = run("synth", "dinosaurs")
+    assert ended.returncode == 2 and ended.stderr.count("\n") == 1
+    assert "'homolog synth' is 'dinosaurs', but must be one of people, hands, heads, animals" in ended.stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has other pipes")

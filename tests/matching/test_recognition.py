@@ -193,9 +193,9 @@ def copies(make):
 def test_features_are_left_out_of_nearly_rigid_copies(copies):
     pair = chosen([Positions("some", 0.2), Positions("others", 0.25)], copies, orient="auto")
     assert pair.method.name == "registration"
-    assert [(each.name, each.map_misfit) for each in pair.choice] == [
-        (n, None) for n in ("registration", "some", "others")
-    ]
+    assert [each.name for each in pair.choice] == ["registration", "some", "others"]
+    assert pair.choice[0].map_misfit < 1 and [each.map_misfit for each in pair.choice[1:]] == [None, None]
+    assert pair.maps is not None  # the map that tells the misfit is not made twice
     for usual, others, first in ((0.2, 0.11, "others"), (0.11, 0.2, "registration"), (0.09, 0.2, "usual")):
         known = chosen([Positions("usual", usual), Positions("others", others)], copies, orient="auto")
         assert known.choice[0].name == first
@@ -276,8 +276,7 @@ def test_what_the_choice_found_of_a_pair_is_not_looked_for_again(shapes, wanted,
     before = dict(calls)
     match = matcher.match_pair(pair)
     assert pair.method.name in wanted
-    again = Counter(calls) - Counter(before)
-    assert again == ({"registered_surfaces": 1} if shapes == "copies" else {})
+    assert not Counter(calls) - Counter(before)
     plain = Matcher(None, settings=MatcherSettings(method=pair.method.name)).match(given.source, given.target)
     assert np.array_equal(match.source_to_target, plain.source_to_target)
     assert np.array_equal(match.target_to_source, plain.target_to_source)

@@ -8,6 +8,7 @@ import torch
 
 from homolog import Matcher, PairOptions, Shape, match, write_shape
 from homolog.matching import Match, low_confidence_warnings, part_warnings, unit_warnings
+from homolog.matching.warnings import match_warnings
 from homolog.methods.protocol import FunctionMethod
 from homolog.pairs import MatcherSettings, PointMaps, Supports
 from homolog.synthesis import cut, cut_holes, view
@@ -64,6 +65,25 @@ def test_a_half_looks_like_a_part(pair, make, axis):
         (said,) = part_warnings(pair(source, target))
         assert said.startswith(f"the {side} looks like a part") and said.endswith(f"give partial='{side}'")
     assert part_warnings(pair(half(make.blob(3), axis), make.blob(3), partial="source")) == ()
+
+
+def test_no_part_is_suspected_where_nearly_all_points_lead_home(pair, make):
+    """An open neck is no cut: of a whole that a part is matched with, many points find no counterpart."""
+    open_blob, blob = half(make.blob(3)), make.blob(3)
+    matched = Match(
+        open_blob,
+        blob,
+        np.zeros(open_blob.n_points, dtype=int),
+        np.zeros(blob.n_points, dtype=int),
+        np.full(open_blob.n_points, 0.95),
+        np.full(blob.n_points, 0.95),
+        method="a",
+    )
+    suspected = [
+        [line for line in match_warnings(pair(open_blob, blob), found) if "looks like a part" in line]
+        for found in (matched, replace(matched, target_confidence=np.full(blob.n_points, 0.7)))
+    ]
+    assert [len(lines) for lines in suspected] == [0, 1]
 
 
 @pytest.mark.slow

@@ -157,6 +157,15 @@ def test_names_of_landmarks_that_repeat_are_a_warning(family, tmp_path, names, r
     assert [f"have the same name, {repeated};" in line for line in told] == ([True] if repeated else [])
 
 
+def test_landmarks_far_from_the_template_are_refused(family, tmp_path):
+    """In metres beside millimetres, say; a matter of axes is not farther than the shape is wide."""
+    shape = read_shape(family[0])
+    x, y, z = (1000 * shape.points[3]).tolist()
+    (tmp_path / "marks.csv").write_text(f"A,{x},{y},{z}\n")
+    with pytest.raises(DataError, match=r"a landmark of marks\.csv is .* away from the template's surface; give"):
+        TemplateLandmarks(tmp_path / "marks.csv", shape)
+
+
 def test_a_list_names_shapes_from_its_own_folder_on(tmp_path):
     (tmp_path / "list.txt").write_text("anna.ply\n\nscans/ben.ply\r\n/far/carl.ply\n")
     expected = [tmp_path / "anna.ply", tmp_path / "scans" / "ben.ply", Path("/far/carl.ply")]

@@ -84,7 +84,7 @@ def test_it_is_the_same_after_an_interrupt_and_stays_for_later_shapes(matcher, f
 def test_without_a_network(family, tmp_path):
     template, files, _ = family
     axiomatic = Matcher(settings=MatcherSettings(method="axiomatic"))
-    with pytest.raises(ArgumentError, match="adapting needs a network"):
+    with pytest.raises(ArgumentError, match="adapt is given, but there is no network"):
         build(template, files[:1], tmp_path / "out", axiomatic, settings=SETTINGS)
     assert not (tmp_path / "out").exists()
 

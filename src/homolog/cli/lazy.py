@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from homolog.cli.wording import speak_of
-from homolog.core.errors import HomologError, bad_value
+from homolog.core.errors import HomologError, bad_choice, bad_value
 from homolog.core.files import PATH_NEEDED, keeping
 
 OTHER = "Other"
@@ -133,6 +133,11 @@ def lazy_group(**targets: str) -> type[TyperGroup]:
 
         def get_params(self, ctx: Any) -> list[Any]:
             return _without_types_of_flags(super().get_params(ctx))
+
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            if args[0] not in self.commands and not args[0].startswith("-"):
+                raise bad_choice(f"the command after {ctx.command_path!r}", args[0], self.list_commands(ctx))
+            return super().resolve_command(ctx, args)
 
     return LazyGroup
 

@@ -132,7 +132,8 @@ def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, map
         for way in without
         if median(pair.start is not None and pair.start.near_rigid for pair in way.pairs) == 1  # most of them
     ]:
-        return [*rigid, *ways]
+        # One pair keeps its map, so that the map's misfit costs nothing; of several it would be made for that alone.
+        return [*((list(_mapped(rigid)) if len(pairs) == 1 else []) or rigid), *ways]
     if not maps_tell:
         return ways
     registered = list(_mapped(way for way in without if way.method == registration.METHOD.name))

@@ -21,8 +21,8 @@ from homolog.pairs.landmarks import LandmarkPairs, Place
 if TYPE_CHECKING:
     from homolog.pairs.preprocessing import PreprocessedShape
 
-# A landmark that is this far from a shape, as a share of sqrt(area), belongs to another shape, or to other coordinates.
-_FAR_AWAY = 0.2
+FAR_AWAY = 0.2
+"""A landmark so far from a shape, as a share of sqrt(area), belongs to another shape, or to other coordinates."""
 # An uncertain landmark counts half from this uncertainty on, as a share of sqrt(area).
 _UNCERTAIN = 0.02
 # Distances along a shape are told apart up to this many times the mean distance from a landmark.
@@ -148,7 +148,7 @@ def _nearest_points(
             found[number] = clean if clean >= 0 and main[clean] else -1
             continue
         distance, nearest = tree.query(place)
-        if distance > _FAR_AWAY * shape.operators.scale:
+        if distance > FAR_AWAY * shape.operators.scale:
             shown = ", ".join(f"{coordinate:.4g}" for coordinate in place)
             raise ArgumentError(
                 f"the landmark {names[number]!r} of the {side} is at ({shown}), {distance:.3g} away from "

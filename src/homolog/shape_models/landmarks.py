@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from homolog.core.choices import System
+from homolog.core.errors import DataError
 from homolog.core.files import expanded, made_folder, write_csv
+from homolog.geometry import surface_area
+from homolog.pairs.guidance import FAR_AWAY
 from homolog.shape_models.registered_shapes import RegisteredShapes
 from homolog.shapes import Shape
 from homolog.transfer import FAR_LANDMARK, SurfaceProjector, read_landmarks, system_of
@@ -29,7 +33,7 @@ class TemplateLandmarks:
         kept: which of the template's points are matched (n,); landmarks on others get no position. By default all.
 
     Raises:
-        DataError: if the file cannot be read.
+        DataError: if the file cannot be read, or a landmark lies far from the template.
     """
 
     def __init__(
@@ -47,6 +51,11 @@ class TemplateLandmarks:
         self.farthest = float(np.nanmax(distances)) if np.isfinite(distances).any() else None
         """The largest distance of a landmark from the template's surface, in its unit."""
         self._spacing = projector.spacing
+        if self.farthest is not None and self.farthest > FAR_AWAY * math.sqrt(surface_area(template)):
+            raise DataError(
+                f"a landmark of {self.file.name} is {self.farthest:.3g} away from the template's surface; "
+                "give landmarks in the template's coordinates and unit, or the right --axes"
+            )
         if kept is not None:
             nearest = np.nan_to_num(self.places.weights).argmax(axis=1)
             self.places = self.places.masked(kept[self.places.corners[np.arange(len(nearest)), nearest]])

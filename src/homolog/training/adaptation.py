@@ -147,7 +147,7 @@ def adapt_to_pairs(
 
 def _network_features(pair: Pair) -> NetworkFeatures:
     if not isinstance(pair.extractor, NetworkFeatures):
-        raise ArgumentError("adapting needs a network; give weights, and a method that uses them")
+        raise ArgumentError("adapt is given, but there is no network; give weights, and a method that uses them")
     return pair.extractor
 
 
