@@ -66,3 +66,13 @@ class FeatureInfo(Settings):
     def follows_pose(self) -> bool:
         """Whether features change when a shape is turned."""
         return self.input in ("xyz", "xyz+wks")
+
+    def limit(self, usual: float) -> float:
+        """Misfit of the orienter up to which these features know a shape: the usual limit, or their own if less.
+
+        Examples:
+            >>> from homolog.features import FeatureInfo
+            >>> FeatureInfo(name="mine", most_misfit=0.08).limit(0.1)
+            0.08
+        """
+        return min(usual, self.most_misfit)

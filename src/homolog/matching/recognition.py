@@ -30,8 +30,8 @@ from homolog.matching.search import orient
 from homolog.methods import AUTO, as_method, find_method, registration
 from homolog.pairs import Candidate, Method, Pair, PreprocessedShape, Preprocessor
 
-# In the order in which they are believed where their maps are as good.
-_WITHOUT_FEATURES = ("axiomatic", "registration")
+# The method without features for shapes that bend; others are registered.
+_SPECTRAL = "axiomatic"
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +113,7 @@ def _know(way: _Way, misfit: float, most: float) -> bool:
     """Whether features are believed to know a shape: up to a misfit, or what their file says, if that is less."""
     extractor = way.pairs[0].extractor
     assert extractor is not None
-    return misfit <= min(most, extractor.info.most_misfit)
+    return misfit <= extractor.info.limit(most)
 
 
 def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, maps_tell: bool) -> list[_Way]:
@@ -126,21 +126,18 @@ def _unknown(pairs: Sequence[Pair], ways: list[_Way], shapes: SeenShapes, *, map
         # The other shape is of that kind, too, with an odd pose or mesh. Wrong maps by closest points tear less.
         best = min(half_known, key=_least_misfit_of)
         return [best, *(way for way in ways if way is not best)]
-    without = list(map(_started, _without_features(pairs, shapes)))
-    if rigid := [
-        way
-        for way in without
-        if median(pair.start is not None and pair.start.near_rigid for pair in way.pairs) == 1  # most of them
-    ]:
+    registered = [_started(way) for way in _without_features(pairs, shapes, registration.METHOD.name)]
+    near_rigid = [pair.start is not None and pair.start.near_rigid for way in registered for pair in way.pairs]
+    if near_rigid and median(near_rigid) == 1:  # most of them
         # One pair keeps its map, so that the map's misfit costs nothing; of several it would be made for that alone.
-        return [*((list(_mapped(rigid)) if len(pairs) == 1 else []) or rigid), *ways]
+        return [*((list(_mapped(registered)) if len(pairs) == 1 else []) or registered), *ways]
     if not maps_tell:
         return ways
-    registered = list(_mapped(way for way in without if way.method == registration.METHOD.name))
+    registered = list(_mapped(registered))
     if registered and _map_misfit_of(registered[0]) <= settings.registered:
         return [*registered, *ways]
-    others = [way for way in without if way.method != registration.METHOD.name]
     plausible = [way for way in ways if _misfit_of(way) <= settings.plausible]
+    others = _without_features(pairs, shapes, _SPECTRAL)
     return sorted([*_mapped([*plausible, *others]), *registered], key=_map_misfit_of) or ways[:1]
 
 
@@ -153,7 +150,7 @@ def _started(way: _Way) -> _Way:
         except ShapeError:
             return pair
 
-    return replace(way, pairs=tuple(map(found, way.pairs))) if way.method == registration.METHOD.name else way
+    return replace(way, pairs=tuple(map(found, way.pairs)))
 
 
 def _suited(extractors: Sequence[FeatureExtractor], pair: Pair) -> list[FeatureExtractor]:
@@ -215,15 +212,13 @@ def _way(pairs: Sequence[Pair]) -> _Way:
     return _Way(tuple(pairs), Candidate(extractor.info.name, most, least_misfit=least))
 
 
-def _without_features(pairs: Sequence[Pair], shapes: SeenShapes) -> Iterator[_Way]:
-    """The pairs with methods that bring what they compare, where one may be chosen."""
-    first = pairs[0]
-    for name in _WITHOUT_FEATURES if first.settings.method == AUTO else ():
-        method = as_method(find_method(name))
-        if first.is_partial and not method.supports.partial:
-            continue
-        extractor = extractor_for(method, None, first.settings, first.source.operators.points.device)
-        yield _Way(tuple(shapes.seen(pair, extractor, method) for pair in pairs), Candidate(name))
+def _without_features(pairs: Sequence[Pair], shapes: SeenShapes, name: str) -> list[_Way]:
+    """The pairs with a method that brings what it compares; none where it cannot be chosen."""
+    first, method = pairs[0], as_method(find_method(name))
+    if first.settings.method != AUTO or (first.is_partial and not method.supports.partial):
+        return []
+    extractor = extractor_for(method, None, first.settings, first.source.operators.points.device)
+    return [_Way(tuple(shapes.seen(pair, extractor, method) for pair in pairs), Candidate(name))]
 
 
 def _mapped(ways: Iterable[_Way]) -> Iterator[_Way]:

@@ -12,7 +12,7 @@ from homolog.matching.extra_parts import extra_part_warnings
 from homolog.matching.guidance import guidance_warnings
 from homolog.matching.mirror import mirror_warnings
 from homolog.matching.result import Match
-from homolog.pairs import SIDES, Pair, WarningSettings
+from homolog.pairs import SIDES, Candidate, Pair, WarningSettings
 from homolog.shapes import Shape, face_vectors, half_edges, mesh_components
 
 # Of 13 cuts of a body all but one have openings of 5 to 37 % of their area, and 13 views of 58 to 64 %; bodies with
@@ -110,17 +110,26 @@ def unknown_shape_warnings(pair: Pair) -> tuple[str, ...]:
 
     Maps may be smooth and confident all the same.
     """
-    best, settings = next(iter(pair.choice), None), pair.settings.choice
+    best = next(iter(pair.choice), None)
     if best is None:
         return ()
     if pair.extractor is None or best.name != pair.extractor.info.name:
-        if (best.map_misfit or 0.0) <= settings.doubtful:
-            return ()
-        return (
-            f"the match is doubtful: no weights know both shapes, and the best map, by {best.name!r}, has a misfit of "
-            f"{best.map_misfit:.1f}, but hardly any right one above {settings.doubtful:g}; look at the map",
-        )
-    most = min(settings.known_best, pair.extractor.info.most_misfit)
+        return _bad_map_warnings(best, pair.settings.choice.doubtful)
+    return _little_known_warnings(best, pair.extractor.info.limit(pair.settings.choice.known_best))
+
+
+def _bad_map_warnings(best: Candidate, doubtful: float) -> tuple[str, ...]:
+    """Of a method without features."""
+    if (best.map_misfit or 0.0) <= doubtful:
+        return ()
+    return (
+        f"the match is doubtful: no weights know both shapes, and the best map, by {best.name!r}, has a misfit of "
+        f"{best.map_misfit:.1f}, but hardly any right one above {doubtful:g}; look at the map",
+    )
+
+
+def _little_known_warnings(best: Candidate, most: float) -> tuple[str, ...]:
+    """Of features that know shapes up to a misfit."""
     if (best.misfit or 0.0) <= most:
         return ()
     return (

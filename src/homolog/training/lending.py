@@ -126,7 +126,7 @@ def _best_of(names: Iterable[str], shapes: Sequence[Operators]) -> LentOrienter 
     settings, known = ChoiceSettings(), list[LentOrienter]()
     for lender in map(load_weights, names):
         lent = _lent(lender, shapes)
-        if lent.misfit <= min(settings.known_best, lender.info.most_misfit):
+        if lent.misfit <= lender.info.limit(settings.known_best):
             known.append(lent)
             if lent.misfit <= settings.known:
                 break
