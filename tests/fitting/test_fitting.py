@@ -115,8 +115,11 @@ def test_mistakes_are_told(worm, scan):
     with pytest.raises(ArgumentError, match="unit"):
         fit_to_match(Match(worm.template, shape, there, back, method="a"), worm, unit="ell")
     none = np.full(len(order), -1)
-    with pytest.raises(ShapeError, match="fewer than 100 points have a counterpart"):
+    with pytest.raises(ShapeError, match="0 of its points have a counterpart on the body model, but at least 100"):
         fit_to_match(Match(worm.template, shape, none, none, method="a"), worm)
+    few = np.where(np.isin(there, there[:5]), there, -1), np.where(np.arange(len(back)) < 5, back, -1)
+    with pytest.raises(ShapeError, match="give a scan with more points"):  # however many of the model lead there
+        fit_to_match(Match(worm.template, shape, *few, method="a"), worm)
     wrong = fit_to_match(Match(worm.template, shape, np.roll(there, 300), -1 + 0 * back, method="a"), worm)
     assert any("from the scan on average" in warning for warning in wrong.warnings)
 

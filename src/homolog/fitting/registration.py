@@ -183,9 +183,11 @@ def _pairs(found: Match, per_metre: float) -> _Pairs:
     (leave,) = np.nonzero(found.source_to_target >= 0)
     finite = np.isfinite(found.target.points).all(axis=1)
     (arrive,) = np.nonzero((found.target_to_source >= 0) & finite)
-    if len(leave) + len(arrive) < _FEWEST:
+    taken = np.union1d(found.source_to_target[leave], arrive)
+    if len(taken) < _FEWEST:
         raise ShapeError(
-            f"{found.target.name} cannot be fitted: fewer than {_FEWEST} points have a counterpart on the body model"
+            f"{found.target.name} cannot be fitted: {len(taken)} of its points have a counterpart on the body model, "
+            f"but at least {_FEWEST} must; give a scan with more points"
         )
     leave, arrive = (each[:: max(1, 2 * len(each) // _MOST_PAIRS)] for each in (leave, arrive))
     weights = [
