@@ -568,6 +568,7 @@ def test_out_is_a_file(homolog, files, tmp_path, monkeypatch, below):
         ["match", "a.off", "b.off", "--partial", "all"],
         ["match", "a.off", "b.off", "--device", "tpu"],
         ["match", "a.off", "b.off", "--up", "w"],
+        ["match", "a.off", "b.off", "--landmarks", "a.csv"],
         ["--nonsense"],
     ],
 )

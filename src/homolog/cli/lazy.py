@@ -35,7 +35,13 @@ class Command(TyperCommand):
             ArgumentError: if one that names a file or folder is empty, which would be taken for the current folder.
         """
         given = list(args)
-        left: list[str] = super().parse_args(ctx, args)
+        try:
+            left: list[str] = super().parse_args(ctx, args)
+        except Exception as error:
+            # The parser does not tell of every mistake in which command it was made, whose help shows what is right.
+            if getattr(error, "ctx", ctx) is None:
+                error.ctx = ctx  # type: ignore[attr-defined]
+            raise
         texts, _, _ = self.make_parser(ctx).parse_args(args=given)
         for param in () if ctx.resilient_parsing else self.params:
             empty = "" in _listed(texts.get(param.name))
