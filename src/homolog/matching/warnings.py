@@ -19,7 +19,7 @@ from homolog.shapes import Shape, face_vectors, half_edges, mesh_components
 # holes have 1 to 3 %. The 120 full shapes of FAUST, SCAPE and SMAL that were looked at are closed.
 _LEAST_OPENNESS = 0.05
 _OPENER = 3.0
-# Maps of 16 parts that were matched as full shapes had mean confidences up to 0.79; heads with an open neck, 0.91.
+# Maps of 14 cuts that were matched as full shapes had mean confidences up to 0.79; of heads with an open neck, 0.91.
 _WHOLE_CONFIDENCE = 0.85
 # A mesh is in pieces if there are many, of which the largest is less than half of it; crumbs do not count.
 _MANY_PIECES = 5
@@ -88,7 +88,7 @@ def match_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
         match: of the two.
     """
     # Points of a whole find no counterparts on a part: where nearly all do, an opening is no cut.
-    parts = part_warnings(pair) if min(_mean_confidences(match), default=0.0) < _WHOLE_CONFIDENCE else ()
+    parts = part_warnings(pair) if _mean_confidence(match) < _WHOLE_CONFIDENCE else ()
     checks = (*guidance_warnings(pair), *parts, *orientation_warnings(match), *mirror_warnings(pair))
     checks = (*checks, *extra_part_warnings(match), *unknown_shape_warnings(pair))
     return (*checks, *low_confidence_warnings(match, pair.settings.warnings, pair=pair))
@@ -152,7 +152,7 @@ def low_confidence_warnings(
     """
     cause = "" if pair is None else _in_pieces(pair)
     settings = settings or WarningSettings()
-    mean = min(_mean_confidences(match), default=0.0)
+    mean = _mean_confidence(match)
     if mean < settings.least_confidence:
         return (
             f"the match is doubtful: its mean confidence is {mean:.2f}; "
@@ -167,10 +167,11 @@ def low_confidence_warnings(
     return ()
 
 
-def _mean_confidences(match: Match) -> list[float]:
-    """Of the map of each side that has counterparts."""
+def _mean_confidence(match: Match) -> float:
+    """Of the map that has less; points without a counterpart do not count."""
     sides = (match.source_to_target, match.source_confidence), (match.target_to_source, match.target_confidence)
-    return [float(confidence[indices >= 0].mean()) for indices, confidence in sides if (indices >= 0).any()]
+    means = [float(confidence[indices >= 0].mean()) for indices, confidence in sides if (indices >= 0).any()]
+    return min(means, default=0.0)
 
 
 @contextmanager
