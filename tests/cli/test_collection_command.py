@@ -86,11 +86,15 @@ def test_files_to_a_folder_and_on(homolog, shapes, tmp_path):
 def test_landmarks_and_the_page_of_each_shape(homolog, shapes, tmp_path):
     out, marks, page = tmp_path / "out", tmp_path / "marks.json", tmp_path / "page.html"
     top = read_shape(shapes[0]).points.max(axis=0)
-    marks.write_text(json.dumps([{"id": "far", "coordinates": [50, 0, 0]}, {"id": "top", "coordinates": top.tolist()}]))
-    ended = homolog("collection", *shapes, "-o", out, *OPTIONS, "--landmarks", marks)
-    assert ended.code == 0 and "Warning: a landmark of marks.json is" in ended.err
+    for first in ([50, 0, 0], (0.99 * top).tolist()):
+        marks.write_text(json.dumps([{"id": "low", "coordinates": first}, {"id": "top", "coordinates": top.tolist()}]))
+        ended = homolog("collection", *shapes, "-o", out, *OPTIONS, "--landmarks", marks)
+        if first[0] == 50:
+            assert ended.is_one_line_of_complaint() and not out.exists()
+            assert "a landmark of marks.json is 48.9 away from the template's surface; give" in ended.err
+    assert ended.code == 0, ended.err
     assert str(out / "landmarks.csv") in ended.out.splitlines()
-    assert [each["id"] for each in json.loads((out / "landmarks" / "2.json").read_text())] == ["far", "top"]
+    assert [each["id"] for each in json.loads((out / "landmarks" / "2.json").read_text())] == ["low", "top"]
     ended = homolog("view", out, "--shape", "2", "--html", page)
     assert (ended.code, ended.out) == (0, f"{page}\n")
     alone = tmp_path / "alone.html"

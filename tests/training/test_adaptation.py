@@ -241,7 +241,7 @@ def test_no_steps(steps):
 
 def test_without_a_network(matcher, shapes):
     axiomatic = Matcher()
-    with pytest.raises(ArgumentError, match="needs a network; give weights, and a method that uses them"):
+    with pytest.raises(ArgumentError, match="there is no network; give weights, and a method that uses them"):
         adapt_to_pair(axiomatic, axiomatic.pair(*shapes)[0], SETTINGS)
 
 
