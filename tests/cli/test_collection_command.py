@@ -223,7 +223,10 @@ def test_an_interrupt_keeps_what_is_done(homolog, shapes, tmp_path):
 @pytest.mark.parametrize(
     ("choice", "told"),
     [
-        ([("people", 0.05, None)], "All shapes are matched with the weights people, which know them (misfit 0.05)."),
+        (
+            [("people", 0.05, None)],
+            "All shapes are matched with the weights people, which know them best (misfit 0.05).",
+        ),
         (
             [("registration", None, None), ("hands", 0.2, None)],
             "All shapes are matched by registration: they are nearly rigid copies.",

@@ -61,6 +61,22 @@ def test_the_smooth_energy_of_samples_is_that_of_calculus():
         assert smooth_dirichlet_energy(samples, turned, doubled) == pytest.approx(2.5, rel=0.03)
 
 
+def test_without_the_edges_that_add_most_a_map_that_tears_a_few_is_smooth(blob):
+    identity = torch.arange(blob.n_points)
+    torn = identity.clone()
+    torn[0] = int((blob.points - blob.points[0]).norm(dim=1).argmax())
+    n_edges = blob.laplacian.values().numel() - blob.n_points
+    n_torn = 2 * int((blob.laplacian.crow_indices().diff())[0] - 1)  # both ways
+    assert dirichlet_energy(blob, blob.points, torn) > 2
+    without = dirichlet_energy(blob, blob.points, torn, left_out=n_torn / n_edges)
+    kept = blob.laplacian.to_dense().clone()
+    kept[0] = kept[:, 0] = 0
+    lengths = torch.cdist(blob.points.double(), blob.points.double()).square()
+    weights = -blob.laplacian.to_dense().double()
+    expected = (-kept.double() * lengths).sum() / (weights * lengths).sum()  # lengths on the diagonal are zero
+    assert without == pytest.approx(float(expected), rel=1e-5)
+
+
 def test_a_constant_map_has_no_energy_and_covers_next_to_nothing(blob, make):
     constant = torch.full((blob.n_points,), 7)
     near = (blob.points - blob.points[7]).norm(dim=1) <= 2 * float((blob.mass.sum() / blob.n_points).sqrt())

@@ -71,10 +71,11 @@ def test_result_is_well_formed(results, blobs, method, modality):
         assert confidences.max() <= 1
         assert len(np.unique(indices)) > 50
     assert found.method == method
-    # A network is given to every method; those that do not use it say so, and there is nothing else to warn of.
+    # A network is given to every method; those that do not use it say so, and there is nothing else to warn of:
     left_aside = [warning for warning in found.warnings if "'blobs' are left aside" in warning]
     assert len(left_aside) == (method in ("registration", "axiomatic"))
-    assert len(found.warnings) == len(left_aside)
+    others = [warning for warning in found.warnings if warning not in left_aside and "is ambiguous" not in warning]
+    assert others == []  # blobs are nearly balls, whose ways round closest points hardly tell apart
 
 
 @every_case

@@ -38,10 +38,10 @@ def test_of_a_part_only_the_part_is_asked(build, blobs):
 
 
 def test_the_mean_is_that_of_both_sides():
-    found = MapQuality(Quality(1.0, 0.0, 1.0, 0.2, 0.9), Quality(0.5, 0.1, 2.0, 0.4, 0.7))
-    np.testing.assert_allclose(list(vars(found.mean).values()), [0.75, 0.05, 1.5, 0.3, 0.8])
+    found = MapQuality(Quality(1.0, 0.0, 1.0, 0.2, 0.9, 0.8), Quality(0.5, 0.1, 2.0, 0.4, 0.7, 1.6))
+    np.testing.assert_allclose(list(vars(found.mean).values()), [0.75, 0.05, 1.5, 0.3, 0.8, 1.2])
     clouds = MapQuality(Quality(1.0, 0.0, 1.0, None, 0.9), Quality(0.5, 0.1, 2.0, None, 0.7))
-    assert clouds.mean.flipped_triangles is None
+    assert clouds.mean.flipped_triangles is None and clouds.mean.dirichlet_energy_99 is None
 
 
 def test_a_shape_is_covered_by_the_map_from_the_other(build, blobs):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import homolog
 from homolog.core.errors import ArgumentError
 from homolog.features import FeatureInfo, Orientation
-from homolog.matching import Matcher, map_misfit, search
+from homolog.matching import Match, Matcher, map_misfit, search
 from homolog.matching.search import orient
 from homolog.matching.warnings import unknown_shape_warnings
 from homolog.methods import registration
@@ -61,11 +61,18 @@ def chosen(extractors, shapes, settings=None, orient="given"):
     return matcher.pair(shapes.source, shapes.target, PairOptions(orient=orient))[0]
 
 
+def doubts(pair):
+    """What is said of the pair's choice, whose maps tell all that is asked of them."""
+    source, target = (side.repaired.shape for side in (pair.source, pair.target))
+    maps = np.zeros(source.n_points, int), np.zeros(target.n_points, int)
+    return unknown_shape_warnings(pair, Match(source, target, *maps))
+
+
 def test_features_that_know_the_pair_are_taken_before_others_are_asked(blobs):
     pair = chosen([Positions("usual", 0.05), Positions("others", 0.01)], blobs)
     assert pair.extractor.info.name == "usual"
     assert [candidate.name for candidate in pair.choice] == ["usual"]
-    assert unknown_shape_warnings(pair) == ()
+    assert doubts(pair) == ()
 
 
 @pytest.mark.parametrize(("partial", "first"), [(None, "usual"), ("source", "of parts"), ("both", "of parts")])
@@ -150,9 +157,9 @@ def test_a_pair_whose_best_map_is_no_good_is_said_to_be_doubtful(blobs):
     features = [Positions("some", 0.5), Positions("others", 0.9)]
     pair = chosen(features, blobs)
     assert pair.extractor is None or pair.choice[0].name != pair.extractor.info.name
-    assert unknown_shape_warnings(pair) == ()
+    assert doubts(pair) == ()
     strict = replace(pair.settings, choice=ChoiceSettings(doubtful=pair.choice[0].map_misfit - 0.01))
-    (said,) = unknown_shape_warnings(replace(pair, settings=strict))
+    (said,) = doubts(replace(pair, settings=strict))
     assert said.startswith("the match is doubtful: no weights know both shapes, and the best map, by 'registration'")
 
 
@@ -219,7 +226,7 @@ def test_features_that_know_one_of_both_well_are_taken_though_the_other_is_odd(c
     pair = chosen([Positions("usual", 0.3), KnowsOne("others", misfit, most=most, size=size)], copies, orient="auto")
     assert pair.choice[0].name == (first or "registration")
     assert first is None or pair.choice[0].misfit == 0.5
-    said = unknown_shape_warnings(pair)
+    said = doubts(pair)
     assert len(said) == (first is not None)
     assert all("'others', have a misfit of 0.50" in each for each in said)
 
@@ -230,7 +237,7 @@ def test_a_warning_goes_by_what_the_features_say_of_themselves(blobs, most, warn
     matcher = Matcher([Positions("usual", 0.5), Positions("strict", 0.1, most=most)], settings=ALL_MAPS)
     pair, _ = matcher.pair(blobs.source, blobs.target, partial="both", orient="given")
     assert pair.choice[0].name == "strict"
-    assert [f"but at most {most:g} of shapes" in each for each in unknown_shape_warnings(pair)] == [True] * warned
+    assert [f"but at most {most:g} of shapes" in each for each in doubts(pair)] == [True] * warned
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,8 @@ def test_people_are_matched_by_the_weights_for_people(people, tmp_path):
     assert [row["matched_by"] for row in table(tmp_path / "out")] == ["functional-map, people"]
     match = Match.load(built.folder.match_folder(other.stem))
     assert float(table(tmp_path / "out")[0]["map_misfit"]) == pytest.approx(map_misfit(match), rel=1e-4)
-    assert match.report["features"]["name"] == "people" and match.report["choice"] == []
+    assert match.report["features"]["name"] == "people"
+    assert [(each["name"], each["misfit"] < 0.1) for each in match.report["choice"]] == [("people", True)]
 
 
 @pytest.mark.slow
@@ -67,7 +68,7 @@ def test_other_shapes_are_matched_by_what_explains_most_of_them(family, tmp_path
     build(template, files, tmp_path / "out", matcher)
     matched_by = {row["matched_by"] for row in table(tmp_path / "out")}
     assert len(table(tmp_path / "out")) == 3 and len(matched_by) == 1
-    assert matched_by.pop().startswith(best.name)
+    assert best.name in matched_by.pop()
 
 
 @pytest.mark.slow
@@ -77,6 +78,34 @@ def test_nearly_rigid_copies_are_registered(family, tmp_path):
     best = built.folder.choice()[0]
     assert (best.name, best.misfit, best.map_misfit) == ("registration", None, None)
     assert [row["matched_by"] for row in table(tmp_path / "out")] == ["registration"] * 2
+
+
+@pytest.mark.slow
+def test_of_what_is_registered_nothing_is_adapted_and_that_is_said(family, tmp_path):
+    template, files, _ = family
+    built = build(template, files[:1], tmp_path / "out", Matcher.from_weights(), settings=ShapeModelSettings(adapt=4))
+    assert built.warnings == ("nothing was adapted: these shapes are matched best by a method without weights",)
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["adaptation"] is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "told"), [("hands", "no weights know both shapes: those that were chosen, 'hands'"), ("people", "")]
+)
+def test_weights_that_were_chosen_for_all_are_doubted_for_a_shape_that_they_do_not_know(people, name, told):
+    match = Matcher.from_weights().limited_to(name).match(*people)
+    found = [warning for warning in match.warnings if warning.startswith("no weights")]
+    assert len(found) == bool(told) and all(warning.startswith(told) for warning in found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("doubtful", "count"), [(-10.0, 1), (10.0, 0)])
+def test_a_method_that_was_chosen_for_all_is_doubted_for_a_shape_that_it_maps_badly(family, doubtful, count):
+    template, files, _ = family
+    settings = MatcherSettings(choice=ChoiceSettings(doubtful=doubtful))
+    match = Matcher.from_weights(settings=settings).limited_to("registration").match(template, files[0])
+    assert sum("the best map, by 'registration'" in warning for warning in match.warnings) == count
+    assert [each["name"] for each in match.report["choice"]] == ["registration"]
 
 
 @pytest.mark.slow

@@ -406,7 +406,7 @@ def test_names(family, tmp_path):
 
 def test_templates_that_cannot_be_carried(make):
     blob = make.blob(1)
-    with pytest.raises(ShapeError, match="has 1 points that can have no counterpart"):
+    with pytest.raises(ShapeError, match=r"points that can have no counterpart.*: 1 "):
         check_template(Shape(np.concatenate([blob.points, [[9, 9, 9]]]), blob.faces, name="blob"))
     check_template(Shape(np.concatenate([blob.points, blob.points[:1]]), np.concatenate([blob.faces, [[42, 0, 1]]])))
 

@@ -232,7 +232,7 @@ def _of_choice(choice: Sequence[Candidate]) -> str:
     if best.misfit is None and best.map_misfit is None:
         return f"All shapes are matched by {best.name}: they are nearly rigid copies."
     if best.map_misfit is None:
-        return f"All shapes are matched with the weights {best.name}, which know them (misfit {best.misfit:.2f})."
+        return f"All shapes are matched with the weights {best.name}, which know them best (misfit {best.misfit:.2f})."
     told = ", ".join(f"{each.name} {each.map_misfit:.2f}" for each in others if each.map_misfit is not None)
     if not told:
         why = f"its maps hardly contradict themselves (misfit {best.map_misfit:.2f})"

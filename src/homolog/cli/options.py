@@ -82,7 +82,8 @@ MethodOption = Annotated[
         help="functional-map: functional maps, for two meshes. nearest-features: the most similar features, for clouds "
         "and for shapes that stretch. registration: fits the source to the target, for shapes in the same pose, such "
         "as organs; needs no weights. axiomatic: wave kernel signatures; needs no weights. auto: functional-map for "
-        "two meshes, nearest-features otherwise. Installed packages may offer others.",
+        "two meshes, nearest-features otherwise; with --weights auto, registration or axiomatic where no weights know "
+        "the shapes. Installed packages may offer others.",
         rich_help_panel=METHOD,
     ),
 ]

@@ -96,6 +96,7 @@ def dirichlet_energy(
     x_to_y: Int[Tensor, " n_x"],
     *,
     spacing_y: Float[Tensor, " n_y"] | None = None,
+    left_out: float = 0.0,
 ) -> float:
     """Dirichlet energy of a map from x to y, relative to that of the identity of x: how smooth the map is.
 
@@ -112,6 +113,8 @@ def dirichlet_energy(
         points_y: positions, at the scale of x (n_y, 3).
         x_to_y: for each point of x a point of y (n_x,).
         spacing_y: of y at each of its points, sqrt(mass) (n_y,); None to take every edge as it is.
+        left_out: share of the edges that are left out, those that add most: a good map may tear a few, as between
+            legs.
 
     Raises:
         ArgumentError: if an index is that of no point, as is -1, where there is no counterpart.
@@ -137,7 +140,10 @@ def dirichlet_energy(
     if spacing_y is not None:
         spacing = spacing_y.double()[x_to_y]
         energy *= (lengths / torch.maximum(spacing[start], spacing[end])).clamp(max=1.0)
-    return float(energy.sum() / (weight * lengths.square()).sum())
+    counted = energy.sum()
+    if left_out:
+        counted -= energy.topk(round(left_out * len(energy))).values.sum()
+    return float(counted / (weight * lengths.square()).sum())
 
 
 def _edges(operators: Operators) -> tuple[Int[Tensor, " e"], Int[Tensor, " e"], Float[Tensor, " e"]]:

@@ -24,7 +24,7 @@ from homolog.matching.choice import (
 )
 from homolog.matching.inputs import check_two_arrays, options_of
 from homolog.matching.mirror import are_mirror_images
-from homolog.matching.recognition import SeenShapes, choose
+from homolog.matching.recognition import SeenShapes, candidate_of, choose
 from homolog.matching.search import orient
 from homolog.pairs import (
     SIDES,
@@ -54,6 +54,7 @@ class FeatureChoice:
         shapes: that other features have looked at, too.
         others: features of other kinds of shapes, with an orienter each; empty where there is no choice.
         warnings: of features that were given, but that the method does not use.
+        limited: whether a choice was made before, for many pairs together: each pair tells how well it was.
     """
 
     method: Method
@@ -62,6 +63,7 @@ class FeatureChoice:
     shapes: SeenShapes
     others: tuple[FeatureExtractor, ...] = ()
     warnings: tuple[str, ...] = ()
+    limited: bool = False
 
     @classmethod
     def of(
@@ -179,6 +181,8 @@ class FeatureChoice:
             pairs: with the usual features, and with the same options.
             timings: collects time and memory.
         """
+        if self.limited:
+            return [replace(pair, choice=(candidate_of(pair),)) for pair in pairs]
         if not self.is_open:
             return list(pairs)
         with (timings or Timings()).measure("choice of features"):

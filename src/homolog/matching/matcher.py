@@ -103,13 +103,17 @@ class Matcher:
     def limited_to(self, name: str) -> Matcher:
         """A matcher that makes no choice: it uses these features of its own, or this method, for every pair.
 
+        Its matches tell how well these know each pair, and warn where they do not.
+
         Args:
             name: of the features, or of a method that needs none, as ``FeatureChoice.candidates`` tells it.
         """
         named = {each.info.name: each for each in self.feature_choice.extractors}
         settings = self.feature_choice.settings
         settings = settings if name in named else replace(settings, method=name)
-        return Matcher(named.get(name), settings=settings, device=self.device, operators=self.preprocess.source)
+        limited = Matcher(named.get(name), settings=settings, device=self.device, operators=self.preprocess.source)
+        limited.feature_choice = replace(limited.feature_choice, limited=True)
+        return limited
 
     def method_of(self, source: Modality, target: Modality, *, parts: bool = False) -> Method:
         """How two shapes of these modalities, or two parts, are matched; see ``MatcherSettings``."""

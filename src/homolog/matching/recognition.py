@@ -109,6 +109,12 @@ def choose(pairs: Sequence[Pair], extractors: Sequence[FeatureExtractor], shapes
     return [replace(pair, choice=choice) for pair in ways[0].pairs]
 
 
+def candidate_of(pair: Pair) -> Candidate:
+    """How well a pair's features know it, where they were chosen for many pairs together; or its method without any."""
+    chooses = getattr(pair.extractor, "orienter", None) is not None
+    return _way([pair]).candidate if chooses else Candidate(pair.method.name)
+
+
 def _know(way: _Way, misfit: float, most: float) -> bool:
     """Whether features are believed to know a shape: up to a misfit, or what their file says, if that is less."""
     extractor = way.pairs[0].extractor

@@ -102,11 +102,14 @@ def orientations(pair: Pair, count: int) -> list[Pair]:
 
 
 def _turned(pair: Pair, found: list[Hypothesis], number: int) -> Pair:
+    settings = pair.settings.orientation
+    # Closest points of rigid bodies tell less than features.
+    margin = settings.given_margin if pair.extractor is None else settings.margin
     return replace(
         pair,
         source=pair.source.turned(found[number].source, pair.extractor),
         target=pair.target.turned(found[number].target, pair.extractor),
-        orientation=_certainty(found, number, pair.settings.orientation),
+        orientation=_certainty(found, number, margin),
     )
 
 
@@ -244,13 +247,13 @@ def _first(ranked: list[Hypothesis], preferred: Iterable[Hypothesis], margin: fl
     return [best, *(found for found in ranked if found is not best)]
 
 
-def _certainty(distinct: list[Hypothesis], number: int, settings: OrientationSettings) -> PairOrientation:
-    """How sure one of several hypotheses is, against the best of the others."""
+def _certainty(distinct: list[Hypothesis], number: int, least: float) -> PairOrientation:
+    """How sure one of several hypotheses is, against the best of the others, which it must differ from by a margin."""
     misfit, others = distinct[number].misfit, [each.misfit for each in distinct if each is not distinct[number]]
     if not others:
         return PairOrientation(misfit)
     margin = min(others) - misfit
-    return PairOrientation(misfit, min(others), margin, ambiguous=abs(margin) < settings.margin)
+    return PairOrientation(misfit, min(others), margin, ambiguous=abs(margin) < least)
 
 
 @dataclass(frozen=True, eq=False)

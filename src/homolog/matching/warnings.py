@@ -11,8 +11,9 @@ from homolog.core.errors import HomologError, ShapeError
 from homolog.matching.extra_parts import extra_part_warnings
 from homolog.matching.guidance import guidance_warnings
 from homolog.matching.mirror import mirror_warnings
+from homolog.matching.misfit import map_misfit
 from homolog.matching.result import Match
-from homolog.pairs import SIDES, Candidate, Pair, WarningSettings
+from homolog.pairs import SIDES, Candidate, ChoiceSettings, Pair, WarningSettings
 from homolog.shapes import Shape, face_vectors, half_edges, mesh_components
 
 # Of 13 cuts of a body all but one have openings of 5 to 37 % of their area, and 13 views of 58 to 64 %; bodies with
@@ -90,7 +91,7 @@ def match_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
     # Points of a whole find no counterparts on a part: where nearly all do, an opening is no cut.
     parts = part_warnings(pair) if _mean_confidence(match) < _WHOLE_CONFIDENCE else ()
     checks = (*guidance_warnings(pair), *parts, *orientation_warnings(match), *mirror_warnings(pair))
-    checks = (*checks, *extra_part_warnings(match), *unknown_shape_warnings(pair))
+    checks = (*checks, *extra_part_warnings(match), *unknown_shape_warnings(pair, match))
     return (*checks, *low_confidence_warnings(match, pair.settings.warnings, pair=pair))
 
 
@@ -105,7 +106,7 @@ def orientation_warnings(match: Match) -> tuple[str, ...]:
     )
 
 
-def unknown_shape_warnings(pair: Pair) -> tuple[str, ...]:
+def unknown_shape_warnings(pair: Pair, match: Match) -> tuple[str, ...]:
     """Say if the features that were chosen know one of the shapes badly, or none do, and the best map is no good.
 
     Maps may be smooth and confident all the same.
@@ -114,17 +115,18 @@ def unknown_shape_warnings(pair: Pair) -> tuple[str, ...]:
     if best is None:
         return ()
     if pair.extractor is None or best.name != pair.extractor.info.name:
-        return _bad_map_warnings(best, pair.settings.choice.doubtful)
+        return _bad_map_warnings(best, match, pair.settings.choice)
     return _little_known_warnings(best, pair.extractor.info.limit(pair.settings.choice.known_best))
 
 
-def _bad_map_warnings(best: Candidate, doubtful: float) -> tuple[str, ...]:
-    """Of a method without features."""
-    if (best.map_misfit or 0.0) <= doubtful:
+def _bad_map_warnings(best: Candidate, match: Match, settings: ChoiceSettings) -> tuple[str, ...]:
+    """Of a method without features. Where it was chosen without a look at maps, the match itself tells."""
+    misfit = map_misfit(match, settings) if best.map_misfit is None else best.map_misfit
+    if misfit <= settings.doubtful:
         return ()
     return (
         f"the match is doubtful: no weights know both shapes, and the best map, by {best.name!r}, has a misfit of "
-        f"{best.map_misfit:.1f}, but hardly any right one above {doubtful:g}; look at the map",
+        f"{misfit:.1f}, but hardly any right one above {settings.doubtful:g}; look at the map",
     )
 
 
@@ -158,11 +160,11 @@ def low_confidence_warnings(
             f"the match is doubtful: its mean confidence is {mean:.2f}; "
             + (cause or "are the shapes of one kind, and dense enough?"),
         )
-    energy = 0.0 if match.quality is None else match.quality.mean.dirichlet_energy
-    if energy > settings.most_dirichlet_energy:
+    energy = None if match.quality is None else match.quality.mean.dirichlet_energy_99
+    if energy is not None and energy > settings.most_dirichlet_energy:
         return (
-            f"the match is doubtful: it tears the shapes (Dirichlet energy {energy:.0f}, of good maps 1 to 3); "
-            + (cause or "are they of one kind?"),
+            f"the match is doubtful: it tears the shapes (Dirichlet energy of 99 % of the edges {energy:.1f}, "
+            f"of good maps up to {settings.most_dirichlet_energy:g}); " + (cause or "are they of one kind?"),
         )
     return ()
 

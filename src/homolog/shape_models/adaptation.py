@@ -22,6 +22,13 @@ from homolog.training import AdaptationSettings, adapt_to_pairs
 _MOST = 50
 
 
+def not_adapted_warnings(folder: ShapeModelFolder, settings: ShapeModelSettings) -> tuple[str, ...]:
+    """Say if weights were to be adapted to a collection that is matched best without any."""
+    if not settings.adapt or not folder.choice() or folder.weights() is not None:
+        return ()
+    return ("nothing was adapted: these shapes are matched best by a method without weights",)
+
+
 def adapted_weights(
     template: Shape,
     subjects: Sequence[Subject],

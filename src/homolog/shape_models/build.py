@@ -14,6 +14,7 @@ from homolog.core.files import expanded, refuse_overwriting_inputs, resolved
 from homolog.core.progress import Progress, ignore
 from homolog.core.versions import versions
 from homolog.matching import Matcher
+from homolog.shape_models.adaptation import not_adapted_warnings
 from homolog.shape_models.asymmetry import TemplateSymmetry
 from homolog.shape_models.batch import register_all, settings_record
 from homolog.shape_models.folder import Outcome, ShapeModelFolder
@@ -126,7 +127,8 @@ def build(
         written = write_outputs(
             folder, base, outcomes, model, landmarks=carried, symmetry=mirrored, mask=mask, report=told
         )
-    return BuiltModel(folder, outcomes, written, () if carried is None else carried.warnings)
+    warnings = () if carried is None else carried.warnings
+    return BuiltModel(folder, outcomes, written, (*warnings, *not_adapted_warnings(folder, settings)))
 
 
 def _outputs(root: Path, subjects: Sequence[Subject], landmarks: TemplateLandmarks | None) -> list[Path]:

@@ -216,8 +216,8 @@ def check_template(shape: Shape) -> None:
     left_out = int((repair(shape).clean_index < 0).sum())
     if left_out:
         raise ShapeError(
-            f"{shape.name} has {left_out} points that can have no counterpart, as no face uses them or they are not "
-            "finite (homolog info shows them); remove them, or give another template"
+            f"{shape.name}: points that can have no counterpart, as no face uses them or they are not finite: "
+            f"{left_out} (homolog info shows them); remove them, or give another template"
         )
 
 
