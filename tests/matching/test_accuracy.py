@@ -75,7 +75,9 @@ def test_no_method_is_worse_than_it_was(demo, matcher, method, modality):
         mean_error(demo.boris, demo.boris_points, found.source_to_target[demo.amber_points]),
     )
     assert np.all(np.array(errors) <= SLACK * np.array(MEANS[method, modality])), errors
-    assert found.warnings == ()
+    # To closest points, people look nearly alike from the front and from behind.
+    allowed = [warning for warning in found.warnings if method == "registration" and "is ambiguous" in warning]
+    assert list(found.warnings) == allowed
 
 
 @pytest.fixture(scope="module")
